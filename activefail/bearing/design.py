@@ -1,0 +1,222 @@
+"""A bearing, a pulse and the settings of the model: what a user states, checked once."""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from activefail.errors import InputError
+from activefail.space import Array, DesignSpace, Parameter
+
+GRAVITY = 9.81
+"""g [m/s²]."""
+
+TABLE_1 = DesignSpace(
+    (
+        Parameter("T_b", 2.5, 5.5, "s"),
+        Parameter("mu", 0.02, 0.12),
+        Parameter("D_tot", 0.450, 0.850, "m"),
+        Parameter("h_sl_ratio", 0.33, 1.3),
+        Parameter("h_rim_ratio", 0.05, 0.2),
+        Parameter("p", 30.0, 60.0, "MPa"),
+        Parameter("k", 2.5e8, 50e8, "N/m^1.5"),
+        Parameter("T_p", 0.25, 5.0, "s"),
+        Parameter("A_p", 0.1, 0.8, "g"),
+    )
+)
+"""The nine sampled variables and their ranges (paper, Table 1)."""
+
+
+def _require_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"`{name} > 0` must hold, got {value}.")
+
+
+@dataclass(frozen=True)
+class Bearing:
+    """A double friction pendulum bearing with two equal dishes.
+
+    Attributes:
+        radius: R of both dishes [m].
+        mu: friction coefficient [-].
+        dish_diameter: D_out, between the rims of a dish [m].
+        slider_diameter: D_sl [m].
+        slider_height: h_sl at the edge, vertex to vertex [m].
+        rim_height: h_rim [m].
+        pressure: p on the slider's area [Pa].
+        stiffness: k of the Hertz contacts [N/m^1.5].
+
+    Raises:
+        InputError: if a value is not positive and finite, or the dish or the slider does not fit its sphere.
+    """
+
+    radius: float
+    mu: float
+    dish_diameter: float
+    slider_diameter: float
+    slider_height: float
+    rim_height: float
+    pressure: float
+    stiffness: float
+
+    def __post_init__(self) -> None:
+        _require_positive(**vars(self))
+        if not self.slider_diameter < self.dish_diameter:
+            raise InputError(
+                f"`slider_diameter < dish_diameter` must hold, got {self.slider_diameter} and {self.dish_diameter} m."
+            )
+        if not self.dish_diameter < 2.0 * self.radius:
+            raise InputError(
+                f"A dish must be less than a hemisphere, `dish_diameter < 2 radius`; "
+                f"got {self.dish_diameter} and {2.0 * self.radius:.4g} m."
+            )
+        if not self.slider_height < 2.0 * math.sqrt(self.radius**2 - self.slider_diameter**2 / 4.0):
+            raise InputError(
+                f"The slider must be lower than the distance of the dishes' centres, "
+                f"got a height of {self.slider_height} m for a radius of {self.radius:.4g} m."
+            )
+
+    @classmethod
+    def from_table(
+        cls,
+        T_b: float,
+        mu: float,
+        D_tot: float,
+        h_sl_ratio: float,
+        h_rim_ratio: float,
+        p: float,
+        k: float,
+        slider_diameter: float = 0.30,
+    ) -> Self:
+        """The bearing of a row of Table 1: s, -, m, -, -, MPa, N/m^1.5; slider diameter in m (paper, eq. 2).
+
+        Raises:
+            InputError: as the class does.
+        """
+        _require_positive(T_b=T_b, D_tot=D_tot, h_sl_ratio=h_sl_ratio, h_rim_ratio=h_rim_ratio, p=p)
+        return cls(
+            radius=GRAVITY * (T_b / (2.0 * math.pi)) ** 2 / 2.0,
+            mu=mu,
+            dish_diameter=D_tot + slider_diameter,
+            slider_diameter=slider_diameter,
+            slider_height=h_sl_ratio * slider_diameter,
+            rim_height=h_rim_ratio * slider_diameter,
+            pressure=p * 1e6,
+            stiffness=k,
+        )
+
+    @property
+    def displacement_capacity(self) -> float:
+        """D_tot = D_out − D_sl, the displacement of the top plate at which the slider meets both rims [m]."""
+        return self.dish_diameter - self.slider_diameter
+
+    @property
+    def plate_mass(self) -> float:
+        """M of the top plate, which carries the whole load [kg]."""
+        return self.pressure * math.pi * self.slider_diameter**2 / (4.0 * GRAVITY)
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """An antisymmetric Ricker pulse: period T_p [s] and amplitude A_p [m/s²], which may be negative (mirrored).
+
+    Raises:
+        InputError: if the period is not positive and finite or the amplitude is not finite.
+    """
+
+    period: float
+    amplitude: float
+
+    def __post_init__(self) -> None:
+        _require_positive(period=self.period)
+        if not math.isfinite(self.amplitude):
+            raise InputError(f"The amplitude of a pulse must be finite, got {self.amplitude}.")
+
+
+RESTITUTIONS = ("pairwise", "assembly")
+
+
+@dataclass(frozen=True)
+class Model:
+    """What the paper leaves open or fixes for all bearings; every choice can be changed to see what moves.
+
+    Attributes:
+        slider_diameter: D_sl of the rows of Table 1, which does not name it [m].
+        restitution_coefficient: e of a rim impact (paper, section 2.1).
+        restitution: mass in the damper, "pairwise" (the law as published: the two bodies that meet) or
+            "assembly" (the plate's, so that a plate thrown through the slider rebounds with e itself).
+        slider_density: ρ [kg/m³]; steel.
+        friction_velocity: v_r over which Coulomb friction is regularised [m/s].
+        loss_of_confinement: whether a slider that no rim of a plate holds any more has failed.
+
+    Raises:
+        InputError: if a value is outside its range.
+    """
+
+    slider_diameter: float = 0.30
+    restitution_coefficient: float = 0.65
+    restitution: str = "pairwise"
+    slider_density: float = 7850.0
+    friction_velocity: float = 1e-3
+    loss_of_confinement: bool = True
+
+    def __post_init__(self) -> None:
+        _require_positive(
+            slider_diameter=self.slider_diameter,
+            slider_density=self.slider_density,
+            friction_velocity=self.friction_velocity,
+        )
+        if not 0.0 < self.restitution_coefficient <= 1.0:
+            raise InputError(f"`0 < restitution_coefficient <= 1` must hold, got {self.restitution_coefficient}.")
+        if self.restitution not in RESTITUTIONS:
+            raise InputError(f"`restitution` must be one of {', '.join(RESTITUTIONS)}, got {self.restitution!r}.")
+
+    @property
+    def damping_ratio(self) -> float:
+        """ξ of the approach-phase damper for the restitution coefficient e (Jankowski 2006, eq. 18)."""
+        e = self.restitution_coefficient
+        return 4.5 * math.sqrt(5.0) * (1.0 - e * e) / (e * (e * (9.0 * math.pi - 16.0) + 16.0))
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How finely the motion is integrated.
+
+    Attributes:
+        relative: relative error per step.
+        longest_step: upper bound of a step [s].
+        most_steps: attempted steps after which a simulation is given up as a numerical failure.
+
+    Raises:
+        InputError: if a value is outside its range.
+    """
+
+    relative: float = 1e-4
+    longest_step: float = 0.1
+    most_steps: int = 400_000
+
+    def __post_init__(self) -> None:
+        if not 1e-12 <= self.relative <= 1e-2:
+            raise InputError(f"`1e-12 <= relative <= 1e-2` must hold for the tolerance, got {self.relative}.")
+        _require_positive(longest_step=self.longest_step, most_steps=self.most_steps)
+
+
+def check_designs(X: Array) -> Array:
+    """X as a contiguous (n, 9) array of finite positive designs in Table 1's order and units.
+
+    Raises:
+        InputError: naming the row, the column, the rule and the value of the first bad entry.
+    """
+    X = np.ascontiguousarray(X, dtype=np.float64)
+    if X.ndim != 2 or X.shape[1] != TABLE_1.dimension:
+        raise InputError(
+            f"Designs must be an (n, {TABLE_1.dimension}) array of {', '.join(TABLE_1.names)}; got shape {X.shape}."
+        )
+    bad = np.argwhere(~(np.isfinite(X) & (X > 0.0)))
+    if len(bad):
+        row, column = bad[0]
+        name = TABLE_1.names[column]
+        raise InputError(f"Row {row}, column {name}: `{name} > 0` must hold and be finite, got {X[row, column]}.")
+    return X

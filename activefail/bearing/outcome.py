@@ -1,0 +1,109 @@
+"""The events of a motion, its three labels, and the margins that go with a label."""
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from activefail.bearing.contact import gap, meets_rim, vertex_force
+from activefail.bearing.dynamics import lever, seen_by_plate, speed_seen_by_plate
+
+NO_IMPACT, IMPACT, FAILURE = 0, 1, 2
+NUMERICAL_FAILURE = -1
+OUTCOMES = ("no_impact", "impact", "failure")
+"""Names of the labels 0, 1, 2, least severe first."""
+
+NONE, ESCAPE, LOSS_OF_CONFINEMENT, OVERTURNING, STEPS, UNDERFLOW, NOT_FINITE, NO_TOUCH = range(8)
+CAUSES = (
+    "",
+    "escape",
+    "loss_of_confinement",
+    "overturning",
+    "too_many_steps",
+    "step_underflow",
+    "not_finite",
+    "failure_without_rim_touch",
+)
+"""Why a bearing failed (1 to 3, in the order in which they are looked for) or an integration gave up (4 to 7)."""
+
+MARGINS = (
+    "first_touch_time",  # first rim touch, after the pulse's centre [s]; NaN without one
+    "first_touch_velocity",  # of the vertex against the rim, approaching [m/s]; NaN without one
+    "peak_displacement_ratio",  # peak |x_t| / D_tot [-]
+    "peak_rim_force_ratio",  # largest normal force on the rim of one plate / M g [-]
+    "peak_gap_ratio",  # largest confinement gap / h_rim [-]; loss of confinement above 1
+    "peak_tilt",  # largest |theta| [rad]
+    "failure_time",  # after the pulse's centre [s]; NaN without failure
+    "end_time",  # of the integration [s]
+    "energy_error",  # largest imbalance over the larger of peak |work in| and M g * 1 mm [-]
+    "steps",  # attempted steps
+    "rejected_steps",
+    "evaluations",  # of the equations of motion
+)
+"""What is kept of a simulation besides its label; one column each."""
+
+
+class Observation(NamedTuple):
+    """The event functions at an instant; an event holds where its function is positive (zero for escape too)."""
+
+    touch: float  # deepest rim penetration of a vertex below the top of its rim [m]
+    touch_velocity: float  # of that vertex, towards the rim [m/s]
+    rim_force: float  # larger of the two plates' sums of normal rim forces [N]
+    confinement_gap: float  # larger of the two plates' smaller vertex gaps [m]
+    escape: float  # how far a vertex is both beyond and above its rim [m]
+    tilt: float  # |theta| [rad]
+
+
+@njit(cache=True, error_model="numpy")
+def observe(system, q, v):
+    """The event functions of a state, an `Observation`."""
+    touch, touch_velocity, rim_force, confinement_gap, escape = -math.inf, 0.0, 0.0, -math.inf, -math.inf
+    for side in range(2):
+        plate = system.bottom if side == 0 else system.top
+        least_gap, on_rim = math.inf, 0.0
+        for vertex in (2 * side, 2 * side + 1):
+            r_x, r_z = lever(system, vertex, q[2])
+            u, w = seen_by_plate(vertex, r_x, r_z, q)
+            least_gap = min(least_gap, gap(u, w, plate))
+            beyond = abs(u) - plate.rim_distance
+            escape = max(escape, min(beyond, w - plate.rim_top))
+            if beyond > touch and w < plate.rim_top:
+                touch = beyond
+                du, _ = speed_seen_by_plate(vertex, r_x, r_z, v)
+                touch_velocity = du if u > 0.0 else -du
+            if meets_rim(u, w, plate):
+                du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
+                on_rim += vertex_force(u, w, du, dw, plate).rim
+        confinement_gap = max(confinement_gap, least_gap)
+        rim_force = max(rim_force, on_rim)
+    return Observation(touch, touch_velocity, rim_force, confinement_gap, escape, abs(q[2]))
+
+
+@njit(cache=True, error_model="numpy")
+def crossing(before, after, level):
+    """Where in a step, 0 to 1, a function that goes from `before` to `after` meets `level`, by linear interpolation."""
+    if not (before < level < after):
+        return 1.0
+    return (level - before) / (after - before)
+
+
+@njit(cache=True, error_model="numpy")
+def failure_cause(observation, system, confinement):
+    """The cause of failure that holds at an instant, or NONE."""
+    if observation.escape >= 0.0:
+        return ESCAPE
+    if confinement and observation.confinement_gap > system.rim_height:
+        return LOSS_OF_CONFINEMENT
+    if observation.tilt > math.atan2(system.half_width, system.half_height):
+        return OVERTURNING
+    return NONE
+
+
+@njit(cache=True, error_model="numpy")
+def failure_fraction(before, after, cause, system):
+    """Where in a step, 0 to 1, the failure of the given cause happened."""
+    if cause == ESCAPE:
+        return crossing(before.escape, after.escape, 0.0)
+    if cause == LOSS_OF_CONFINEMENT:
+        return crossing(before.confinement_gap, after.confinement_gap, system.rim_height)
+    return crossing(before.tilt, after.tilt, math.atan2(system.half_width, system.half_height))

@@ -1,0 +1,27 @@
+"""The ground motion: an antisymmetric Ricker pulse (paper, eq. 1)."""
+
+import math
+
+from numba import njit
+
+_SPREAD = 2.0 * math.pi / math.sqrt(3.0)
+_PEAK = 1.38
+"""The paper's rounded peak of |s² − 3|·s·exp(−s²/2); the exact value is 1.380119."""
+
+HALF_DURATION = 1.5
+"""The pulse is cut at −1.5 T_p and 1.5 T_p, where it has fallen to 4·10⁻⁵ of its peak."""
+
+
+@njit(cache=True, error_model="numpy")
+def ground_acceleration(t, amplitude, period):
+    """Ground acceleration ü_g [m/s²] at time t [s] of a pulse of amplitude A_p [m/s²] and period T_p [s]."""
+    s = _SPREAD * t / period
+    return amplitude / _PEAK * (s * s - 3.0) * s * math.exp(-0.5 * s * s)
+
+
+@njit(cache=True, error_model="numpy")
+def ground_jerk(t, amplitude, period):
+    """Time derivative of the ground acceleration [m/s³]."""
+    s = _SPREAD * t / period
+    s2 = s * s
+    return amplitude / _PEAK * _SPREAD / period * (6.0 * s2 - 3.0 - s2 * s2) * math.exp(-0.5 * s2)

@@ -1,0 +1,276 @@
+"""From a bearing and a pulse to its response, one at a time or a batch of designs on all cores."""
+
+import math
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from activefail.bearing import outcome as o
+from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
+from activefail.bearing.dynamics import COORDINATES, energy, equilibrium, system
+from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, advance, start, workspace
+from activefail.bearing.pulse import HALF_DURATION
+from activefail.space import Array
+
+FREE_PERIODS = 2.5
+"""A run goes on for this many T_b after the pulse."""
+
+HISTORY = 1 + 3 * COORDINATES
+"""Columns of a history: time, coordinates, velocities, accelerations."""
+
+
+class Run(NamedTuple):
+    """What the kernel returns for one simulation."""
+
+    label: int
+    cause: int
+    margins: Array
+    recorded: int  # rows of the history that were written, or would have been
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _run(system, capacity, free_time, confinement, tolerance, longest, most, history):
+    """Integrate one bearing from rest to its end, failure or the last possible event; a `Run`.
+
+    `history`, shape (rows, 16), takes the accepted steps as far as it reaches.
+    """
+    q = equilibrium(system)
+    v = np.zeros(COORDINATES)
+    # Errors count against a few millimetres of penetration and the speeds of sliding, not against metres.
+    scale_q = np.array([0.05, 0.05, 0.05, 0.05, 0.05])
+    scale_v = np.array([0.5, 0.5, 0.5, 0.5, 0.5])
+    work = workspace(q, v, scale_q, scale_v)
+    middle_q, middle_v = np.empty(COORDINATES), np.empty(COORDINATES)
+    t = -HALF_DURATION * system.period
+    pulse_end = -t
+    end = pulse_end + free_time
+    start(system, t, 1e-3 * system.period, work)
+
+    weight = system.plate_mass * GRAVITY
+    radius = system.bottom.radius
+    # After the pulse, energy below what lifts the plate to the rim of one dish reaches no rim any more.
+    reach = weight * (radius - math.sqrt(radius * radius - 0.25 * capacity * capacity))
+    at_rest = energy(system, t, work.q, work.v)
+    before, seen_before = at_rest, o.observe(system, work.q, work.v)
+    work_in, dissipated, peak_work, peak_imbalance = 0.0, 0.0, 0.0, 0.0
+
+    margins = np.zeros(len(o.MARGINS))
+    margins[0] = margins[1] = margins[6] = np.nan
+    label, cause, touched, rows = o.NO_IMPACT, o.NONE, False, 0
+    while True:
+        if rows < history.shape[0]:
+            history[rows, 0] = t
+            history[rows, 1:6] = work.q
+            history[rows, 6:11] = work.v
+            history[rows, 11:16] = work.a
+        rows += 1
+        if t >= end or (t > pulse_end and before.stored - at_rest.stored < reach):
+            break
+        # A tenth of the pulse, lest a step strides over it from rest.
+        bound = min(longest, 0.1 * system.period) if t < pulse_end else longest
+        status = advance(system, work, tolerance, min(bound, end - t), most, middle_q, middle_v)
+        if status != ACCEPTED:
+            label, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
+            break
+        step = work.clock[0] - t
+        t = work.clock[0]
+        after, seen = energy(system, t, work.q, work.v), o.observe(system, work.q, work.v)
+        if not math.isfinite(after.stored):
+            label, cause = o.NUMERICAL_FAILURE, o.NOT_FINITE
+            break
+
+        seen_middle = o.observe(system, middle_q, middle_v)
+        margins[2] = max(margins[2], abs(work.q[3]), abs(middle_q[3]))
+        margins[3] = max(margins[3], seen.rim_force, seen_middle.rim_force)
+        margins[4] = max(margins[4], seen.confinement_gap)
+        margins[5] = max(margins[5], seen.tilt)
+        if seen.touch > 0.0 and not touched:
+            touched, label = True, o.IMPACT
+            fraction = o.crossing(seen_before.touch, seen.touch, 0.0)
+            margins[0] = t - (1.0 - fraction) * step
+            margins[1] = seen.touch_velocity + (1.0 - fraction) * (seen_before.touch_velocity - seen.touch_velocity)
+        cause = o.failure_cause(seen, system, confinement)
+
+        halfway = energy(system, t - 0.5 * step, middle_q, middle_v)
+        work_in += step / 6.0 * (before.input + 4.0 * halfway.input + after.input)
+        dissipated += step / 6.0 * (before.dissipation + 4.0 * halfway.dissipation + after.dissipation)
+        peak_work = max(peak_work, abs(work_in))
+        # A vertex that escapes over the rim takes the rim's elastic energy out of the account.
+        if cause != o.ESCAPE:
+            peak_imbalance = max(peak_imbalance, abs(after.stored - at_rest.stored - work_in + dissipated))
+        if cause != o.NONE:
+            if touched:
+                label = o.FAILURE
+                margins[6] = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
+            else:
+                label, cause = o.NUMERICAL_FAILURE, o.NO_TOUCH
+            if rows < history.shape[0]:
+                history[rows, 0] = t
+                history[rows, 1:6] = work.q
+                history[rows, 6:11] = work.v
+                history[rows, 11:16] = work.a
+            rows += 1
+            break
+        before, seen_before = after, seen
+
+    margins[2] /= capacity
+    margins[3] /= weight
+    margins[4] /= system.rim_height
+    margins[7] = t
+    margins[8] = peak_imbalance / max(peak_work, weight * 1e-3)
+    margins[9] = work.counts[0]
+    margins[10] = work.counts[1]
+    margins[11] = work.counts[2]
+    return Run(label, cause, margins, rows)
+
+
+def _simulate(bearing: Bearing, pulse: Pulse, model: Model, tolerance: Tolerance, history: Array) -> Run:
+    # Periods as in the paper's eq. 2: the plate's own, without the slider's height.
+    free_time = FREE_PERIODS * 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
+    run: Run = _run(
+        system(bearing, pulse, model),
+        bearing.displacement_capacity,
+        free_time,
+        model.loss_of_confinement,
+        tolerance.relative,
+        tolerance.longest_step,
+        int(tolerance.most_steps),
+        history,
+    )
+    return run
+
+
+@dataclass(frozen=True)
+class Response:
+    """The outcome of one simulation and its motion.
+
+    Attributes:
+        outcome: "no_impact", "impact", "failure" or "numerical_failure".
+        cause: why the bearing failed or the integration gave up; empty otherwise.
+        margins: by name, as in `activefail.bearing.outcome.MARGINS`.
+        t: (n,) times of the accepted steps, 0 at the pulse's centre [s].
+        q: (n, 5) x_s, z_s, theta, x_t, z_t [m, rad].
+        v: (n, 5) their velocities [m/s, rad/s].
+        a: (n, 5) their accelerations relative to the ground [m/s2, rad/s2].
+    """
+
+    bearing: Bearing
+    pulse: Pulse
+    model: Model
+    outcome: str
+    cause: str
+    margins: dict[str, float]
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Outcomes of n simulations.
+
+    Attributes:
+        label: (n,) int8: 0 no impact, 1 impact, 2 failure, -1 numerical failure.
+        cause: (n,) int8, index into `activefail.bearing.outcome.CAUSES`.
+        margins: (n, 12) float64, columns as in `activefail.bearing.outcome.MARGINS`.
+        seconds: (n,) float64, wall time of each simulation [s].
+    """
+
+    label: NDArray[np.int8]
+    cause: NDArray[np.int8]
+    margins: Array
+    seconds: Array
+
+    @property
+    def outcome(self) -> NDArray[np.str_]:
+        """Names of the labels, shape (n,)."""
+        return np.array([*o.OUTCOMES, "numerical_failure"])[self.label]
+
+    def margin(self, name: str) -> Array:
+        """One margin by name, shape (n,)."""
+        return self.margins[:, o.MARGINS.index(name)]
+
+
+def simulate_one(
+    bearing: Bearing, pulse: Pulse, model: Model | None = None, tolerance: Tolerance | None = None
+) -> Response:
+    """Simulate one bearing under one pulse and keep its motion."""
+    model, tolerance = model or Model(), tolerance or Tolerance()
+    history = np.empty((4096, HISTORY))
+    run = _simulate(bearing, pulse, model, tolerance, history)
+    if run.recorded > len(history):
+        history = np.empty((run.recorded, HISTORY))
+        run = _simulate(bearing, pulse, model, tolerance, history)
+    history = history[: run.recorded]
+    return Response(
+        bearing,
+        pulse,
+        model,
+        outcome=(*o.OUTCOMES, "numerical_failure")[run.label],
+        cause=o.CAUSES[run.cause],
+        margins=dict(zip(o.MARGINS, run.margins.tolist(), strict=True)),
+        t=history[:, 0],
+        q=history[:, 1:6],
+        v=history[:, 6:11],
+        a=history[:, 11:16],
+    )
+
+
+def simulate(
+    X: Array,
+    model: Model | None = None,
+    tolerance: Tolerance | None = None,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Responses:
+    """Simulate a batch of designs on all cores; a row's result depends neither on the others nor on the threads.
+
+    Args:
+        X: (n, 9) designs: T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g].
+        model: settings of the model.
+        tolerance: of the integration.
+        threads: how many to use; all cores when None.
+        progress: called with the number of rows just done, from the calling thread.
+
+    Raises:
+        InputError: if X has the wrong shape or an entry breaks a rule; the text names row, column, rule and value.
+    """
+    X = check_designs(X)
+    model, tolerance = model or Model(), tolerance or Tolerance()
+    designs = [
+        (Bearing.from_table(*row[:7], slider_diameter=model.slider_diameter), Pulse(row[7], row[8] * GRAVITY))
+        for row in X.tolist()
+    ]
+    n = len(designs)
+    label, cause = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.int8)
+    margins, seconds = np.empty((n, len(o.MARGINS))), np.empty(n)
+    no_history = np.empty((0, HISTORY))
+
+    def run(rows: range) -> int:
+        for row in rows:
+            began = time.perf_counter()
+            answer = _simulate(*designs[row], model, tolerance, no_history)
+            label[row], cause[row], margins[row] = answer.label, answer.cause, answer.margins
+            seconds[row] = time.perf_counter() - began
+        return len(rows)
+
+    threads = threads or os.cpu_count() or 1
+    # Short calls: a keyboard interrupt waits for the chunks under way only.
+    chunks = [range(first, min(first + 16, n)) for first in range(0, n, 16)]
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for done in pool.map(run, chunks):
+                if progress is not None:
+                    progress(done)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return Responses(label, cause, margins, seconds)

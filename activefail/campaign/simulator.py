@@ -1,0 +1,79 @@
+"""The simulator seam: rows of a design space in, outcomes and margins out."""
+
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.space import Array, DesignSpace
+
+NUMERICAL_FAILURE = -1
+"""The outcome of a simulation that gave no answer: never a training point, always counted."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a simulator answered for n designs.
+
+    Attributes:
+        outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
+        cause: (n,) int8, index into the simulator's causes.
+        margins: (n, k) float64, one column for each of the simulator's margins.
+        seconds: (n,) float64, wall time of each simulation [s].
+    """
+
+    outcome: NDArray[np.int8]
+    cause: NDArray[np.int8]
+    margins: Array
+    seconds: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.outcome)
+        shapes = (self.outcome.shape, self.cause.shape, self.margins.shape[:1], self.seconds.shape)
+        if any(shape != (n,) for shape in shapes) or self.margins.ndim != 2:
+            raise ValueError(f"Results need n outcomes, causes, rows of margins and times, got shapes {shapes}.")
+
+    def __len__(self) -> int:
+        return len(self.outcome)
+
+    def __getitem__(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Self:
+        return type(self)(self.outcome[rows], self.cause[rows], self.margins[rows], self.seconds[rows])
+
+    @classmethod
+    def concatenate(cls, parts: list[Self]) -> Self:
+        """The rows of several results, in order."""
+        return cls(
+            np.concatenate([part.outcome for part in parts]),
+            np.concatenate([part.cause for part in parts]),
+            np.concatenate([part.margins for part in parts]),
+            np.concatenate([part.seconds for part in parts]),
+        )
+
+
+class Simulator(Protocol):
+    """Anything that answers designs with outcomes in order of severity.
+
+    Attributes:
+        outcomes: names of the outcomes, least severe first; at least two.
+        causes: names of what can decide an outcome; the first is the empty string (nothing to name).
+        margins: names of the margins.
+        releases_gil: whether threads run it side by side; processes are used otherwise.
+    """
+
+    @property
+    def outcomes(self) -> tuple[str, ...]: ...
+    @property
+    def causes(self) -> tuple[str, ...]: ...
+    @property
+    def margins(self) -> tuple[str, ...]: ...
+    @property
+    def releases_gil(self) -> bool: ...
+
+    def check(self, space: DesignSpace) -> None:
+        """Raise InputError if this simulator cannot answer designs of the space."""
+        ...
+
+    def run(self, X: Array) -> Results:
+        """Simulate the designs X, shape (n, d); rows do not depend on each other."""
+        ...

@@ -1,0 +1,21 @@
+"""What activefail raises: a mistake of the user's, or a fault that the run folder or the machine has."""
+
+
+class ActivefailError(Exception):
+    """Base of every error that activefail raises on purpose; its text is meant for the user."""
+
+
+class InputError(ActivefailError, ValueError):
+    """A value, file or option that the user gave breaks a rule; the text names it, the rule and the value."""
+
+
+class StoreError(ActivefailError):
+    """A run folder cannot be read or written as it is; nothing in it was changed."""
+
+
+class BusyError(StoreError):
+    """Another process is writing to the run folder."""
+
+
+class SimulationError(ActivefailError):
+    """The simulator did not do its work: too many numerical failures, or workers that keep dying."""
