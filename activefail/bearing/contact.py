@@ -119,19 +119,17 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     friction = -plate.mu * normal * share
     friction_by_slip = -plate.mu * normal * norm * (1.0 - share * share)
 
-    # Along n, t: dN = -N_δ dn - N_rate dv_n + (N_rate v_t) c dt ; dv_t = dv_t - rate c dt.
-    turn = curvature
-    # derivatives with respect to a move along the normal (subscript n) and along the tangent (subscript t)
+    # Subscripts: n, t a move along the normal and the tangent; vn, vt a change of velocity along them.
     normal_n = -normal_by_penetration
-    normal_t = normal_by_rate * slip * turn
+    normal_t = normal_by_rate * slip * curvature
     normal_vn = -normal_by_rate
     friction_n = -plate.mu * share * normal_n
-    friction_t = -plate.mu * share * normal_t - friction_by_slip * rate * turn
+    friction_t = -plate.mu * share * normal_t - friction_by_slip * rate * curvature
     friction_vn = -plate.mu * share * normal_vn
     friction_vt = friction_by_slip
     # F = N n + T t; the turning normal adds -N t + T n per tangential move.
-    along_n_t = normal_t + friction * turn
-    along_t_t = friction_t - normal * turn
+    along_n_t = normal_t + friction * curvature
+    along_t_t = friction_t - normal * curvature
 
     f_u = normal * n_u + friction * t_u
     f_w = normal * n_w + friction * t_w

@@ -22,6 +22,9 @@ from activefail.space import Array
 FREE_PERIODS = 2.5
 """A run goes on for this many T_b after the pulse."""
 
+EVENT_STEP = 0.01
+"""Longest step while a plate has lost the slider or a vertex is on a rim [s]: events are looked for at steps' ends."""
+
 HISTORY = 1 + 3 * COORDINATES
 """Columns of a history: time, coordinates, velocities, accelerations."""
 
@@ -75,6 +78,8 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
             break
         # A tenth of the pulse, lest a step strides over it from rest.
         bound = min(longest, 0.1 * system.period) if t < pulse_end else longest
+        if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
+            bound = min(bound, EVENT_STEP)
         status = advance(system, work, tolerance, min(bound, end - t), most, middle_q, middle_v)
         if status != ACCEPTED:
             label, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
