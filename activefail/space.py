@@ -101,5 +101,5 @@ class DesignSpace:
         """
         missing = [name for name in names if name not in self.names]
         if missing:
-            raise InputError(f"The design space has no variable {missing[0]!r}; it has {', '.join(self.names)}.")
+            raise InputError(f"space: lacks the variable {missing[0]!r}; it has {', '.join(self.names)}.")
         return np.array([self.names.index(name) for name in names], dtype=np.intp)

@@ -6,7 +6,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.space import Array, DesignSpace
+from activefail.space import Array
 
 NUMERICAL_FAILURE = -1
 """The outcome of a simulation that gave no answer: never a training point, always counted."""
@@ -69,10 +69,6 @@ class Simulator(Protocol):
     def margins(self) -> tuple[str, ...]: ...
     @property
     def releases_gil(self) -> bool: ...
-
-    def check(self, space: DesignSpace) -> None:
-        """Raise InputError if this simulator cannot answer designs of the space."""
-        ...
 
     def run(self, X: Array) -> Results:
         """Simulate the designs X, shape (n, d); rows do not depend on each other."""

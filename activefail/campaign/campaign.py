@@ -1,0 +1,91 @@
+"""A campaign put together from its settings: design space, simulator, features, and where randomness comes from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.acquisition.batch import propose
+from activefail.acquisition.criteria import criterion
+from activefail.campaign.config import CampaignSettings
+from activefail.campaign.dfp import DfpSimulator
+from activefail.campaign.simulator import Simulator
+from activefail.campaign.store import Schema
+from activefail.errors import InputError
+from activefail.features import FeatureMap, feature_map
+from activefail.space import Array, DesignSpace
+from activefail.surrogate.classifier import Classifier
+
+STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5}
+"""Independent streams of random numbers; a number never changes its meaning, so that old campaigns replay."""
+
+
+def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
+    """The generator of one use of randomness: a counter-based stream keyed by campaign, use and index.
+
+    No order of work, worker or resume can change what it draws.
+    """
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=(STREAMS[name], index))))
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The pieces that settings name, put together; the loop knows nothing more of them than their seams."""
+
+    settings: CampaignSettings
+    space: DesignSpace
+    simulator: Simulator
+    features: FeatureMap
+
+    @classmethod
+    def of(cls, settings: CampaignSettings) -> "Campaign":
+        """The campaign that settings describe.
+
+        Raises:
+            InputError: if simulator, design space, features and boundary do not fit each other.
+        """
+        space = settings.design_space()
+        simulator = DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration())
+        return cls.with_simulator(settings, simulator)
+
+    @classmethod
+    def with_simulator(cls, settings: CampaignSettings, simulator: Simulator) -> "Campaign":
+        """The campaign that settings describe, on a simulator of one's own.
+
+        Raises:
+            InputError: as `of` does.
+        """
+        space = settings.design_space()
+        boundary = settings.acquisition.boundary
+        if boundary not in simulator.outcomes[1:]:
+            raise InputError(
+                f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
+            )
+        return cls(settings, space, simulator, feature_map(settings.classifier.features, space))
+
+    @property
+    def schema(self) -> Schema:
+        """What the columns of this campaign's record mean."""
+        return Schema(self.space.names, self.simulator.outcomes, self.simulator.causes, self.simulator.margins)
+
+    @property
+    def severity(self) -> int:
+        """The label at and above which an outcome counts as beyond the boundary that is sought."""
+        return self.simulator.outcomes.index(self.settings.acquisition.boundary)
+
+
+def initial_designs(campaign: Campaign) -> Array:
+    """The Latin hypercube that a campaign starts from, (initial, d)."""
+    settings = campaign.settings
+    return campaign.space.latin_hypercube(settings.sampling.initial, stream(settings.seed, "initial"))
+
+
+def next_batch(campaign: Campaign, classifier: Classifier, iteration: int, q: int) -> Array:
+    """The designs, (q, d), of an iteration: those that the classifier so far asks for."""
+    return propose(
+        classifier.latent(campaign.settings.acquisition.boundary),
+        campaign.features,
+        campaign.space,
+        criterion(campaign.settings.acquisition.criterion),
+        q,
+        stream(campaign.settings.seed, "propose", iteration),
+    )

@@ -1,0 +1,186 @@
+"""A campaign's settings: TOML in, checked and frozen."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from activefail.acquisition.criteria import Criterion
+from activefail.bearing.design import TABLE_1, Model, Tolerance
+from activefail.errors import InputError
+from activefail.features import FeatureSet
+from activefail.space import DesignSpace, Parameter
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Variable(_Section):
+    """One variable of the design space, uniform between its bounds."""
+
+    low: float
+    high: float
+    unit: str = ""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.low < self.high:
+            raise ValueError(f"`low < high` must hold, got {self.low} and {self.high}")
+        return self
+
+
+class BearingSettings(_Section):
+    """Settings of the double friction pendulum simulator (`activefail.bearing.Model` and `Tolerance`)."""
+
+    slider_diameter: float = Field(0.30, gt=0.0, lt=5.0)
+    restitution_coefficient: float = Field(0.65, gt=0.0, le=1.0)
+    restitution: Literal["pairwise", "assembly"] = "pairwise"
+    slider_density: float = Field(7850.0, gt=0.0)
+    friction_velocity: float = Field(1e-3, gt=0.0, le=0.1)
+    loss_of_confinement: bool = True
+    tolerance: float = Field(1e-4, ge=1e-10, le=1e-3)
+
+    def model(self) -> Model:
+        """The simulator's model."""
+        return Model(**self.model_dump(exclude={"tolerance"}))
+
+    def integration(self) -> Tolerance:
+        """The simulator's tolerance."""
+        return Tolerance(relative=self.tolerance)
+
+
+class Sampling(_Section):
+    """How many simulations, and how they are shared out."""
+
+    initial: int = Field(250, ge=2, le=1_000_000)
+    budget: int = Field(500, ge=2, le=1_000_000)
+    batch: int = Field(10, ge=1, le=500)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.budget < self.initial:
+            raise ValueError(f"`initial <= budget` must hold, got {self.initial} and {self.budget}")
+        return self
+
+
+class ClassifierSettings(_Section):
+    """What the classifier sees and how smooth it takes the boundary to be."""
+
+    features: FeatureSet = "paper"
+    kernel: Literal["rbf", "matern52"] = "rbf"
+
+
+class AcquisitionSettings(_Section):
+    """Where the next simulations go."""
+
+    criterion: Criterion = "entropy"
+    boundary: str = "failure"
+
+
+class Validation(_Section):
+    """Extra simulations, outside the budget, on which a campaign measures its accuracy as it goes."""
+
+    size: int = Field(0, ge=0, le=100_000)
+
+
+class Limits(_Section):
+    """When a campaign stops by itself."""
+
+    numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
+
+
+class CampaignSettings(_Section):
+    """All that defines a campaign; with the same versions and threads it gives the same bits."""
+
+    description: str = ""
+    seed: int = Field(0, ge=0, lt=2**63)
+    simulator: Literal["dfp"] = "dfp"
+    bearing: BearingSettings = BearingSettings()
+    space: Annotated[dict[str, Variable], Field(min_length=1)] = Field(
+        default_factory=lambda: {
+            p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters
+        }
+    )
+    sampling: Sampling = Sampling()
+    classifier: ClassifierSettings = ClassifierSettings()
+    acquisition: AcquisitionSettings = AcquisitionSettings()
+    validation: Validation = Validation()
+    limits: Limits = Limits()
+
+    def design_space(self) -> DesignSpace:
+        """The design space, its variables in the order of the file."""
+        return DesignSpace(
+            tuple(Parameter(name, v.low, v.high, v.unit) for name, v in self.space.items())
+        )
+
+    def text(self) -> str:
+        """The settings as TOML, defaults written out: the frozen copy of a run folder."""
+        return tomli_w.dumps(self.model_dump(mode="json"))
+
+    def with_overrides(self, seed: int | None = None, budget: int | None = None) -> "CampaignSettings":
+        """The settings with a command line's seed and budget.
+
+        Raises:
+            InputError: if one breaks a rule.
+        """
+        values = self.model_dump(mode="json")
+        if seed is not None:
+            values["seed"] = seed
+        if budget is not None:
+            values["sampling"]["budget"] = budget
+        return _checked(values, "command line")
+
+
+def _rule(error: Any) -> str:
+    """One line of a validation error: key path, rule and value."""
+    path = ".".join(str(part) for part in error["loc"]) or "the file"
+    message = error["msg"].removeprefix("Value error, ")
+    match error["type"]:
+        case "extra_forbidden":
+            return f"{path}: unknown key"
+        case "missing":
+            return f"{path}: required, but not there"
+        case "value_error":
+            return f"{path}: {message}"
+        case _:
+            message = message.replace("Input should be", "must be")
+            return f"{path}: {message}, got {error['input']!r}"
+
+
+def _checked(values: dict[str, Any], source: str) -> "CampaignSettings":
+    try:
+        return CampaignSettings.model_validate(values)
+    except ValidationError as invalid:
+        rules = "\n".join(f"  {_rule(error)}" for error in invalid.errors())
+        raise InputError(f"{source}:\n{rules}") from None
+
+
+def parse_settings(text: str, source: str) -> CampaignSettings:
+    """Settings from TOML; `source` names the text in errors.
+
+    Raises:
+        InputError: naming the source, and for each mistake the key path, the rule and the value.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as malformed:
+        raise InputError(f"{source}: not valid TOML: {malformed}") from None
+    return _checked(values, source)
+
+
+def read_settings(path: Path) -> CampaignSettings:
+    """Settings of a campaign file.
+
+    Raises:
+        InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
+    return parse_settings(text, str(path))

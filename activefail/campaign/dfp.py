@@ -1,0 +1,53 @@
+"""The double friction pendulum bearing as a campaign's simulator."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.bearing import outcome as o
+from activefail.bearing.design import TABLE_1, Model, Tolerance
+from activefail.bearing.simulate import simulate
+from activefail.campaign.simulator import Results
+from activefail.errors import InputError
+from activefail.space import Array, DesignSpace
+
+
+@dataclass(frozen=True)
+class DfpSimulator:
+    """The bearing model over the nine variables of Table 1, whatever ranges a campaign gives them.
+
+    Attributes:
+        columns: of a design, in Table 1's order.
+    """
+
+    model: Model
+    tolerance: Tolerance
+    columns: tuple[int, ...]
+
+    outcomes = o.OUTCOMES
+    causes = o.CAUSES
+    margins = o.MARGINS
+    releases_gil = True
+
+    @classmethod
+    def on(cls, space: DesignSpace, model: Model, tolerance: Tolerance) -> "DfpSimulator":
+        """The simulator for designs of a space.
+
+        Raises:
+            InputError: if the space lacks a variable of Table 1, has another one, or reaches to zero or below.
+        """
+        columns = space.select(TABLE_1.names)
+        for parameter in space.parameters:
+            if parameter.name not in TABLE_1.names:
+                raise InputError(
+                    f"space.{parameter.name}: the dfp simulator has no such variable; "
+                    f"it has {', '.join(TABLE_1.names)}."
+                )
+            if parameter.low <= 0.0:
+                raise InputError(f"space.{parameter.name}.low: must be positive for the dfp simulator, got {parameter.low}.")
+        return cls(model, tolerance, tuple(columns.tolist()))
+
+    def run(self, X: Array) -> Results:
+        """Simulate designs, (n, 9), on the calling thread."""
+        answers = simulate(np.asarray(X)[:, self.columns], self.model, self.tolerance, threads=1)
+        return Results(answers.label, answers.cause, answers.margins, answers.seconds)

@@ -1,0 +1,304 @@
+"""Files of the record: arrays as HDF5 built in memory, behind a block that betrays any changed bit, written durably.
+
+A file is a 512-byte HDF5 user block (text: magic, format version, length and SHA-256 of what follows, and the block's
+own SHA-256 in its last 64 bytes) and then plain HDF5, so that any HDF5 tool opens it. HDF5 itself never touches the
+disk: it dies of SIGSEGV on a full one and returns wrong values for a flipped bit.
+"""
+
+import errno
+import hashlib
+import os
+import re
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from activefail.errors import StoreError
+
+FORMAT = 1
+"""Version of the user block and of the rules for what an image may hold."""
+
+TEMPORARY = ".tmp-"
+"""Prefix of a file that is being written; whoever holds the lock may remove it."""
+
+MAGIC = "activefail record"
+BLOCK_BYTES = 512
+DIGEST_BYTES = 64
+CHUNK_BYTES = 1 << 20
+WRITE_BYTES = 1 << 20
+NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
+
+
+class DamagedError(StoreError):
+    """A file is not what was written, or holds what activefail never writes; the text completes "<file> ..."."""
+
+
+class SyncError(StoreError):
+    """fsync failed: the kernel may have dropped the pages, so neither a retry nor a later commit can be trusted."""
+
+
+def encode(content: Mapping[str, NDArray[Any] | str], attributes: Mapping[str, str]) -> bytes:
+    """The bytes of a file that holds arrays, texts and attributes; the same content gives the same bytes.
+
+    Raises:
+        ValueError: if a text holds a NUL, which a string of fixed length in HDF5 cannot keep.
+    """
+    with h5py.File(
+        # HDF5 tells in-memory files apart by their names; this one goes nowhere.
+        secrets.token_hex(8),
+        "w",
+        driver="core",
+        backing_store=False,
+        libver=("v110", "v110"),
+        userblock_size=BLOCK_BYTES,
+    ) as root:
+        for name, value in sorted(content.items()):
+            array = _fixed_length(value)[np.newaxis] if isinstance(value, str) else np.asarray(value, order="C")
+            # HDF5 cannot chunk, and so cannot checksum, an array without axes or elements; the block's SHA-256 does.
+            chunked = {"chunks": _chunks(array), "fletcher32": True} if array.ndim and array.size else {}
+            root.create_dataset(name, data=array, track_times=False, **chunked)
+        for name, text in sorted(attributes.items()):
+            value = _fixed_length(text)
+            root.attrs.create(name, value, dtype=value.dtype)
+        root.flush()
+        image: bytes = root.id.get_file_image()
+    return _block(image) + image
+
+
+def _fixed_length(text: str) -> NDArray[Any]:
+    if "\0" in text:
+        raise ValueError(f"A text in the record must not hold NUL, got {text[:80]!r}.")
+    data = text.encode()
+    return np.array(data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
+
+
+def _chunks(array: NDArray[Any]) -> tuple[int, ...]:
+    row = max(1, array.nbytes // len(array))
+    return (max(1, min(len(array), CHUNK_BYTES // row)), *array.shape[1:])
+
+
+def _block(image: bytes | memoryview) -> bytes:
+    text = f"{MAGIC}\nformat {FORMAT}\nlength {len(image)}\nsha256 {hashlib.sha256(image).hexdigest()}\n"
+    head = text.encode().ljust(BLOCK_BYTES - DIGEST_BYTES)
+    return head + hashlib.sha256(head).hexdigest().encode()
+
+
+def verify(data: bytes) -> None:
+    """Check every bit of a file against its user block.
+
+    Raises:
+        DamagedError: if a bit differs or bytes are missing or too many.
+        StoreError: if the block is whole but of another format version.
+    """
+    block = data[:BLOCK_BYTES]
+    if len(data) > BLOCK_BYTES and block == _block(memoryview(data)[BLOCK_BYTES:]):
+        return
+    head, digest = block[:-DIGEST_BYTES], block[-DIGEST_BYTES:]
+    # Only a block that agrees with itself may speak of its version: a flipped bit can make a 3 of a 1.
+    if len(block) == BLOCK_BYTES and hashlib.sha256(head).hexdigest().encode() == digest:
+        version = re.match(rf"{MAGIC}\nformat (\d+)\n".encode(), head)
+        if version and int(version[1]) != FORMAT:
+            raise StoreError(f"was written in format {int(version[1])}; this program reads format {FORMAT}.")
+    raise DamagedError("is cut short or changed: its SHA-256 does not agree with its content")
+
+
+class Image:
+    """A verified file, open for reading; each demand is checked before its bytes are read."""
+
+    def __init__(self, root: h5py.File, size: int) -> None:
+        for name in root:
+            link = root.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                raise DamagedError(f"holds the {type(link).__name__} {name!r}, which is never followed")
+            if root.get(name, getclass=True) is not h5py.Dataset:
+                raise DamagedError(f"holds {name!r}, which is not a dataset")
+        self._root = root
+        self._size = size
+        self.names: tuple[str, ...] = tuple(root)
+
+    def attribute(self, name: str) -> str:
+        """The text of an attribute.
+
+        Raises:
+            DamagedError: if it is not a text of fixed length.
+        """
+        declared = self._root.attrs.get_id(name)
+        if declared.dtype.kind != "S" or declared.shape != ():
+            raise DamagedError(f"declares the attribute {name!r} as {declared.dtype}, not as a text")
+        return bytes(self._root.attrs[name]).decode()
+
+    def attributes(self, prefix: str) -> dict[str, str]:
+        """The attributes whose names begin with `prefix`, without it."""
+        return {name.removeprefix(prefix): self.attribute(name) for name in self._root.attrs if name.startswith(prefix)}
+
+    def declared(self, name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
+        """The type and shape that a dataset declares; nothing of it is read.
+
+        Raises:
+            DamagedError: if reading it would leave this file, need a filter other than fletcher32, run Python's
+                object types or fill memory with more than the file holds.
+        """
+        dataset = self._root[name]
+        # The creation list first: asking a virtual dataset for its shape can already open other files.
+        plan = dataset.id.get_create_plist()
+        if plan.get_layout() not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS):
+            raise DamagedError(f"stores {name!r} as a virtual or compact dataset, which is never read")
+        if plan.get_external_count():
+            raise DamagedError(f"stores {name!r} in another file, which is never read")
+        if any(plan.get_filter(i)[0] != h5py.h5z.FILTER_FLETCHER32 for i in range(plan.get_nfilters())):
+            raise DamagedError(f"stores {name!r} behind a filter other than fletcher32")
+        if dataset.shape is None or dataset.dtype.hasobject:
+            raise DamagedError(f"declares {name!r} with type {dataset.dtype} and shape {dataset.shape}")
+        count = 1
+        for length in dataset.shape:
+            count *= length  # Python's integers: the product of hostile lengths may pass 64 bits
+        # Chunks that were never written read as zeros: a file of a kilobyte could ask for a terabyte.
+        if count * dataset.dtype.itemsize > min(self._size, dataset.id.get_storage_size()):
+            raise DamagedError(f"declares {name!r} with shape {dataset.shape}, more than the file holds")
+        return dataset.dtype, dataset.shape
+
+    def array(self, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+        """The dataset, which must declare this type and shape.
+
+        Raises:
+            DamagedError: if it is missing, declares anything else or may not be read (see `declared`).
+        """
+        if name not in self.names:
+            raise DamagedError(f"has no dataset {name!r}")
+        declared = self.declared(name)
+        if declared != (np.dtype(dtype), shape):
+            raise DamagedError(f"declares {name!r} as {declared}, expected {(np.dtype(dtype), shape)}")
+        return np.asarray(self._root[name][()])
+
+    def text(self, name: str) -> str:
+        """The dataset as a text."""
+        declared, _ = self.declared(name)
+        if declared.kind != "S":
+            raise DamagedError(f"declares {name!r} as {declared}, not as a text")
+        return bytes(self.array(name, declared, (1,))[0]).decode()
+
+
+@contextmanager
+def opened(data: bytes) -> Iterator[Image]:
+    """The file `data`, verified before HDF5 sees it and read from memory.
+
+    Raises:
+        DamagedError: if a bit differs, or the body meets content that activefail never writes.
+        StoreError: if it is of another format version.
+    """
+    verify(data)
+    try:
+        with h5py.File(h5py.h5f.open_file_image(data)) as root:
+            yield Image(root, len(data))
+    except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+        raise DamagedError(f"does not hold what activefail writes ({error})") from error
+
+
+def publish(path: Path, data: bytes) -> None:
+    """Write a new file durably; it is there, whole, from the moment of os.link on.
+
+    Raises:
+        SyncError: if fsync failed.
+        StoreError: if the file exists already, or with the system's reason.
+    """
+    temporary = _write_temporary(path, data)
+    try:
+        # Unlike a rename, a link fails if the name is taken: it fences a second writer even without the lock.
+        os.link(temporary, path)
+    except FileExistsError:
+        raise StoreError(f"{path} exists already: another writer got there first. Open the folder again.") from None
+    except OSError as error:
+        hint = " The folder's file system must support hard links." if error.errno in NO_LINKS else ""
+        raise StoreError(_refused(path, error) + hint) from error
+    finally:
+        with suppress(OSError):
+            os.unlink(temporary)
+    sync_folder(path.parent)
+
+
+def replace(path: Path, data: bytes) -> None:
+    """Write a file durably in the place of an older one, for content that can be rebuilt.
+
+    Raises:
+        SyncError: if fsync failed.
+        StoreError: with the system's reason; the older file is still there.
+    """
+    temporary = _write_temporary(path, data)
+    try:
+        os.replace(temporary, path)
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(temporary)
+        raise StoreError(_refused(path, error)) from error
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable.
+
+    Raises:
+        SyncError: if that fails.
+    """
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise SyncError(_unsynced(folder, error)) from error
+
+
+def _write_temporary(path: Path, data: bytes) -> Path:
+    """Write and fsync `data` under a temporary name beside `path`; nothing is left of it if that fails."""
+    temporary = path.with_name(f"{TEMPORARY}{path.name}-{secrets.token_hex(4)}")
+    try:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        try:
+            _write_all(descriptor, data)
+            _sync_file(descriptor, path)
+            size = os.fstat(descriptor).st_size
+        finally:
+            os.close(descriptor)
+        if size != len(data):
+            raise StoreError(f"Cannot write {path}: {size} bytes are on the disk, {len(data)} were written.")
+    except (OSError, StoreError) as error:
+        with suppress(OSError):
+            os.unlink(temporary)
+        if isinstance(error, OSError):
+            raise StoreError(_refused(path, error)) from error
+        raise
+    return temporary
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    rest = memoryview(data)
+    while rest:
+        written = os.write(descriptor, rest[:WRITE_BYTES])
+        if written == 0:
+            raise OSError(errno.EIO, "the system writes nothing more")
+        rest = rest[written:]
+
+
+def _sync_file(descriptor: int, path: Path) -> None:
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        raise SyncError(_unsynced(path, error)) from error
+
+
+def _refused(path: Path, error: OSError) -> str:
+    return f"Cannot write {path}: {error.strerror or error}. What was there before is whole; resume when it is cured."
+
+
+def _unsynced(path: Path, error: OSError) -> str:
+    return (
+        f"Cannot make {path} durable: {error.strerror or error} (fsync). The disk may be failing, so this run writes "
+        f"nothing more; what was acknowledged before is whole. Check the disk, then resume."
+    )

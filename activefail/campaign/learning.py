@@ -1,0 +1,103 @@
+"""What a campaign has learned: trained from its record, saved beside it, and found again after an interruption."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.store import Batch, Store
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier, Latent, train
+from activefail.surrogate.fitting import Fit, Hyperparameters, Sites
+
+
+def training_rows(batches: tuple[Batch, ...], through: int | None = None) -> tuple[Array, NDArray[np.int8]]:
+    """Designs, (n, d), and outcomes, (n,), of the batches up to an iteration, without numerical failures."""
+    kept = [batch for batch in batches if through is None or batch.iteration <= through]
+    X = np.concatenate([batch.designs for batch in kept])
+    outcome = np.concatenate([batch.results.outcome for batch in kept])
+    answered = outcome != NUMERICAL_FAILURE
+    return X[answered], outcome[answered]
+
+
+def learn(campaign: Campaign, batches: tuple[Batch, ...], iteration: int, warm: Classifier | None) -> Classifier:
+    """The classifier of an iteration: trained on the seed and the first `iteration` chosen batches."""
+    X, outcome = training_rows(batches, iteration)
+    return train(X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel, warm)
+
+
+def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
+    """All that a classifier has learned, as named arrays."""
+    state: dict[str, NDArray[Any]] = {}
+    for name, latent in zip(classifier.outcomes[1:], classifier.latents, strict=True):
+        trained = latent.trained
+        state |= {
+            f"{name}/mean": np.float64(trained.hyperparameters.mean),
+            f"{name}/log_outputscale": np.float64(trained.hyperparameters.log_outputscale),
+            f"{name}/log_lengthscale": trained.hyperparameters.log_lengthscale.numpy(),
+            f"{name}/site_linear": trained.sites.linear.numpy(),
+            f"{name}/site_precision": trained.sites.precision.numpy(),
+            f"{name}/elbo": np.float64(trained.elbo),
+            f"{name}/evaluations": np.int64(trained.evaluations),
+        }
+    return {name: np.asarray(array) for name, array in state.items()}
+
+
+def classifier_from_state(
+    campaign: Campaign, state: dict[str, NDArray[Any]], X: Array, outcome: NDArray[np.int8]
+) -> Classifier:
+    """The classifier that `classifier_state` described, on the designs and outcomes it was trained on."""
+    F = torch.from_numpy(campaign.features(X))
+    latents = []
+    for severity, name in enumerate(campaign.simulator.outcomes[1:], start=1):
+        trained = Fit(
+            campaign.settings.classifier.kernel,
+            F,
+            torch.from_numpy(np.where(outcome >= severity, 1.0, -1.0)),
+            Hyperparameters(
+                float(state[f"{name}/mean"]),
+                float(state[f"{name}/log_outputscale"]),
+                torch.from_numpy(state[f"{name}/log_lengthscale"]),
+            ),
+            Sites(torch.from_numpy(state[f"{name}/site_linear"]), torch.from_numpy(state[f"{name}/site_precision"])),
+            float(state[f"{name}/elbo"]),
+            int(state[f"{name}/evaluations"]),
+        )
+        latents.append(Latent(trained))
+    return Classifier(campaign.simulator.outcomes, campaign.features, tuple(latents))
+
+
+def restore(campaign: Campaign, store: Store, through: int) -> tuple[Classifier | None, int]:
+    """The newest saved classifier of at most iteration `through`, and its iteration; (None, -1) when there is none."""
+    saved = store.latest_state()
+    if saved is None or saved[0] > through:
+        return None, -1
+    iteration, state = saved
+    return classifier_from_state(campaign, state, *training_rows(store.batches, iteration)), iteration
+
+
+def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:
+    """The classifier of all recorded batches, exactly as the running loop has it.
+
+    What was saved is taken from there; what came since is learned again in the same order, from the same starts.
+
+    Args:
+        write: whether to save what was learned here.
+    """
+    last = store.batches[-1].iteration
+    classifier, iteration = restore(campaign, store, last)
+    for following in range(iteration + 1, last + 1):
+        classifier = learn(campaign, store.batches, following, classifier)
+        if write:
+            store.write_state(following, classifier_state(classifier))
+    assert classifier is not None
+    return classifier
+
+
+def accuracy(classifier: Classifier, severity: int, X: Array, outcome: NDArray[np.int8]) -> float:
+    """Share of designs on the right side of the boundary below `severity`."""
+    mean = classifier.latents[severity - 1].moments(classifier.features(X)).mean
+    return float(np.mean((mean > 0.0) == (outcome >= severity)))

@@ -1,0 +1,18 @@
+"""What a campaign's bits depend on besides its settings: versions, threads and the processor."""
+
+import platform
+from importlib.metadata import version
+
+_PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
+
+
+def provenance() -> dict[str, str]:
+    """Versions of Python and of the packages that compute, threads of a sum, and the processor's name and features."""
+    record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
+    record |= {name: version(name) for name in _PACKAGES}
+    import llvmlite.binding as llvm
+
+    record["processor"] = llvm.get_host_cpu_name()
+    # The features that numba compiles for; two machines of one name can differ in them.
+    record["processor_features"] = ",".join(sorted(name for name, there in llvm.get_host_cpu_features().items() if there))
+    return record

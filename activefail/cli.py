@@ -1,0 +1,481 @@
+"""The command line: parse, call, print."""
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from activefail.errors import ActivefailError, InputError
+
+if TYPE_CHECKING:
+    from activefail.bearing import Model, Response, Tolerance
+    from activefail.campaign.loop import Observer, Progress
+
+app = typer.Typer(
+    help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", metavar="DIR", show_default=False)]
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends in one message and exit code 2, another fault in 1."""
+    try:
+        app()
+    except ActivefailError as error:
+        print(f"activefail: {error}", file=sys.stderr)
+        sys.exit(2 if isinstance(error, InputError) else 1)
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); there is nobody left to tell.
+        sys.stderr.close()
+        sys.exit(1)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from activefail import __version__
+
+        print(f"activefail {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None: ...
+
+
+# --- simulate ---------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def simulate(
+    t_b: Annotated[float | None, typer.Option(help="Bearing period T_b [s].", show_default=False)] = None,
+    mu: Annotated[float | None, typer.Option(help="Friction coefficient.", show_default=False)] = None,
+    d_tot: Annotated[float | None, typer.Option(help="Displacement capacity D_tot [m].", show_default=False)] = None,
+    h_sl_ratio: Annotated[
+        float | None, typer.Option(help="Slider height over slider diameter.", show_default=False)
+    ] = None,
+    h_rim_ratio: Annotated[
+        float | None, typer.Option(help="Rim height over slider diameter.", show_default=False)
+    ] = None,
+    p: Annotated[float | None, typer.Option(help="Pressure on the slider [MPa].", show_default=False)] = None,
+    k: Annotated[float | None, typer.Option(help="Contact stiffness [N/m^1.5].", show_default=False)] = None,
+    t_p: Annotated[float | None, typer.Option(help="Pulse period T_p [s].", show_default=False)] = None,
+    a_p: Annotated[float | None, typer.Option(help="Pulse amplitude A_p [g].", show_default=False)] = None,
+    csv: Annotated[
+        Path | None,
+        typer.Option(help="Table of designs: T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p.", show_default=False),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Where to write the table's answers.", show_default=False)] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the response (.png, .svg or .pdf).", show_default=False)
+    ] = None,
+    animate: Annotated[
+        Path | None, typer.Option(help="Film the bearing (.gif or .mp4).", show_default=False)
+    ] = None,
+    slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
+    restitution: Annotated[str, typer.Option(help="Mass in the damper: pairwise or assembly.")] = "pairwise",
+    friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
+    tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
+) -> None:
+    """Simulate one bearing under one pulse, or a table of them."""
+    from activefail.bearing.design import Model, Tolerance
+
+    design = {
+        "--t-b": t_b,
+        "--mu": mu,
+        "--d-tot": d_tot,
+        "--h-sl-ratio": h_sl_ratio,
+        "--h-rim-ratio": h_rim_ratio,
+        "--p": p,
+        "--k": k,
+        "--t-p": t_p,
+        "--a-p": a_p,
+    }
+    model = Model(slider_diameter=slider_diameter, restitution=restitution, friction_velocity=friction_velocity)
+    integration = Tolerance(relative=tolerance)
+    given = [option for option, value in design.items() if value is not None]
+    if csv is not None:
+        if given or plot or animate:
+            raise InputError(f"--csv simulates a table; {(given + ['--plot or --animate'])[0]} belongs to one design.")
+        if out is None:
+            raise InputError("--csv needs --out FILE, where the answers are written.")
+        _simulate_table(csv, out, model, integration)
+        return
+    missing = [option for option, value in design.items() if value is None]
+    if missing:
+        raise InputError(f"A design needs all nine variables; missing: {', '.join(missing)}. (Or give --csv and --out.)")
+    if out is not None:
+        raise InputError("--out goes with --csv; use --plot or --animate for one design.")
+    _simulate_one([value for value in design.values() if value is not None], model, integration, plot, animate)
+
+
+def _simulate_one(
+    design: list[float], model: "Model", tolerance: "Tolerance", plot: Path | None, animate: Path | None
+) -> None:
+    from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Pulse
+    from activefail.bearing.simulate import simulate_one
+
+    *bearing, T_p, A_p = design
+    for path in (plot, animate):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
+    if plot is not None and plot.suffix not in {".png", ".svg", ".pdf"}:
+        raise InputError(f"{plot}: a plot's name must end in .png, .svg or .pdf.")
+    if animate is not None and animate.suffix not in {".gif", ".mp4"}:
+        raise InputError(f"{animate}: a film's name must end in .gif or .mp4.")
+    response = simulate_one(
+        Bearing.from_table(*bearing, slider_diameter=model.slider_diameter), Pulse(T_p, A_p * GRAVITY), model, tolerance
+    )
+    _print_response(response)
+    for parameter, value in zip(TABLE_1.parameters, design, strict=True):
+        if not parameter.low <= value <= parameter.high:
+            print(
+                f"note: {parameter.name} = {value:g} lies outside the paper's range "
+                f"{parameter.low:g} to {parameter.high:g}",
+                file=sys.stderr,
+            )
+    if plot is not None:
+        from activefail.report.motion import plot_response
+
+        with _writing(plot):
+            plot_response(response).savefig(plot)
+        print(f"plot       {plot}")
+    if animate is not None:
+        from activefail.report.animation import save_animation
+
+        with _writing(animate):
+            save_animation(response, animate)
+        print(f"film       {animate}")
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from None
+
+
+def _print_response(response: "Response") -> None:
+    margins = response.margins
+
+    def row(name: str, value: str, meaning: str) -> None:
+        print(f"{name:<10} {value:<10} {meaning}")
+
+    print(f"outcome    {response.outcome}{f' ({response.cause})' if response.cause else ''}")
+    if response.outcome == "numerical_failure":
+        print("           the integration gave up; this says nothing about the bearing")
+    if margins["first_touch_time"] == margins["first_touch_time"]:
+        speed = margins["first_touch_velocity"]
+        row("impact", f"{margins['first_touch_time']:.3f} s", f"first rim touch, at {speed:.3f} m/s")
+    if margins["failure_time"] == margins["failure_time"]:
+        row("failure", f"{margins['failure_time']:.3f} s", "after the pulse's centre")
+    row("x / D_tot", f"{margins['peak_displacement_ratio']:.3f}", "peak displacement over the capacity")
+    row("F_rim / Mg", f"{margins['peak_rim_force_ratio']:.3f}", "peak rim force over the weight")
+    row("gap / rim", f"{margins['peak_gap_ratio']:.3f}", "largest uplift of a plate over the rim height; lost above 1")
+    row("tilt", f"{margins['peak_tilt']:.3f} rad", "largest rotation of the slider")
+    steps, rejected = margins["steps"], margins["rejected_steps"]
+    row("energy", f"{margins['energy_error']:.1e}", f"imbalance, relative; {steps:.0f} steps, {rejected:.0f} rejected")
+
+
+def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:
+    from activefail.study.tables import simulate_table
+
+    began = time.monotonic()
+    with _progress_bar("simulating") as begin:
+        counts = simulate_table(source, target, model, tolerance, begin)
+    total = sum(counts.values())
+    print(f"{total} designs in {time.monotonic() - began:.1f} s: " + ", ".join(f"{n} {name}" for name, n in counts.items()))
+    print(f"written to {target}")
+
+
+@contextmanager
+def _progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]:
+    """A bar on a terminal, nothing otherwise; yields what takes the total and returns what takes the rows done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+
+        def begin(total: int) -> Callable[[int], None]:
+            task = bar.add_task(title, total=total)
+            return lambda done: bar.advance(task, done)
+
+        yield begin
+
+
+# --- campaigns --------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def run(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file.", metavar="CAMPAIGN.toml", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
+    seed: Annotated[int | None, typer.Option(help="Seed, instead of the file's.", show_default=False)] = None,
+    budget: Annotated[int | None, typer.Option(help="Simulations, instead of the file's.", show_default=False)] = None,
+    workers: Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)] = None,
+) -> None:
+    """Start a campaign in a new run folder and take it to its budget."""
+    from activefail.campaign.campaign import Campaign
+    from activefail.campaign.config import read_settings
+    from activefail.campaign.provenance import provenance
+    from activefail.campaign.store import FolderStore
+
+    settings = read_settings(campaign).with_overrides(seed, budget)
+    assembled = Campaign.of(settings)
+    if (out / "campaign.toml").exists():
+        raise InputError(f"{out}: holds a campaign already; `activefail resume {out}` goes on with it.")
+    with FolderStore.create(out, settings.text(), assembled.schema, provenance=provenance()) as store:
+        _take_to_budget(assembled, store, out, settings.sampling.budget, workers, "")
+
+
+@app.command()
+def resume(
+    folder: RunFolder,
+    budget: Annotated[
+        int | None, typer.Option(help="Simulations in all, instead of the campaign's.", show_default=False)
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)] = None,
+) -> None:
+    """Go on with a campaign that was interrupted, or beyond its budget."""
+    from activefail.campaign.folder import open_campaign
+
+    with open_campaign(folder, write=True) as (assembled, store):
+        _show_warnings(store.warnings)
+        target = assembled.settings.sampling.budget if budget is None else budget
+        if target < 2:
+            raise InputError(f"--budget: must be at least 2, got {target}.")
+        extra = "" if budget is None else f" --budget {budget}"
+        _take_to_budget(assembled, store, folder, target, workers, extra)
+
+
+def _take_to_budget(
+    campaign: Any, store: Any, folder: Path, budget: int, workers: int | None, resume_options: str
+) -> None:
+    from activefail.campaign.executor import local_executor
+    from activefail.campaign.loop import run as run_loop
+
+    again = f"activefail resume {folder}{resume_options}"
+    try:
+        with (
+            _stop_on_signals() as stop,
+            local_executor(campaign.simulator, workers) as executor,
+            _campaign_display(campaign, stop) as observer,
+        ):
+            finished = run_loop(campaign, store, executor, budget, observer)
+    except KeyboardInterrupt:
+        print(f"stopped; batches that were recorded are safe. Go on with: {again}", file=sys.stderr)
+        raise typer.Exit(130) from None
+    if not finished:
+        print(f"stopped after a whole batch. Go on with: {again}", file=sys.stderr)
+        raise typer.Exit(130)
+    print(f"results    {folder}")
+
+
+@contextmanager
+def _stop_on_signals() -> Iterator[Callable[[], bool]]:
+    """The first Ctrl-C or SIGTERM asks for a stop after the batch, the second stops at once."""
+    asked = False
+
+    def ask(number: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        print("\nstopping after this batch; once more to stop now", file=sys.stderr)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _campaign_display(campaign: Any, stop: Callable[[], bool]) -> Iterator["Observer"]:
+    """A live line on a terminal; a plain line a batch otherwise."""
+    from rich.console import Console
+
+    from activefail.campaign.loop import Observer
+
+    console = Console()
+    if not console.is_terminal:
+
+        def show(progress: "Progress") -> None:
+            print(_progress_line(campaign, progress), flush=True)
+
+        yield Observer(show, stop=stop)
+        return
+
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Bar(*columns, console=console) as bar:
+        task = bar.add_task("starting", total=None)
+        line, stage = "", ""
+
+        def update(progress: "Progress") -> None:
+            nonlocal line
+            line = _progress_line(campaign, progress, bar=True)
+            bar.update(task, total=progress.budget, completed=progress.done, description=f"{line}  {stage}")
+
+        def enter(name: str) -> None:
+            nonlocal stage
+            stage = name
+            bar.update(task, description=f"{line}  {stage}")
+
+        yield Observer(update, enter, stop)
+
+
+def _progress_line(campaign: Any, progress: "Progress", bar: bool = False) -> str:
+    counts = ", ".join(f"{n} {name}" for name, n in zip(campaign.simulator.outcomes, progress.counts, strict=True))
+    parts = [] if bar else [f"{progress.done}/{progress.budget} simulations"]
+    parts += [f"iteration {progress.iteration}", counts]
+    if progress.numerical_failures:
+        parts.append(f"{progress.numerical_failures} numerical failures")
+    if progress.accuracy is not None:
+        parts.append(f"accuracy {100.0 * progress.accuracy:.1f} %")
+    if progress.seconds_left:
+        parts.append(f"{progress.seconds_left:.0f} s left")
+    return " | ".join(parts)
+
+
+def _show_warnings(warnings: tuple[str, ...]) -> None:
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+@app.command()
+def status(folder: RunFolder) -> None:
+    """Show where a campaign stands; safe while it runs."""
+    from activefail.campaign.folder import open_campaign
+    from activefail.campaign.loop import standing
+
+    with open_campaign(folder, write=False) as (campaign, store):
+        _show_warnings(store.warnings)
+        settings = campaign.settings
+        progress = standing(campaign, store.batches, settings.sampling.budget)
+        print(f"campaign   {settings.description or folder.name}")
+        print(f"simulator  {settings.simulator}, {campaign.space.dimension} variables, seed {settings.seed}")
+        print(
+            f"learner    {settings.classifier.kernel} on {settings.classifier.features} features, "
+            f"{settings.acquisition.criterion} at the {settings.acquisition.boundary} boundary"
+        )
+        print(f"done       {progress.done} of {progress.budget} simulations, iteration {progress.iteration}")
+        for name, count in zip(campaign.simulator.outcomes, progress.counts, strict=True):
+            share = f"{100.0 * count / progress.done:.1f} %" if progress.done else "-"
+            print(f"           {count:>6} {name} ({share})")
+        print(f"           {progress.numerical_failures:>6} numerical failures")
+        if progress.done < progress.budget:
+            print(f"go on      activefail resume {folder}")
+
+
+@app.command()
+def predict(
+    folder: RunFolder,
+    csv: Annotated[Path, typer.Option(help="Table of designs.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Where to write it with probabilities.", show_default=False)],
+) -> None:
+    """Predict the outcomes of designs with a campaign's classifier."""
+    from activefail.campaign.folder import open_campaign
+    from activefail.campaign.learning import current_classifier
+    from activefail.campaign.loop import one_thread
+    from activefail.study.tables import predict_table
+
+    with open_campaign(folder, write=False) as (campaign, store), one_thread():
+        _show_warnings(store.warnings)
+        if not store.batches:
+            raise InputError(f"{folder}: has no simulations to learn from yet.")
+        classifier = current_classifier(campaign, store, write=False)
+        with _progress_bar("predicting") as begin:
+            outside = predict_table(campaign, classifier, csv, out, begin)
+    if outside:
+        print(f"warning: {outside} designs lie outside the campaign's ranges; there it extrapolates", file=sys.stderr)
+    print(f"written to {out}")
+
+
+@app.command()
+def export(
+    folder: RunFolder, csv: Annotated[Path, typer.Option(help="Table to write.", show_default=False)]
+) -> None:
+    """Write every simulation of a campaign to a table."""
+    from activefail.campaign.folder import open_campaign
+    from activefail.study.tables import export_table
+
+    with open_campaign(folder, write=False) as (campaign, store):
+        _show_warnings(store.warnings)
+        number = export_table(campaign, store, csv)
+    print(f"{number} simulations written to {csv}")
+
+
+@app.command()
+def compare(
+    folder: RunFolder,
+    budgets: Annotated[
+        str | None, typer.Option(help="Numbers of simulations, like 250,500; five by default.", show_default=False)
+    ] = None,
+    test: Annotated[int, typer.Option(help="Fresh designs to judge by.", min=10, max=1_000_000)] = 2000,
+) -> None:
+    """Judge a campaign and static Latin hypercubes of the same sizes on the same fresh designs."""
+    from activefail.campaign.executor import local_executor
+    from activefail.campaign.folder import open_campaign
+    from activefail.study.compare import compare as compare_samplings
+
+    sizes = None if budgets is None else _parse_budgets(budgets)
+    with open_campaign(folder, write=True) as (campaign, store), local_executor(campaign.simulator) as executor:
+        _show_warnings(store.warnings)
+        scores = compare_samplings(
+            campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
+        )
+    boundary = campaign.settings.acquisition.boundary
+    print(f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
+          f"  {'outcome accuracy':>16}  {'log score':>9}")
+    for row in sorted(scores, key=lambda score: (score.simulations, score.sampling)):
+        print(
+            f"{row.simulations:>11}  {row.sampling:<8}  {100 * row.accuracy:>16.2f} % "
+            f"{100 * row.low:>6.2f} to {100 * row.high:.2f} %"
+            f"  {100 * row.outcome_accuracy:>14.2f} %  {row.log_score:>9.4f}"
+        )
+
+    from activefail.report.curves import plot_learning_curves
+    from activefail.study.compare import Score
+    from activefail.table import writing
+
+    results = folder / "compare"
+    with _writing(results):
+        results.mkdir(exist_ok=True)
+        with writing(results / "scores.csv", Score.columns()) as write:
+            write([score.row() for score in scores])
+        figure = plot_learning_curves(scores, boundary, test)
+        for suffix in ("png", "svg"):
+            figure.savefig(results / f"learning_curves.{suffix}")
+    print(f"table      {results / 'scores.csv'}")
+    print(f"curves     {results / 'learning_curves.png'} and .svg")
+
+
+def _parse_budgets(text: str) -> list[int]:
+    try:
+        return sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        raise InputError(f"--budgets: must be whole numbers with commas between them, got {text!r}.") from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""A campaign against a static Latin hypercube of the same size, both judged on the same fresh designs."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from activefail.campaign.campaign import Campaign, stream
+from activefail.campaign.executor import Executor
+from activefail.campaign.loop import one_thread, simulated_set, standing
+from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.store import Batch, Store
+from activefail.errors import InputError
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier, train
+
+TEST_SIZE = 2000
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good a classifier trained on `simulations` is on the test set.
+
+    Attributes:
+        sampling: "active" or "static".
+        accuracy: share of designs on the right side of the sought boundary.
+        low, high: Wilson's 95 % interval of it over test sets of this size; the two samplings share one test set.
+        outcome_accuracy: share of designs whose most probable outcome is the true one.
+        log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
+    """
+
+    sampling: str
+    simulations: int
+    accuracy: float
+    low: float
+    high: float
+    outcome_accuracy: float
+    log_score: float
+
+    @classmethod
+    def columns(cls) -> list[str]:
+        """Names of the fields, for tables."""
+        return [field.name for field in fields(cls)]
+
+    def row(self) -> list[str | int | float]:
+        """The fields' values, in the order of `columns`."""
+        return list(asdict(self).values())
+
+
+def score(
+    sampling: str, classifier: Classifier, severity: int, simulations: int, X: Array, outcome: NDArray[np.int8]
+) -> Score:
+    """The score of a classifier on designs, (n, d), with known outcomes, (n,)."""
+    probabilities = classifier.probabilities(X)
+    latent = classifier.latents[severity - 1].moments(classifier.features(X))
+    beyond = outcome >= severity
+    right = (latent.mean > 0.0) == beyond
+    interval = binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson")
+    p = np.clip(np.where(beyond, latent.probability, 1.0 - latent.probability), 1e-12, None)
+    return Score(
+        sampling,
+        simulations,
+        float(right.mean()),
+        float(interval.low),
+        float(interval.high),
+        float(np.mean(np.argmax(probabilities, axis=1) == outcome)),
+        float(np.mean(np.log(p))),
+    )
+
+
+def default_budgets(initial: int, done: int) -> list[int]:
+    """About five numbers of simulations from the initial design to what has been done."""
+    steps = np.linspace(initial, done, 6 if done > initial else 1)
+    return sorted({round(float(step)) for step in steps})
+
+
+def _first(batches: tuple[Batch, ...], n: int) -> tuple[Array, NDArray[np.int8]]:
+    """The first n simulations, without those that failed numerically."""
+    X = np.concatenate([batch.designs for batch in batches])[:n]
+    outcome = np.concatenate([batch.results.outcome for batch in batches])[:n]
+    answered = outcome != NUMERICAL_FAILURE
+    return X[answered], outcome[answered]
+
+
+def compare(
+    campaign: Campaign,
+    store: Store,
+    executor: Executor,
+    budgets: list[int] | None = None,
+    test_size: int = TEST_SIZE,
+    stage: Callable[[str], None] = lambda _: None,
+) -> list[Score]:
+    """Scores of the campaign's first n simulations and of n static ones, for each n.
+
+    Both samplings are trained alike; each static hypercube is one of its own size. Test set and hypercubes are
+    simulated once and kept in the run folder.
+
+    Raises:
+        InputError: if a budget is below 2 or more than the campaign has done, or the campaign has done nothing yet.
+    """
+    seed = campaign.settings.seed
+    done = standing(campaign, store.batches, 0).done
+    if done < 2:
+        raise InputError("The campaign has no simulations to compare yet.")
+    budgets = budgets or default_budgets(min(campaign.settings.sampling.initial, done), done)
+    for n in budgets:
+        if not 2 <= n <= done:
+            raise InputError(f"budgets: must lie between 2 and the {done} simulations done, got {n}.")
+    kernel, severity = campaign.settings.classifier.kernel, campaign.severity
+    outcomes, features = campaign.simulator.outcomes, campaign.features
+
+    with one_thread():
+        stage(f"simulating {test_size} test designs")
+        test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
+        X_test, outcome_test = simulated_set(campaign, store, executor, f"test-{test_size}", test)
+        scores = []
+        for n in budgets:
+            stage(f"learning from {n} active simulations")
+            X, outcome = _first(store.batches, n)
+            classifier = train(X, outcome, outcomes, features, kernel)
+            scores.append(score("active", classifier, severity, n, X_test, outcome_test))
+        for n in budgets:
+            stage(f"simulating and learning from {n} static ones")
+            hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
+            X, outcome = simulated_set(campaign, store, executor, f"static-{n}", hypercube)
+            classifier = train(X, outcome, outcomes, features, kernel)
+            scores.append(score("static", classifier, severity, n, X_test, outcome_test))
+    return scores

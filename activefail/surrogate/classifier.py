@@ -1,0 +1,173 @@
+"""The campaign's classifier: a GPyTorch variational GP for each boundary between outcomes, and their probabilities."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import gpytorch
+import numpy as np
+import torch
+from botorch.models.approximate_gp import ApproximateGPyTorchModel
+from numpy.typing import NDArray
+from scipy.special import ndtr
+from torch import Tensor
+
+from activefail.features import FeatureMap
+from activefail.space import Array
+from activefail.surrogate.fitting import (
+    JITTER,
+    Fit,
+    condition,
+    covariance_module,
+    fit,
+    prior_covariance,
+    set_hyperparameters,
+)
+
+Kernel = Literal["rbf", "matern52"]
+
+_ROWS_AT_ONCE = 4096
+"""Points predicted in one call: bounds the memory of a prediction at n x 4096 numbers."""
+
+
+class _VariationalGP(gpytorch.models.ApproximateGP):
+    """The trained posterior in GPyTorch's whitened form, with the training points as inducing points."""
+
+    def __init__(self, trained: Fit) -> None:
+        n, m = trained.features.shape
+        distribution = gpytorch.variational.CholeskyVariationalDistribution(n).double()
+        strategy = gpytorch.variational.VariationalStrategy(
+            self, trained.features, distribution, learn_inducing_locations=False, jitter_val=JITTER
+        )
+        super().__init__(strategy)
+        self.mean_module = gpytorch.means.ConstantMean().double()
+        self.covar_module = covariance_module(trained.kernel, m)
+        self._load(trained, distribution, strategy)
+        self.eval()
+
+    def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+    def _load(
+        self,
+        trained: Fit,
+        distribution: gpytorch.variational.CholeskyVariationalDistribution,
+        strategy: gpytorch.variational.VariationalStrategy,
+    ) -> None:
+        """Whiten q(f) = N(m + Kα, (K⁻¹ + W)⁻¹): with K = LLᵀ, u ~ N(Lᵀα, (I + LᵀWL)⁻¹)."""
+        set_hyperparameters(self.covar_module, trained.hyperparameters)
+        linear, precision = trained.sites
+        with torch.no_grad():
+            self.mean_module.constant.fill_(trained.hyperparameters.mean)
+            L = torch.linalg.cholesky(prior_covariance(trained.features, trained.kernel, trained.hyperparameters))
+            A = L.mT @ (precision.unsqueeze(1) * L)
+            A.diagonal().add_(1.0)
+            R = torch.linalg.cholesky(A)
+            right = L.mT @ (linear - precision * trained.hyperparameters.mean)
+            distribution.variational_mean.copy_(torch.cholesky_solve(right.unsqueeze(1), R).squeeze(1))
+            distribution.chol_variational_covar.copy_(torch.linalg.cholesky(torch.cholesky_inverse(R)))
+            strategy.variational_params_initialized.fill_(1)
+        self.requires_grad_(False)
+
+
+class Moments(NamedTuple):
+    """Mean and standard deviation of a latent at n points, each shape (n,)."""
+
+    mean: Array
+    sd: Array
+
+    @property
+    def probability(self) -> Array:
+        """P(f > 0 under the probit likelihood) = Φ(mean/√(1 + sd²)), shape (n,)."""
+        return np.asarray(ndtr(self.mean / np.sqrt(1.0 + self.sd**2)))
+
+
+@dataclass(frozen=True)
+class Latent:
+    """The latent of one boundary: positive where the outcome is at least as severe as its own."""
+
+    trained: Fit
+
+    @cached_property
+    def model(self) -> ApproximateGPyTorchModel:
+        """The posterior as a BoTorch model over the scaled features, (..., q, m)."""
+        return ApproximateGPyTorchModel(
+            model=_VariationalGP(self.trained), likelihood=gpytorch.likelihoods.BernoulliLikelihood()
+        )
+
+    def moments(self, F: Array) -> Moments:
+        """Marginal mean and standard deviation at scaled features, (n, m)."""
+        means, variances = [], []
+        with torch.no_grad():
+            for rows in torch.from_numpy(F).split(_ROWS_AT_ONCE):
+                distribution = self.model.model(rows)
+                means.append(distribution.mean)
+                variances.append(distribution.variance)
+        return Moments(torch.cat(means).numpy(), torch.cat(variances).sqrt().numpy())
+
+    def joint(self, F: Array) -> tuple[Array, Array]:
+        """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
+        with torch.no_grad():
+            distribution = self.model.model(torch.from_numpy(F))
+            return distribution.mean.numpy(), distribution.covariance_matrix.numpy()
+
+
+@dataclass(frozen=True)
+class Classifier:
+    """Probabilities of outcomes in order of severity, from one latent a boundary.
+
+    Attributes:
+        outcomes: names, least severe first.
+        features: from designs to what the latents see.
+        latents: one for each outcome but the first: "at least as severe as this one".
+    """
+
+    outcomes: tuple[str, ...]
+    features: FeatureMap
+    latents: tuple[Latent, ...]
+
+    def latent(self, outcome: str) -> Latent:
+        """The latent of the boundary below the named outcome."""
+        return self.latents[self.outcomes.index(outcome) - 1]
+
+    def probabilities(self, X: Array) -> Array:
+        """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1.
+
+        The most severe outcome has its own latent's probability. The boundaries are nested: where a less severe
+        latent contradicts that ("at least an impact" less likely than "failure"), it is raised to it.
+        """
+        F = self.features(X)
+        exceedance = np.stack([latent.moments(F).probability for latent in self.latents], axis=1)
+        nested = np.maximum.accumulate(exceedance[:, ::-1], axis=1)[:, ::-1]
+        padded = np.column_stack([np.ones(len(F)), nested, np.zeros(len(F))])
+        return padded[:, :-1] - padded[:, 1:]
+
+
+def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> Tensor:
+    return torch.from_numpy(np.where(outcome >= severity, 1.0, -1.0))
+
+
+def train(
+    X: Array,
+    outcome: NDArray[np.int8],
+    outcomes: Sequence[str],
+    features: FeatureMap,
+    kernel: Kernel,
+    warm: Classifier | None = None,
+) -> Classifier:
+    """Train a classifier on designs, (n, d), and their outcomes, (n,), none of them a numerical failure.
+
+    Args:
+        warm: a classifier trained on the first of these points, to start from.
+    """
+    F = torch.from_numpy(features(X))
+
+    def train_boundary(severity: int) -> Latent:
+        start = warm.latents[severity - 1].trained if warm is not None else None
+        return Latent(fit(F, _boundary_labels(outcome, severity), kernel, start))
+
+    # torch and LAPACK release the interpreter's lock: boundaries train side by side, each on one thread.
+    with ThreadPoolExecutor(len(outcomes) - 1) as pool:
+        return Classifier(tuple(outcomes), features, tuple(pool.map(train_boundary, range(1, len(outcomes)))))

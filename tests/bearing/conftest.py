@@ -1,0 +1,81 @@
+"""What the tests of the bearing share: two thousand designs of Table 1 and their responses at two tolerances."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numba import njit
+
+from activefail.bearing import TABLE_1, Bearing, Responses, Tolerance, simulate
+from activefail.bearing.dynamics import System
+from activefail.bearing.integrator import ACCEPTED, advance, start, workspace
+from activefail.bearing.outcome import NONE, failure_cause, observe
+from activefail.space import Array
+
+SAMPLES = 2000
+
+
+@pytest.fixture(scope="session")
+def designs() -> Array:
+    """Designs of Table 1, shape (2000, 9)."""
+    return TABLE_1.latin_hypercube(SAMPLES, np.random.default_rng(20260801))
+
+
+@pytest.fixture(scope="session")
+def production(designs: Array) -> Responses:
+    return simulate(designs)
+
+
+@pytest.fixture(scope="session")
+def tight(designs: Array) -> Responses:
+    """The same designs at a tolerance 100 times tighter."""
+    return simulate(designs, tolerance=Tolerance(relative=Tolerance().relative / 100.0))
+
+
+@pytest.fixture
+def bearing() -> Bearing:
+    """The bearing for which physics.md states its closed forms."""
+    return Bearing(
+        radius=2.0,
+        mu=0.06,
+        dish_diameter=0.95,
+        slider_diameter=0.30,
+        slider_height=0.20,
+        rim_height=0.03,
+        pressure=45e6,
+        stiffness=5e9,
+    )
+
+
+@njit(error_model="numpy")
+def _drift(system, t, q, v, duration, tolerance, longest):
+    work = workspace(q, v, np.full(5, 0.05), np.full(5, 0.5))
+    middle_q, middle_v = np.empty(5), np.empty(5)
+    start(system, t, 1e-5, work)
+    history = np.empty((200_000, 11))
+    rows = 0
+    while rows < history.shape[0]:
+        history[rows, 0] = work.clock[0]
+        history[rows, 1:6] = work.q
+        history[rows, 6:11] = work.v
+        rows += 1
+        left = t + duration - work.clock[0]
+        if left <= 0.0 or failure_cause(observe(system, work.q, work.v), system, True) != NONE:
+            return rows, history
+        if advance(system, work, tolerance, min(longest, left), 1_000_000, middle_q, middle_v) != ACCEPTED:
+            return -1, history
+    return -1, history
+
+
+@pytest.fixture(scope="session")
+def drift() -> Callable[..., Array]:
+    """Integrates from any state to a time or a failure: accepted steps, columns t, q, v, shape (n, 11)."""
+
+    def motion(
+        system: System, t: float, q: Array, v: Array, duration: float, tolerance: float = 1e-6, longest: float = 0.02
+    ) -> Array:
+        rows, history = _drift(system, t, q, v, duration, tolerance, longest)
+        assert rows > 0, "the integration gave up"
+        return history[:rows]
+
+    return motion

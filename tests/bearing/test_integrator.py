@@ -1,0 +1,316 @@
+"""The Rosenbrock method on problems of which the answer is known, apart from any bearing."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba.core.caching import NullCache
+from numba.extending import overload
+from scipy.integrate import solve_ivp
+
+from activefail.bearing import integrator
+from activefail.bearing.integrator import ACCEPTED, STEP_UNDERFLOW, TOO_MANY_STEPS, Workspace, advance, start, workspace
+from activefail.space import Array
+
+UNLIMITED = 10**9
+
+
+class Springs(NamedTuple):
+    """Two springs seen from coordinates that mix them: q'' = −K q − C q' with modes (1, 1) and (1, −1)."""
+
+    slow: float  # ω² of the mode (1, 1) [1/s²]
+    fast: float  # ω² of the mode (1, −1) [1/s²]
+    slow_damping: float  # 2 ζ ω [1/s]
+    fast_damping: float
+
+
+class Duffing(NamedTuple):
+    """q'' = −damping q' − linear q − cubic q³ + push cos(frequency t)."""
+
+    damping: float
+    linear: float
+    cubic: float
+    push: float
+    frequency: float
+
+
+class VanDerPol(NamedTuple):
+    """q'' = stiffness (1 − q²) q' − q."""
+
+    stiffness: float
+
+
+class Wall(NamedTuple):
+    """q'' = 0 up to a wall beyond which there is no acceleration to speak of."""
+
+    place: float
+
+
+@overload(integrator.acceleration)
+def _accelerations(problem, t, q, v, out):
+    kind = getattr(problem, "instance_class", None)
+    if kind is Springs:
+
+        def springs(problem, t, q, v, out):
+            mean = 0.5 * (problem.slow * (q[0] + q[1]) + problem.slow_damping * (v[0] + v[1]))
+            half = 0.5 * (problem.fast * (q[0] - q[1]) + problem.fast_damping * (v[0] - v[1]))
+            out[0] = -mean - half
+            out[1] = -mean + half
+
+        return springs
+    if kind is Duffing:
+
+        def duffing(problem, t, q, v, out):
+            out[0] = -problem.damping * v[0] - problem.linear * q[0] - problem.cubic * q[0] ** 3
+            out[0] += problem.push * math.cos(problem.frequency * t)
+
+        return duffing
+    if kind is VanDerPol:
+
+        def van_der_pol(problem, t, q, v, out):
+            out[0] = problem.stiffness * (1.0 - q[0] * q[0]) * v[0] - q[0]
+
+        return van_der_pol
+    if kind is Wall:
+
+        def wall(problem, t, q, v, out):
+            out[0] = 0.0 if q[0] < problem.place else math.nan
+
+        return wall
+    return None
+
+
+@overload(integrator.linearisation)
+def _linearisations(problem, t, q, v, by_q, by_v, by_t):
+    kind = getattr(problem, "instance_class", None)
+    if kind is Springs:
+
+        def springs(problem, t, q, v, by_q, by_v, by_t):
+            for i in range(2):
+                for j in range(2):
+                    sign = 1.0 if i == j else -1.0
+                    by_q[i, j] = -0.5 * (problem.slow + sign * problem.fast)
+                    by_v[i, j] = -0.5 * (problem.slow_damping + sign * problem.fast_damping)
+                by_t[i] = 0.0
+
+        return springs
+    if kind is Duffing:
+
+        def duffing(problem, t, q, v, by_q, by_v, by_t):
+            by_q[0, 0] = -problem.linear - 3.0 * problem.cubic * q[0] ** 2
+            by_v[0, 0] = -problem.damping
+            by_t[0] = -problem.push * problem.frequency * math.sin(problem.frequency * t)
+
+        return duffing
+    if kind is VanDerPol:
+
+        def van_der_pol(problem, t, q, v, by_q, by_v, by_t):
+            by_q[0, 0] = -2.0 * problem.stiffness * q[0] * v[0] - 1.0
+            by_v[0, 0] = problem.stiffness * (1.0 - q[0] * q[0])
+            by_t[0] = 0.0
+
+        return van_der_pol
+    if kind is Wall:
+
+        def wall(problem, t, q, v, by_q, by_v, by_t):
+            by_q[0, 0] = 0.0
+            by_v[0, 0] = 0.0
+            by_t[0] = 0.0
+
+        return wall
+    return None
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nothing_of_these_problems_on_disk():
+    # A cached kernel's index names the types it was compiled for: with a test's class among them every later process
+    # that cannot import this module fails on reading it.
+    kernels = (integrator.start, integrator.attempt, integrator.advance)
+    caches = [kernel._cache for kernel in kernels]
+    for kernel in kernels:
+        kernel._cache = NullCache()
+    yield
+    for kernel, cache in zip(kernels, caches, strict=True):
+        kernel._cache = cache
+
+
+def began(problem, t: float, q: list[float], v: list[float], step: float) -> Workspace:
+    ones = np.ones(len(q))
+    work = workspace(np.array(q), np.array(v), ones, ones)
+    start(problem, t, step, work)
+    return work
+
+
+def fixed_steps(problem, t: float, q: list[float], v: list[float], duration: float, steps: int):
+    """The end of a motion in equal steps, and the states half way through them, shapes (2, n), (steps, 2, n)."""
+    step = duration / steps
+    work = began(problem, t, q, v, step)
+    halves = np.empty((steps, 2, len(q)))
+    for i in range(steps):
+        work.clock[1] = step
+        # An infinite tolerance: every step is accepted as it is.
+        assert advance(problem, work, 1e30, step, UNLIMITED, halves[i, 0], halves[i, 1]) == ACCEPTED
+    assert work.counts.tolist() == [steps, 0, 6 * steps]
+    assert work.clock[0] == pytest.approx(t + duration)
+    return np.array([work.q, work.v]), halves
+
+
+def orders(errors: list[float]) -> Array:
+    return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+
+
+def reference(function, t: Array, y0: list[float]) -> Array:
+    """A solution to 12 digits, shape (len(t), len(y0))."""
+    path = solve_ivp(function, (t[0], t[-1]), y0, method="DOP853", t_eval=t, rtol=1e-13, atol=1e-13)
+    return path.y.T
+
+
+def duffing_reference(problem: Duffing, t: Array, y0: list[float]) -> Array:
+    d, a, b, p, w = problem
+    return reference(lambda t, y: (y[1], -d * y[1] - a * y[0] - b * y[0] ** 3 + p * math.cos(w * t)), t, y0)
+
+
+DUFFING = Duffing(damping=0.3, linear=1.0, cubic=2.0, push=1.5, frequency=1.7)
+
+
+def test_a_linear_oscillator_is_integrated_with_order_four():
+    problem = Springs(slow=4.0, fast=25.0, slow_damping=0.0, fast_damping=0.5)
+    decay, turn = -0.25, math.sqrt(25.0 - 0.0625)
+
+    def exact(t):
+        # slow: cos 2t; fast: released at rest from 0.5.
+        fast = 0.5 * math.exp(decay * t) * (math.cos(turn * t) - decay / turn * math.sin(turn * t))
+        return np.array([math.cos(2.0 * t) + fast, math.cos(2.0 * t) - fast])
+
+    errors = [
+        np.abs(fixed_steps(problem, 0.0, [1.5, 0.5], [0.0, 0.0], 3.0, n)[0][0] - exact(3.0)).max()
+        for n in (32, 64, 128, 256)
+    ]
+    assert (orders(errors) > 3.8).all(), orders(errors)
+    assert errors[-1] < 1e-6
+
+
+def test_a_forced_nonlinear_oscillator_is_integrated_with_order_four():
+    exact = duffing_reference(DUFFING, np.array([0.4, 3.4]), [0.7, -0.2])[-1]
+    errors = [
+        np.abs(fixed_steps(DUFFING, 0.4, [0.7], [-0.2], 3.0, n)[0][:, 0] - exact).max() for n in (30, 60, 120, 240)
+    ]
+    assert (orders(errors)[1:] > 3.8).all(), orders(errors)
+    assert errors[-1] < 1e-7
+
+
+def test_a_van_der_pol_oscillator_is_integrated_with_order_four():
+    exact = reference(lambda t, y: (y[1], 2.0 * (1.0 - y[0] ** 2) * y[1] - y[0]), np.array([0.0, 3.0]), [1.5, 0.5])[-1]
+    errors = [
+        np.abs(fixed_steps(VanDerPol(2.0), 0.0, [1.5], [0.5], 3.0, n)[0][:, 0] - exact).max() for n in (60, 120, 240)
+    ]
+    assert (orders(errors) > 3.7).all(), orders(errors)
+    assert errors[-1] < 1e-6
+
+
+def test_a_stiff_mode_at_rest_does_not_lower_the_order():
+    # The fast mode's frequency is 1e5 times what the steps resolve, with aperiodic damping: h ω from 3000 to 25000.
+    problem = Springs(slow=4.0, fast=1e11, slow_damping=0.2, fast_damping=6e5)
+    decay, turn = -0.1, math.sqrt(4.0 - 0.01)
+    exact = math.exp(decay * 3.0) * (math.cos(turn * 3.0) - decay / turn * math.sin(turn * 3.0))
+    errors = [
+        np.abs(fixed_steps(problem, 0.0, [1.0, 1.0], [0.0, 0.0], 3.0, n)[0][0] - exact).max() for n in (15, 30, 60, 120)
+    ]
+    assert (orders(errors) > 3.7).all(), orders(errors)
+
+
+@pytest.mark.parametrize("stiffness", [1e8, 1e12, 1e16])
+@pytest.mark.parametrize("damping_ratio", [0.0, 0.4, 1.0])
+def test_one_step_far_longer_than_a_stiff_period_leaves_nothing_of_it(stiffness, damping_ratio):
+    omega = math.sqrt(stiffness)
+    problem = Springs(slow=0.0, fast=stiffness, slow_damping=0.0, fast_damping=2.0 * damping_ratio * omega)
+    step = 1e4 / omega
+    (q, v), _ = fixed_steps(problem, 0.0, [0.01, -0.01], [0.0, 0.0], step, 1)
+    # L-stable: the growth factor falls like 1/(h ω).
+    assert np.abs(q).max() < 0.01 * 2e-2
+    assert np.abs(v).max() < 0.01 * omega * 2e-2
+    (q, v), _ = fixed_steps(problem, 0.0, [0.01, -0.01], [0.0, 0.0], 100.0 * step, 1)
+    assert np.abs(q).max() < 0.01 * 2e-4
+
+
+@pytest.mark.parametrize("stretch", [0.1, 1.0, 3.0, 10.0, 100.0, 1e4])
+def test_an_undamped_spring_never_gains_amplitude_at_any_step(stretch):
+    problem = Springs(slow=0.0, fast=100.0, slow_damping=0.0, fast_damping=0.0)
+    (q, v), _ = fixed_steps(problem, 0.0, [1.0, -1.0], [0.0, 0.0], 50 * stretch / 10.0, 50)
+    assert math.hypot(q[0] - q[1], (v[0] - v[1]) / 10.0) <= 2.0 * (1.0 + 1e-12)
+
+
+def test_the_state_half_way_through_a_step_has_order_three():
+    # One step from the exact state: an interpolation of order 3 is out by h⁴.
+    errors = []
+    for h in (0.2, 0.1, 0.05, 0.025):
+        worst = 0.0
+        for begin in np.linspace(0.0, 3.0, 7):
+            t = np.array([begin, begin + 0.5 * h])
+            from_rest = np.concatenate([[0.0], t + 1.0])
+            before, half = duffing_reference(DUFFING, from_rest, [0.7, -0.2])[1:]
+            _, halves = fixed_steps(DUFFING, begin + 1.0, [before[0]], [before[1]], h, 1)
+            worst = max(worst, np.abs(halves[0, :, 0] - half).max())
+        errors.append(worst)
+    assert (orders(errors) > 3.6).all(), orders(errors)
+    assert errors[-1] < 1e-6
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+def test_the_error_of_a_controlled_run_follows_the_tolerance(tolerance):
+    end = 8.0
+    work = began(DUFFING, 0.0, [0.7], [-0.2], 1e-3)
+    half_q, half_v = np.empty(1), np.empty(1)
+    while work.clock[0] < end:
+        assert advance(DUFFING, work, tolerance, end - work.clock[0], UNLIMITED, half_q, half_v) == ACCEPTED
+    exact = duffing_reference(DUFFING, np.array([0.0, end]), [0.7, -0.2])[-1]
+    error = max(abs(work.q[0] - exact[0]), abs(work.v[0] - exact[1]))
+    assert work.clock[0] == end
+    # The motion's own growth of errors over eight seconds is within a factor of ten either way.
+    assert error < 20.0 * tolerance
+    assert error > 1e-3 * tolerance
+
+
+def test_a_relaxation_oscillator_is_crossed_with_few_steps_and_the_right_period():
+    stiffness = 1e3
+    work = began(VanDerPol(stiffness), 0.0, [2.0], [-1.0 / 1500.0], 1e-3)
+    half_q, half_v, crossings = np.empty(1), np.empty(1), []
+    while len(crossings) < 3:
+        t, q = work.clock[0], work.q[0]
+        assert advance(VanDerPol(stiffness), work, 1e-5, math.inf, 20_000, half_q, half_v) == ACCEPTED
+        if q * work.q[0] < 0.0:
+            crossings.append(t + (work.clock[0] - t) * q / (q - work.q[0]))
+    # (3 − 2 ln 2) μ + 3·2.33811 μ^(−1/3) + ..., Dorodnicyn 1947.
+    period = (3.0 - 2.0 * math.log(2.0)) * stiffness + 3.0 * 2.33810741 * stiffness ** (-1.0 / 3.0)
+    assert crossings[2] - crossings[0] == pytest.approx(period, rel=1e-4)
+    assert work.counts[0] < 2000
+
+
+def test_a_rejected_step_leaves_the_state_and_is_counted():
+    work = began(DUFFING, 0.0, [0.7], [-0.2], 5.0)
+    half_q, half_v = np.empty(1), np.empty(1)
+    assert advance(DUFFING, work, 1e-6, math.inf, UNLIMITED, half_q, half_v) == ACCEPTED
+    attempts, rejections, evaluations = work.counts
+    assert rejections == attempts - 1 > 0
+    assert evaluations == 5 * attempts + 1
+    exact = duffing_reference(DUFFING, np.array([0.0, work.clock[0]]), [0.7, -0.2])[-1]
+    assert work.q[0] == pytest.approx(exact[0], abs=1e-5)
+
+
+def test_too_many_attempts_and_a_vanishing_step_are_said_and_change_nothing():
+    half_q, half_v = np.empty(1), np.empty(1)
+    work = began(DUFFING, 0.0, [0.7], [-0.2], 1e-3)
+    for _ in range(5):
+        assert advance(DUFFING, work, 1e-6, 1e-3, 5, half_q, half_v) == ACCEPTED
+    kept = work.clock[0], work.q[0], work.v[0]
+    assert advance(DUFFING, work, 1e-6, 1e-3, 5, half_q, half_v) == TOO_MANY_STEPS
+    assert (work.clock[0], work.q[0], work.v[0]) == kept
+
+    work = began(Wall(place=1.0), 0.0, [0.0], [1.0], 0.1)
+    status = ACCEPTED
+    while status == ACCEPTED:
+        status = advance(Wall(place=1.0), work, 1e-6, 0.1, UNLIMITED, half_q, half_v)
+    assert status == STEP_UNDERFLOW
+    assert work.q[0] == pytest.approx(1.0, abs=1e-9)
+    assert np.isfinite([work.q[0], work.v[0]]).all()

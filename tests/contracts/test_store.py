@@ -1,0 +1,224 @@
+"""What every Store must do, whatever it is made of."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
+from activefail.campaign.store import ACTIVE, SEED, Batch, FolderStore, MemoryStore, Schema, Store
+from activefail.errors import InputError, StoreError
+
+SCHEMA = Schema(("radius", "mu"), ("none", "impact", "failure"), ("", "uplift"), ("drift", "gap", "force"))
+
+# Quiet and signalling NaNs with payloads, both zeros, a denormal: equal bits is more than equal values.
+ODD = np.array([0x7FF8000000000001, 0xFFF0000000000007, 0x8000000000000000, 0, 1, 0x7FF0000000000000], dtype=np.uint64)
+
+
+@dataclass
+class Kind:
+    store: Store
+    reopen: Callable[[], Store]
+
+
+@pytest.fixture(params=["memory", "folder", "folder opened again"])
+def kind(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Kind]:
+    """A store, and a way to see what is kept in it."""
+    if request.param == "memory":
+        memory = MemoryStore(SCHEMA)
+        yield Kind(memory, lambda: memory)
+        return
+    stores = [FolderStore.create(tmp_path / "run", "seed = 1\n", SCHEMA)]
+
+    def reopen() -> Store:
+        if request.param == "folder opened again":
+            stores[-1].close()
+            stores.append(FolderStore.open(tmp_path / "run", SCHEMA, write=True))
+        return stores[-1]
+
+    yield Kind(stores[0], reopen)
+    stores[-1].close()
+
+
+def results(n: int, seed: int) -> Results:
+    rng = np.random.default_rng(seed)
+    margins = rng.normal(size=(n, 3))
+    margins.ravel()[: min(6, 3 * n)] = ODD.view(np.float64)[: min(6, 3 * n)]
+    outcome = rng.integers(NUMERICAL_FAILURE, 3, n).astype(np.int8)
+    return Results(outcome, rng.integers(0, 2, n).astype(np.int8), margins, rng.random(n))
+
+
+def batch(n: int, seed: int, iteration: int = 0) -> Batch:
+    rng = np.random.default_rng(seed)
+    origin = np.full(n, SEED if iteration == 0 else ACTIVE, dtype=np.int8)
+    return Batch(iteration, rng.normal(size=(n, 2)), origin, results(n, seed + 1000))
+
+
+def bits(*arrays: NDArray[np.generic]) -> list[tuple[str, tuple[int, ...], bytes]]:
+    return [(str(array.dtype), array.shape, array.tobytes()) for array in arrays]
+
+
+def batch_bits(one: Batch) -> list[object]:
+    answers = one.results
+    arrays = (one.designs, one.origin, answers.outcome, answers.cause, answers.margins, answers.seconds)
+    return [one.iteration, *bits(*arrays)]
+
+
+def test_committed_batches_come_back_in_order_and_bit_for_bit(kind: Kind) -> None:
+    given = [batch(n, seed, iteration) for seed, (n, iteration) in enumerate([(5, 0), (1, 1), (7, 1), (3, 2)])]
+    for one in given:
+        kind.store.commit(one)
+    assert [batch_bits(one) for one in kind.reopen().batches] == [batch_bits(one) for one in given]
+
+
+def test_a_new_store_has_neither_batches_nor_states_nor_sets(kind: Kind) -> None:
+    store = kind.reopen()
+    assert store.batches == ()
+    assert store.latest_state() is None
+    assert store.read_set("validation") is None
+
+
+def test_what_the_caller_does_to_its_arrays_later_does_not_reach_the_store(kind: Kind) -> None:
+    one, arrays = batch(4, 0), {"a": np.arange(3.0)}
+    X, answers = np.ones((4, 2)), results(4, 1)
+    kind.store.commit(one)
+    kind.store.write_state(1, arrays)
+    kind.store.write_set("test", X, answers)
+    before = batch_bits(kind.store.batches[0]), bits(arrays["a"]), bits(X, answers.margins)
+    one.designs[:] = one.results.margins[:] = arrays["a"][:] = X[:] = answers.margins[:] = 77.0
+    store = kind.reopen()
+    state, kept = store.latest_state(), store.read_set("test")
+    assert state is not None
+    assert kept is not None
+    assert (batch_bits(store.batches[0]), bits(state[1]["a"]), bits(kept[0], kept[1].margins)) == before
+
+
+def test_committed_batches_cannot_be_written_to(kind: Kind) -> None:
+    kind.store.commit(batch(4, 0))
+    kept = kind.reopen().batches[0]
+    for array in (kept.designs, kept.origin, kept.results.outcome, kept.results.margins):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_a_state_comes_back_bit_for_bit_whatever_its_names_and_shapes(kind: Kind) -> None:
+    names = ["a", "a/b", "/", ".", "..", "a%2Fb", "a.b.c", " x ", "Länge", "\0", "\n", "0"]
+    state: dict[str, NDArray[np.generic]] = {name: np.array([float(i)]) for i, name in enumerate(names)}
+    state |= {
+        "nan": ODD.view(np.float64),
+        "scalar": np.array(-0.0),
+        "count": np.array(2**63 - 1),
+        "none": np.zeros((0, 3)),
+        "turned": np.arange(6).reshape(2, 3).T,
+        "large": np.random.default_rng(0).normal(size=(700, 300)),
+    }
+    kind.store.write_state(3, state)
+    found = kind.reopen().latest_state()
+    assert found is not None
+    assert found[0] == 3
+    assert {name: bits(array) for name, array in found[1].items()} == {name: bits(a) for name, a in state.items()}
+
+
+def test_the_latest_state_is_that_of_the_highest_iteration(kind: Kind) -> None:
+    for iteration in range(12):
+        kind.store.write_state(iteration, {"i": np.array(iteration)})
+        found = kind.reopen().latest_state()
+        assert found is not None
+        assert (found[0], found[1]["i"]) == (iteration, iteration)
+        kind.store = kind.reopen()
+
+
+def test_a_state_of_an_earlier_iteration_drops_those_of_a_course_not_taken(kind: Kind) -> None:
+    for iteration in (1, 2, 8, 9, 3):
+        kind.store.write_state(iteration, {"i": np.array(iteration)})
+    found = kind.reopen().latest_state()
+    assert found is not None
+    assert (found[0], found[1]["i"]) == (3, 3)
+
+
+def test_a_set_comes_back_bit_for_bit_and_a_second_one_replaces_it(kind: Kind) -> None:
+    for seed, n in enumerate((9, 4, 0)):
+        X, answers = np.random.default_rng(seed).normal(size=(n, 2)), results(n, seed)
+        kind.store.write_set("validation", X, answers)
+        kept = kind.reopen().read_set("validation")
+        assert kept is not None
+        arrays = (kept[1].outcome, kept[1].cause, kept[1].margins, kept[1].seconds)
+        assert bits(kept[0], *arrays) == bits(X, answers.outcome, answers.cause, answers.margins, answers.seconds)
+        kind.store = kind.reopen()
+    assert kind.store.read_set("test") is None
+    assert kind.store.batches == ()
+
+
+def test_what_is_not_of_the_schema_is_refused_and_leaves_nothing(kind: Kind) -> None:
+    good = results(3, 0)
+    origin = np.zeros(3, dtype=np.int8)
+    X = np.zeros((3, 2))
+    bad = {
+        "columns": (np.zeros((3, 1)), good),
+        "float64": (np.zeros((3, 2), dtype=np.float32), good),
+        "margins": (X, Results(good.outcome, good.cause, np.zeros((3, 2)), good.seconds)),
+        "outcome < 3": (X, Results(np.full(3, 3, dtype=np.int8), good.cause, good.margins, good.seconds)),
+        "<= cause": (X, Results(good.outcome, np.full(3, -1, dtype=np.int8), good.margins, good.seconds)),
+        "int8": (X, Results(good.outcome.astype(np.int64), good.cause, good.margins, good.seconds)),
+    }
+    for rule, (designs, answers) in bad.items():
+        with pytest.raises(InputError, match=rule):
+            kind.store.commit(Batch(0, designs, origin, answers))
+        with pytest.raises(InputError, match=rule):
+            kind.store.write_set("test", designs, answers)
+    with pytest.raises(InputError, match="origin"):
+        kind.store.commit(Batch(0, X, origin.astype(np.int64), good))
+    for name in ("", "../x", "a/b", "a.b"):
+        with pytest.raises(InputError, match="letters"):
+            kind.store.write_set(name, X, good)
+    for state in ({"a": np.zeros(2, dtype=np.float32)}, {"a": np.array(["x"])}, {"": np.zeros(2)}):
+        with pytest.raises(InputError):
+            kind.store.write_state(0, state)
+    kind.store.commit(batch(2, 5))
+    store = kind.reopen()
+    assert len(store.batches) == 1
+    assert store.latest_state() is None
+    assert store.read_set("test") is None
+
+
+def test_a_closed_store_refuses_writing_and_still_shows_its_batches(kind: Kind) -> None:
+    with kind.store as store:
+        store.commit(batch(2, 0))
+    for write in (
+        lambda: store.commit(batch(2, 1)),
+        lambda: store.write_state(1, {"a": np.zeros(1)}),
+        lambda: store.write_set("test", np.zeros((2, 2)), results(2, 0)),
+    ):
+        with pytest.raises(StoreError, match="closed"):
+            write()
+    store.close()
+    assert len(store.batches) == 1
+
+
+@pytest.mark.parametrize(
+    ("designs", "origin", "iteration"),
+    [
+        (np.zeros((2, 2)), np.zeros(3, dtype=np.int8), 0),
+        (np.zeros(3), np.zeros(3, dtype=np.int8), 0),
+        (np.zeros((3, 2)), np.zeros((3, 1), dtype=np.int8), 0),
+        (np.zeros((3, 2)), np.zeros(3, dtype=np.int8), -1),
+    ],
+)
+def test_a_batch_whose_shapes_do_not_agree_is_refused(
+    designs: NDArray[np.float64], origin: NDArray[np.int8], iteration: int
+) -> None:
+    with pytest.raises(ValueError, match="got"):
+        Batch(iteration, designs, origin, results(3, 0))
+
+
+def test_a_batch_without_designs_is_refused() -> None:
+    with pytest.raises(ValueError, match="designs > 0"):
+        batch(0, 0)
+
+
+def test_a_schema_of_anything_but_tuples_of_texts_is_refused() -> None:
+    with pytest.raises(ValueError, match="outcomes"):
+        Schema(("a",), ["none"], (), ())
