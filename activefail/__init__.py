@@ -4,8 +4,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Response, Responses, Tolerance
-    from activefail.bearing import simulate, simulate_one
+    from activefail.bearing import (
+        TABLE_1,
+        Bearing,
+        Model,
+        Pulse,
+        Response,
+        Responses,
+        Tolerance,
+        simulate,
+        simulate_one,
+    )
 
 __version__ = "0.1.0"
 

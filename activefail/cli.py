@@ -82,9 +82,7 @@ def simulate(
     plot: Annotated[
         Path | None, typer.Option(help="Draw the response (.png, .svg or .pdf).", show_default=False)
     ] = None,
-    animate: Annotated[
-        Path | None, typer.Option(help="Film the bearing (.gif or .mp4).", show_default=False)
-    ] = None,
+    animate: Annotated[Path | None, typer.Option(help="Film the bearing (.gif or .mp4).", show_default=False)] = None,
     slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
     restitution: Annotated[str, typer.Option(help="Mass in the damper: pairwise or assembly.")] = "pairwise",
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
@@ -109,14 +107,17 @@ def simulate(
     given = [option for option, value in design.items() if value is not None]
     if csv is not None:
         if given or plot or animate:
-            raise InputError(f"--csv simulates a table; {(given + ['--plot or --animate'])[0]} belongs to one design.")
+            single = [*given, "--plot" if plot else "--animate"][0]
+            raise InputError(f"--csv simulates a table; {single} belongs to one design.")
         if out is None:
             raise InputError("--csv needs --out FILE, where the answers are written.")
         _simulate_table(csv, out, model, integration)
         return
     missing = [option for option, value in design.items() if value is None]
     if missing:
-        raise InputError(f"A design needs all nine variables; missing: {', '.join(missing)}. (Or give --csv and --out.)")
+        raise InputError(
+            f"A design needs all nine variables; missing: {', '.join(missing)}. (Or give --csv and --out.)"
+        )
     if out is not None:
         raise InputError("--out goes with --csv; use --plot or --animate for one design.")
     _simulate_one([value for value in design.values() if value is not None], model, integration, plot, animate)
@@ -128,7 +129,7 @@ def _simulate_one(
     from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Pulse
     from activefail.bearing.simulate import simulate_one
 
-    *bearing, T_p, A_p = design
+    T_p, A_p = design[7:]
     for path in (plot, animate):
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
@@ -137,7 +138,7 @@ def _simulate_one(
     if animate is not None and animate.suffix not in {".gif", ".mp4"}:
         raise InputError(f"{animate}: a film's name must end in .gif or .mp4.")
     response = simulate_one(
-        Bearing.from_table(*bearing, slider_diameter=model.slider_diameter), Pulse(T_p, A_p * GRAVITY), model, tolerance
+        Bearing.from_row(design, model.slider_diameter), Pulse(T_p, A_p * GRAVITY), model, tolerance
     )
     _print_response(response)
     for parameter, value in zip(TABLE_1.parameters, design, strict=True):
@@ -198,7 +199,10 @@ def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tole
     with _progress_bar("simulating") as begin:
         counts = simulate_table(source, target, model, tolerance, begin)
     total = sum(counts.values())
-    print(f"{total} designs in {time.monotonic() - began:.1f} s: " + ", ".join(f"{n} {name}" for name, n in counts.items()))
+    print(
+        f"{total} designs in {time.monotonic() - began:.1f} s: "
+        + ", ".join(f"{n} {name}" for name, n in counts.items())
+    )
     print(f"written to {target}")
 
 
@@ -316,9 +320,15 @@ def _campaign_display(campaign: Any, stop: Callable[[], bool]) -> Iterator["Obse
 
     console = Console()
     if not console.is_terminal:
+        shown_iteration, shown_at = -1, -60.0
 
         def show(progress: "Progress") -> None:
-            print(_progress_line(campaign, progress), flush=True)
+            nonlocal shown_iteration, shown_at
+            # Batches of the initial design come too fast to be worth a line each.
+            learned = progress.done >= campaign.settings.sampling.initial
+            if learned or progress.iteration != shown_iteration or time.monotonic() - shown_at > 10.0:
+                shown_iteration, shown_at = progress.iteration, time.monotonic()
+                print(_progress_line(campaign, progress), flush=True)
 
         yield Observer(show, stop=stop)
         return
@@ -412,9 +422,7 @@ def predict(
 
 
 @app.command()
-def export(
-    folder: RunFolder, csv: Annotated[Path, typer.Option(help="Table to write.", show_default=False)]
-) -> None:
+def export(folder: RunFolder, csv: Annotated[Path, typer.Option(help="Table to write.", show_default=False)]) -> None:
     """Write every simulation of a campaign to a table."""
     from activefail.campaign.folder import open_campaign
     from activefail.study.tables import export_table
@@ -445,8 +453,10 @@ def compare(
             campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
         )
     boundary = campaign.settings.acquisition.boundary
-    print(f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
-          f"  {'outcome accuracy':>16}  {'log score':>9}")
+    print(
+        f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
+        f"  {'outcome accuracy':>16}  {'log score':>9}"
+    )
     for row in sorted(scores, key=lambda score: (score.simulations, score.sampling)):
         print(
             f"{row.simulations:>11}  {row.sampling:<8}  {100 * row.accuracy:>16.2f} % "

@@ -56,10 +56,12 @@ class DesignSpace:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the variables, in order."""
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def dimension(self) -> int:
+        """Number of variables d."""
         return len(self.parameters)
 
     @property
@@ -83,7 +85,7 @@ class DesignSpace:
 
     def contains(self, X: Array) -> NDArray[np.bool_]:
         """Which rows of X, shape (n, d), lie in the box; shape (n,)."""
-        return np.all((self.low <= X) & (self.high >= X), axis=1)
+        return np.asarray(np.all((self.low <= X) & (self.high >= X), axis=1))
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
         """A Latin hypercube of n designs, shape (n, d) (McKay 1979; scipy.stats.qmc)."""

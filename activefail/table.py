@@ -58,7 +58,9 @@ class DesignTable:
                     raise InputError(f"{path}: column {name!r}: must come once, comes {header.count(name)} times.")
             missing = [name for name in names if name not in header]
             if missing:
-                raise InputError(f"{path}: column {missing[0]!r}: required, but not there; needed are {','.join(names)}.")
+                raise InputError(
+                    f"{path}: column {missing[0]!r}: required, but not there; needed are {','.join(names)}."
+                )
             for name in adds:
                 if name in header:
                     raise InputError(f"{path}: column {name!r}: will be written and must not be there already.")

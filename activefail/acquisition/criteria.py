@@ -32,7 +32,10 @@ def entropy(mean: Array, sd: Array) -> Array:
 
 
 def bald(mean: Array, sd: Array) -> Array:
-    """h(p) − C/√(σ²+C²)·exp(−μ²/(2(σ²+C²))): what the label tells about the latent [bit] (Houlsby et al. 2011, eq. 4)."""
+    """h(p) − C/√(σ²+C²)·exp(−μ²/(2(σ²+C²))): what the label tells about the latent [bit].
+
+    Source: Houlsby et al. 2011, eq. 4.
+    """
     variance = sd**2 + _C2
     expected = np.sqrt(_C2 / variance) * np.exp(-(mean**2) / (2.0 * variance))
     return np.asarray(binary_entropy(ndtr(mean / np.sqrt(1.0 + sd**2))) - expected)

@@ -1,6 +1,7 @@
 """A bearing, a pulse and the settings of the model: what a user states, checked once."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -106,6 +107,12 @@ class Bearing:
             pressure=p * 1e6,
             stiffness=k,
         )
+
+    @classmethod
+    def from_row(cls, row: Sequence[float], slider_diameter: float) -> Self:
+        """As `from_table`, from the first seven numbers of a row of Table 1."""
+        T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k = row[:7]
+        return cls.from_table(T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, slider_diameter)
 
     @property
     def displacement_capacity(self) -> float:

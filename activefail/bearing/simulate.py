@@ -250,10 +250,7 @@ def simulate(
     """
     X = check_designs(X)
     model, tolerance = model or Model(), tolerance or Tolerance()
-    designs = [
-        (Bearing.from_table(*row[:7], slider_diameter=model.slider_diameter), Pulse(row[7], row[8] * GRAVITY))
-        for row in X.tolist()
-    ]
+    designs = [(Bearing.from_row(row, model.slider_diameter), Pulse(row[7], row[8] * GRAVITY)) for row in X.tolist()]
     n = len(designs)
     label, cause = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.int8)
     margins, seconds = np.empty((n, len(o.MARGINS))), np.empty(n)

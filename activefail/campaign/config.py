@@ -100,9 +100,7 @@ class CampaignSettings(_Section):
     simulator: Literal["dfp"] = "dfp"
     bearing: BearingSettings = BearingSettings()
     space: Annotated[dict[str, Variable], Field(min_length=1)] = Field(
-        default_factory=lambda: {
-            p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters
-        }
+        default_factory=lambda: {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
     )
     sampling: Sampling = Sampling()
     classifier: ClassifierSettings = ClassifierSettings()
@@ -112,9 +110,7 @@ class CampaignSettings(_Section):
 
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
-        return DesignSpace(
-            tuple(Parameter(name, v.low, v.high, v.unit) for name, v in self.space.items())
-        )
+        return DesignSpace(tuple(Parameter(name, v.low, v.high, v.unit) for name, v in self.space.items()))
 
     def text(self) -> str:
         """The settings as TOML, defaults written out: the frozen copy of a run folder."""

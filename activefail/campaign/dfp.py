@@ -44,7 +44,9 @@ class DfpSimulator:
                     f"it has {', '.join(TABLE_1.names)}."
                 )
             if parameter.low <= 0.0:
-                raise InputError(f"space.{parameter.name}.low: must be positive for the dfp simulator, got {parameter.low}.")
+                raise InputError(
+                    f"space.{parameter.name}.low: must be positive for the dfp simulator, got {parameter.low}."
+                )
         return cls(model, tolerance, tuple(columns.tolist()))
 
     def run(self, X: Array) -> Results:

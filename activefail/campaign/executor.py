@@ -45,7 +45,10 @@ class _PoolExecutor:
         n = len(X)
         if n == 0:
             return Results(
-                np.empty(0, dtype=np.int8), np.empty(0, dtype=np.int8), np.empty((0, len(simulator.margins))), np.empty(0)
+                np.empty(0, dtype=np.int8),
+                np.empty(0, dtype=np.int8),
+                np.empty((0, len(simulator.margins))),
+                np.empty(0),
             )
         rows = max(1, min(_ROWS_A_CALL, n // (4 * self._workers)))
         parts = []
@@ -62,7 +65,8 @@ class _PoolExecutor:
             yield
         except BrokenProcessPool:
             raise SimulationError(
-                "A worker process died in the middle of a simulation (killed, or out of memory); the batch was not recorded."
+                "A worker process died in the middle of a simulation (killed, or out of memory); "
+                "its batch was not recorded."
             ) from None
         except BaseException:
             self._pool.shutdown(wait=False, cancel_futures=True)

@@ -31,7 +31,7 @@ def learn(campaign: Campaign, batches: tuple[Batch, ...], iteration: int, warm: 
 
 def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
     """All that a classifier has learned, as named arrays."""
-    state: dict[str, NDArray[Any]] = {}
+    state: dict[str, Any] = {}
     for name, latent in zip(classifier.outcomes[1:], classifier.latents, strict=True):
         trained = latent.trained
         state |= {

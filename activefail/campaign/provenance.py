@@ -14,5 +14,7 @@ def provenance() -> dict[str, str]:
 
     record["processor"] = llvm.get_host_cpu_name()
     # The features that numba compiles for; two machines of one name can differ in them.
-    record["processor_features"] = ",".join(sorted(name for name, there in llvm.get_host_cpu_features().items() if there))
+    record["processor_features"] = ",".join(
+        sorted(name for name, there in llvm.get_host_cpu_features().items() if there)
+    )
     return record

@@ -52,23 +52,27 @@ class Results:
 
 
 class Simulator(Protocol):
-    """Anything that answers designs with outcomes in order of severity.
-
-    Attributes:
-        outcomes: names of the outcomes, least severe first; at least two.
-        causes: names of what can decide an outcome; the first is the empty string (nothing to name).
-        margins: names of the margins.
-        releases_gil: whether threads run it side by side; processes are used otherwise.
-    """
+    """Anything that answers designs with outcomes in order of severity."""
 
     @property
-    def outcomes(self) -> tuple[str, ...]: ...
+    def outcomes(self) -> tuple[str, ...]:
+        """Names of the outcomes, least severe first; at least two."""
+        ...
+
     @property
-    def causes(self) -> tuple[str, ...]: ...
+    def causes(self) -> tuple[str, ...]:
+        """Names of what can decide an outcome; the first is the empty string (nothing to name)."""
+        ...
+
     @property
-    def margins(self) -> tuple[str, ...]: ...
+    def margins(self) -> tuple[str, ...]:
+        """Names of the margins."""
+        ...
+
     @property
-    def releases_gil(self) -> bool: ...
+    def releases_gil(self) -> bool:
+        """Whether threads run it side by side; processes are used otherwise."""
+        ...
 
     def run(self, X: Array) -> Results:
         """Simulate the designs X, shape (n, d); rows do not depend on each other."""

@@ -24,6 +24,8 @@ def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int)
             axes.plot(n, 100.0 * mean, color=colour, marker=marker, linestyle=line, label=names[sampling])
         axes.set_xlabel("simulations trained on")
         axes.set_ylabel(f"accuracy for {boundary} on fresh designs [%]")
-        axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs (one set, shared by both)", fontsize=9)
+        axes.set_title(
+            f"Band: 95 % interval over test sets of {test_size} designs (one set, shared by both)", fontsize=9
+        )
         axes.legend(loc="lower right")
     return figure

@@ -44,7 +44,7 @@ RIM_WIDTH = 0.12
 
 
 @njit(cache=True, error_model="numpy")
-def _watch(system, q, v, gaps, rims):  # type: ignore[no-untyped-def]
+def _watch(system, q, v, gaps, rims):
     """Confinement gap [m] and normal rim force [N] along a motion.
 
     q, v: (n, 5); gaps, rims: (n, 2), written; column 0 the bottom plate, column 1 the top plate.

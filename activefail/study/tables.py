@@ -26,9 +26,9 @@ def check_bearing(model: Model) -> Callable[[Array], str | None]:
         for name, value in zip(TABLE_1.names, design.tolist(), strict=True):
             if value <= 0.0:
                 return f"column {name}: `{name} > 0` must hold, got {value:g}"
-        *bearing, T_p, A_p = design.tolist()
+        T_p, A_p = design[7:].tolist()
         try:
-            Bearing.from_table(*bearing, slider_diameter=model.slider_diameter)
+            Bearing.from_row(design.tolist(), model.slider_diameter)
             Pulse(T_p, A_p * GRAVITY)
         except InputError as impossible:
             return str(impossible).rstrip(".")

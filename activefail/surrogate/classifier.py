@@ -19,7 +19,6 @@ from activefail.space import Array
 from activefail.surrogate.fitting import (
     JITTER,
     Fit,
-    condition,
     covariance_module,
     fit,
     prior_covariance,
@@ -142,7 +141,7 @@ class Classifier:
         exceedance = np.stack([latent.moments(F).probability for latent in self.latents], axis=1)
         nested = np.maximum.accumulate(exceedance[:, ::-1], axis=1)[:, ::-1]
         padded = np.column_stack([np.ones(len(F)), nested, np.zeros(len(F))])
-        return padded[:, :-1] - padded[:, 1:]
+        return np.asarray(padded[:, :-1] - padded[:, 1:])
 
 
 def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> Tensor:

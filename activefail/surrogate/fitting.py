@@ -163,7 +163,7 @@ def prior_covariance(features: Tensor, kernel: str, hyperparameters: Hyperparame
     covariance = covariance_module(kernel, features.shape[1])
     set_hyperparameters(covariance, hyperparameters)
     with torch.no_grad():
-        K = covariance(features).to_dense().clone()
+        K: Tensor = covariance(features).to_dense().clone()
         K.diagonal().add_(JITTER)
     return K
 

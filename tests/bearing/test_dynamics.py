@@ -233,7 +233,7 @@ def test_energy_changes_by_the_ground_motions_power_less_the_dissipation(visited
 def test_without_ground_motion_mechanical_energy_never_grows(designs, drift):
     rng = np.random.default_rng(8)
     touched = 0
-    for row in designs[:40]:
+    for row in designs[:30]:
         constants = system(bearing_of(row), Pulse(1.0, 0.0), Model())
         rest = equilibrium(constants)
         q = rest + np.array([0.0, 0.0, 0.0, 0.0, 0.005]) * rng.uniform()
@@ -246,7 +246,7 @@ def test_without_ground_motion_mechanical_energy_never_grows(designs, drift):
         assert growth <= 1e-9 * given
         assert stored[-1] < stored[0]
         touched += np.abs(path[:, 4]).max() > bearing_of(row).displacement_capacity
-    assert touched >= 10
+    assert touched >= 8
 
 
 @pytest.mark.parametrize("row", range(8))

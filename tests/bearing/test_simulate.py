@@ -68,18 +68,18 @@ def test_damping_and_size_of_the_slider_move_the_failures_as_in_the_first_study(
 
 
 def test_without_loss_of_confinement_there_are_fewer_failures_and_none_of_that_cause(designs, production):
-    some = simulate(designs[:300], Model(loss_of_confinement=False))
-    before = production.label[:300] == o.FAILURE
+    some = simulate(designs[:200], Model(loss_of_confinement=False))
+    before = production.label[:200] == o.FAILURE
     assert not (some.cause == o.LOSS_OF_CONFINEMENT).any()
-    assert (production.cause[:300] == o.LOSS_OF_CONFINEMENT).any()
+    assert (production.cause[:200] == o.LOSS_OF_CONFINEMENT).any()
     assert ((some.label == o.FAILURE) <= before).all()
     assert (some.label == o.FAILURE).sum() < before.sum()
 
 
 def test_labels_do_not_depend_on_how_finely_events_are_looked_for(designs, production):
-    fine = simulate(designs[:200], tolerance=Tolerance(longest_step=5e-4))
+    fine = simulate(designs[:150], tolerance=Tolerance(longest_step=5e-4))
     coarse = simulate(designs[:400], tolerance=Tolerance(longest_step=1e-2))
-    assert (fine.label == coarse.label[:200]).all()
+    assert (fine.label == coarse.label[:150]).all()
     assert (coarse.label == production.label[:400]).all()
     assert fine.margin("steps").mean() > 5.0 * coarse.margin("steps").mean()
 
@@ -245,13 +245,10 @@ def test_progress_counts_every_row_once_and_may_stop_the_batch(designs):
     assert sum(done) == 50
     assert (responses.seconds > 0.0).all()
 
-    class Stop(Exception):
-        pass
-
     def stop(_):
-        raise Stop
+        raise KeyboardInterrupt
 
-    with pytest.raises(Stop):
+    with pytest.raises(KeyboardInterrupt):
         simulate(designs[:50], progress=stop)
 
 
@@ -402,7 +399,7 @@ def test_rigid_sliding_without_rims_is_that_of_a_one_dimensional_friction_pendul
 def test_elastic_rocking_moves_the_peak_by_some_percent_and_more_for_short_pulses(designs, production):
     # 4 % in the median: physical, at Table 1's own stiffness.
     deviations, periods = [], []
-    for row in designs[:250][production.label[:250] == o.NO_IMPACT]:
+    for row in designs[:150][production.label[:150] == o.NO_IMPACT]:
         response = simulate_one(bearing_of(row), pulse_of(row))
         _, x = sliding(response.bearing, response.pulse, response.t[-1])
         deviations.append(abs(np.abs(response.q[:, 3]).max() / np.abs(x).max() - 1.0))

@@ -1,0 +1,44 @@
+# Two commands do all the set-up: `make paper` and `make test`.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUN := runs/paper
+
+.PHONY: paper test check benchmark clean help
+
+help:
+	@echo "make paper      install, run the paper's campaign, compare it with static sampling"
+	@echo "make test       install, run all checks"
+	@echo "make benchmark  install, measure the simulator against SciPy's solvers"
+	@echo "make clean      remove the virtual environment (run folders stay)"
+
+# The stamp is newer than what it was installed from; a change of either installs again.
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "activefail needs Python 3.11 or newer; name one with make PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]' \
+	|| { echo "Installing failed. If pip found no torch 2.13.0+cpu, see README.md, Installation."; exit 1; }
+	@touch $@
+
+# An interrupted campaign goes on where it stopped.
+paper: $(VENV)/.installed
+	@if [ -f $(RUN)/campaign.toml ]; then $(BIN)/activefail resume $(RUN); \
+	else $(BIN)/activefail run campaigns/paper.toml --out $(RUN); fi
+	@$(BIN)/activefail compare $(RUN) --budgets 250,300,350,400,450,500
+	@$(BIN)/activefail status $(RUN)
+	@echo "run folder $(CURDIR)/$(RUN)"
+
+check: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: check
+	$(BIN)/pytest
+
+benchmark: $(VENV)/.installed
+	$(BIN)/python benchmarks/simulator.py
+
+clean:
+	rm -rf $(VENV)
