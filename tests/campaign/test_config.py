@@ -1,0 +1,338 @@
+"""Settings: what is written is what is run, and every mistake is named with file, key path, rule and value."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from activefail.bearing import TABLE_1, Model, Tolerance
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.config import CampaignSettings, parse_settings, read_settings
+from activefail.errors import InputError
+
+SHIPPED = sorted((Path(__file__).parents[2] / "campaigns").glob("*.toml"))
+
+
+def _refusal(text: str) -> str:
+    with pytest.raises(InputError) as refused:
+        parse_settings(text, "mine.toml")
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path: Path) -> None:
+    settings = read_settings(path)
+    campaign = Campaign.of(settings)
+    assert campaign.space.names == TABLE_1.names
+    assert settings.description
+    comment = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
+    assert any("should show" in line for line in comment)
+
+
+def test_there_are_campaigns_that_ship() -> None:
+    assert {"paper.toml", "quick.toml"} <= {path.name for path in SHIPPED}
+
+
+def test_the_paper_campaign_is_the_papers() -> None:
+    settings = read_settings(SHIPPED[0].with_name("paper.toml"))
+    assert settings.design_space() == TABLE_1
+    assert (settings.sampling.initial, settings.classifier.features, settings.classifier.kernel) == (
+        250,
+        "paper",
+        "rbf",
+    )
+    assert settings.bearing.model() == Model()
+    assert settings.bearing.integration() == Tolerance()
+
+
+def test_an_empty_file_is_the_papers_study() -> None:
+    settings = parse_settings("", "empty")
+    assert settings.design_space() == TABLE_1
+    assert settings.bearing.model() == Model()
+    assert settings.bearing.integration() == Tolerance()
+    assert Campaign.of(settings).simulator.outcomes == ("no_impact", "impact", "failure")
+
+
+def test_what_the_file_says_reaches_the_simulator() -> None:
+    settings = parse_settings(
+        """
+        [bearing]
+        slider_diameter = 0.25
+        restitution_coefficient = 0.5
+        restitution = "assembly"
+        slider_density = 7000
+        friction_velocity = 2e-3
+        loss_of_confinement = false
+        tolerance = 1e-5
+        """,
+        "mine.toml",
+    )
+    assert settings.bearing.model() == Model(0.25, 0.5, "assembly", 7000.0, 2e-3, False)
+    assert settings.bearing.integration() == Tolerance(relative=1e-5)
+
+
+def test_the_order_of_the_variables_is_the_files() -> None:
+    text = "\n".join(f"space.{p.name} = {{ low = {p.low}, high = {p.high} }}" for p in reversed(TABLE_1.parameters))
+    assert parse_settings(text, "mine.toml").design_space().names == TABLE_1.names[::-1]
+
+
+# What breaks a rule, and what the message must say of it: key path, rule and value.
+BROKEN = {
+    "unknown key": ("sead = 1", ["sead: unknown key"]),
+    "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key"]),
+    "unknown table": ("[aquisition]", ["aquisition: unknown key"]),
+    "unknown key of a variable": ("space.mu = {low = 0.1, high = 0.2, mean = 0.15}", ["space.mu.mean: unknown key"]),
+    "text for a number": ('seed = "one"', ["seed: must be", "integer", "'one'"]),
+    "number for a text": ("description = 3", ["description: must be", "string", "3"]),
+    "fraction for a whole number": ("sampling.batch = 2.5", ["sampling.batch: must be", "integer", "2.5"]),
+    "list for a number": ("space.mu = {low = [1], high = 2}", ["space.mu.low: must be", "number", "[1]"]),
+    "number for a table": ("sampling = 500", ["sampling: must be", "500"]),
+    "number for a variable": ("space.mu = 0.06", ["space.mu: must be", "0.06"]),
+    "text for a switch": ('bearing.loss_of_confinement = "maybe"', ["bearing.loss_of_confinement: must be", "'maybe'"]),
+    "half a variable": ("space.mu = {low = 0.1}", ["space.mu.high: required, but not there"]),
+    "no variable": ("[space]", ["space: ", "at least 1"]),
+    "negative seed": ("seed = -1", ["seed: must be greater than or equal to 0", "-1"]),
+    "seed too large": (f"seed = {2**63}", ["seed: must be less than 9223372036854775808", str(2**63)]),
+    "initial too small": ("sampling.initial = 1", ["sampling.initial: must be greater than or equal to 2", "1"]),
+    "no batch": ("sampling.batch = 0", ["sampling.batch: must be greater than or equal to 1", "0"]),
+    "batch too large": ("sampling.batch = 501", ["sampling.batch: must be less than or equal to 500", "501"]),
+    "budget below initial": (
+        "sampling = {initial = 100, budget = 50}",
+        ["sampling: `initial <= budget` must hold, got 100 and 50"],
+    ),
+    "low at high": (
+        "space.mu = {low = 0.2, high = 0.2}",
+        ["space.mu: `low < high` must hold, got 0.2 and 0.2"],
+    ),
+    "low above high": (
+        "space.mu = {low = 0.2, high = 0.1}",
+        ["space.mu: `low < high` must hold, got 0.2 and 0.1"],
+    ),
+    "nan": ("space.mu = {low = nan, high = 1}", ["space.mu.low: must be a finite number", "nan"]),
+    "inf": ("space.mu = {low = 0, high = inf}", ["space.mu.high: must be a finite number", "inf"]),
+    "minus inf": ("bearing.slider_density = -inf", ["bearing.slider_density: must be", "-inf"]),
+    "nan limit": ("limits.numerical_failures = nan", ["limits.numerical_failures: must be a finite number", "nan"]),
+    "limit above 1": (
+        "limits.numerical_failures = 1.5",
+        ["limits.numerical_failures: must be less than or equal to 1", "1.5"],
+    ),
+    "restitution": ('bearing.restitution = "elastic"', ["bearing.restitution: must be 'pairwise' or 'assembly'"]),
+    "e of 0": (
+        "bearing.restitution_coefficient = 0.0",
+        ["bearing.restitution_coefficient: must be greater than 0", "0.0"],
+    ),
+    "loose tolerance": ("bearing.tolerance = 0.1", ["bearing.tolerance: must be less than or equal to 0.001", "0.1"]),
+    "unknown simulator": ('simulator = "fem"', ["simulator: must be 'dfp'", "'fem'"]),
+    "unknown features": ('classifier.features = "all"', ["classifier.features: must be 'paper' or 'design'", "'all'"]),
+    "unknown kernel": ('classifier.kernel = "linear"', ["classifier.kernel: must be 'rbf' or 'matern52'", "'linear'"]),
+    "unknown criterion": (
+        'acquisition.criterion = "luck"',
+        ["acquisition.criterion: must be 'entropy' or 'bald'", "'luck'"],
+    ),
+    "negative validation": ("validation.size = -1", ["validation.size: must be greater than or equal to 0", "-1"]),
+}
+
+
+@pytest.mark.parametrize(("text", "says"), BROKEN.values(), ids=BROKEN.keys())
+def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, says: list[str]) -> None:
+    message = _refusal(text)
+    assert message.startswith("mine.toml:\n  ")
+    assert [part for part in says if part not in message] == []
+    assert len(message.splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ('seed = "7"', "seed"),
+        ("seed = true", "seed"),
+        ('space.mu = { low = "0.1", high = 0.2 }', "space.mu.low"),
+        ("space.mu = { low = false, high = true }", "space.mu.low"),
+        ('bearing.loss_of_confinement = "no"', "bearing.loss_of_confinement"),
+        ("bearing.loss_of_confinement = 0", "bearing.loss_of_confinement"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_and_not_taken_for_what_it_might_mean(text: str, key: str) -> None:
+    assert f"{key}: must be" in _refusal(text)
+
+
+def test_a_whole_number_will_do_where_any_number_will() -> None:
+    assert parse_settings("space.mu = { low = 0, high = 1 }", "mine.toml").space["mu"].high == 1.0
+
+
+def test_all_mistakes_are_named_at_once() -> None:
+    lines = _refusal('seed = -1\nsampling.batch = 0\nclassifier.kernel = "linear"\nextra = 1').splitlines()
+    assert [line.strip().split(":")[0] for line in lines] == [
+        "mine.toml",
+        "seed",
+        "sampling.batch",
+        "classifier.kernel",
+        "extra",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"), [("seed = ", 1), ("a = 1\nseed 1", 2), ("[sampling\nbatch = 1", 1), ("seed = 1\nseed = 2", 2)]
+)
+def test_malformed_toml_is_refused_naming_file_and_line(text: str, line: int) -> None:
+    message = _refusal(text)
+    assert message.startswith("mine.toml: not valid TOML: ")
+    assert f"line {line}" in message or "end of document" in message
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read: No such file or directory"):
+        read_settings(tmp_path / "none.toml")
+
+
+def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"{tmp_path}: cannot be read: Is a directory"):
+        read_settings(tmp_path)
+
+
+def test_a_file_that_is_not_utf8_is_refused_naming_file_and_place(tmp_path: Path) -> None:
+    path = tmp_path / "latin.toml"
+    path.write_bytes('description = "Lager für Brücken"'.encode("latin-1"))
+    with pytest.raises(InputError, match=r"latin\.toml: not UTF-8 text: .* at byte 22"):
+        read_settings(path)
+
+
+def test_a_file_with_umlauts_and_windows_line_ends_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "utf8.toml"
+    path.write_bytes('description = "Brücke"\r\nseed = 3\r\n'.encode())
+    assert (read_settings(path).description, read_settings(path).seed) == ("Brücke", 3)
+
+
+def test_settings_are_frozen() -> None:
+    settings = parse_settings("", "empty")
+    with pytest.raises(ValidationError, match="frozen"):
+        settings.seed = 2
+    with pytest.raises(ValidationError, match="frozen"):
+        settings.sampling.budget = 2
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+sampling = st.tuples(st.integers(2, 10**6), st.integers(2, 10**6), st.integers(1, 500)).map(
+    lambda t: {"initial": min(t[:2]), "budget": max(t[:2]), "batch": t[2]}
+)
+variable = st.tuples(finite, finite, texts).filter(lambda t: t[0] < t[1])
+valid = st.fixed_dictionaries(
+    {},
+    optional={
+        "description": texts,
+        "seed": st.integers(0, 2**63 - 1),
+        "sampling": sampling,
+        "space": st.dictionaries(
+            texts, variable.map(lambda t: dict(zip(("low", "high", "unit"), t, strict=True))), min_size=1, max_size=4
+        ),
+        "bearing": st.fixed_dictionaries(
+            {}, optional={"slider_diameter": st.floats(1e-3, 4.9), "loss_of_confinement": st.booleans()}
+        ),
+        "classifier": st.fixed_dictionaries({"kernel": st.sampled_from(["rbf", "matern52"])}),
+        "acquisition": st.fixed_dictionaries(
+            {}, optional={"criterion": st.sampled_from(["entropy", "bald"]), "boundary": texts}
+        ),
+        "limits": st.fixed_dictionaries({"numerical_failures": st.floats(0.0, 1.0)}),
+        "validation": st.fixed_dictionaries({"size": st.integers(0, 10**5)}),
+    },
+)
+
+
+@given(values=valid)
+def test_settings_written_out_and_read_again_are_the_same_to_the_last_bit(values: dict[str, Any]) -> None:
+    settings = parse_settings(tomli_w.dumps(values), "drawn")
+    text = settings.text()
+    again = parse_settings(text, "written out")
+    assert again == settings
+    # Equal floats are not yet equal bits: zero has two signs.
+    assert again.text() == text
+    assert list(again.space) == list(settings.space)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_the_frozen_copy_of_a_campaign_that_ships_is_the_campaign(path: Path) -> None:
+    settings = read_settings(path)
+    assert parse_settings(settings.text(), "frozen") == settings
+
+
+def test_the_frozen_copy_writes_the_defaults_out() -> None:
+    def keys(model: Any) -> Any:
+        return {name: keys(value) if isinstance(value, dict) else None for name, value in model.items()}
+
+    written = tomllib.loads(parse_settings("seed = 1", "mine.toml").text())
+    assert keys(written) == keys(CampaignSettings().model_dump())
+
+
+@given(
+    key=st.sampled_from(["sampling.initial", "sampling.budget", "sampling.batch", "validation.size", "seed"]),
+    value=st.one_of(st.integers(-(2**62), -1), finite.filter(lambda x: not x.is_integer()), st.just(math.nan)),
+)
+def test_no_count_is_negative_fractional_or_nan(key: str, value: float) -> None:
+    assert f"  {key}: must be" in _refusal(tomli_w.dumps(_nested(key, value)))
+
+
+def _nested(key: str, value: Any) -> dict[str, Any]:
+    head, _, tail = key.partition(".")
+    return {head: {tail: value} if tail else value}
+
+
+@given(text=st.text(max_size=60))
+def test_no_text_makes_the_parser_raise_anything_but_an_input_error(text: str) -> None:
+    try:
+        settings = parse_settings(text, "drawn")
+    except InputError as refused:
+        assert str(refused).startswith("drawn: ") or str(refused).startswith("drawn:\n")
+    else:
+        assert isinstance(settings, CampaignSettings)
+
+
+def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() -> None:
+    settings = parse_settings("seed = 1\nsampling.batch = 7", "mine.toml")
+    changed = settings.with_overrides(seed=5, budget=600)
+    assert (changed.seed, changed.sampling.budget, changed.sampling.batch) == (5, 600, 7)
+    assert changed.with_overrides(seed=1, budget=500) == settings
+    assert settings.with_overrides() == settings
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        ({"seed": -1}, "seed: must be greater than or equal to 0, got -1"),
+        ({"budget": 100}, "sampling: `initial <= budget` must hold, got 250 and 100"),
+        ({"budget": 0}, "sampling.budget: must be greater than or equal to 2, got 0"),
+    ],
+)
+def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, int], says: str) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_settings("", "mine.toml").with_overrides(**overrides)
+    assert str(refused.value) == f"command line:\n  {says}"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('acquisition.boundary = "collapse"', "acquisition.boundary: must be one of impact, failure, got 'collapse'"),
+        ('acquisition.boundary = "no_impact"', "acquisition.boundary: must be one of impact, failure, got 'no_impact'"),
+        ("space.mu = {low = 0.1, high = 0.2}", "space: lacks the variable 'T_b'; it has mu"),
+    ],
+)
+def test_pieces_that_do_not_fit_each_other_are_refused_by_key_path_rule_and_value(text: str, says: str) -> None:
+    with pytest.raises(InputError) as refused:
+        Campaign.of(parse_settings(text, "mine.toml"))
+    assert says in str(refused.value)
+
+
+def test_the_bearing_model_refuses_a_variable_that_it_has_not_and_one_that_reaches_zero() -> None:
+    table = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
+    with pytest.raises(InputError, match=r"space\.wind: the dfp simulator has no such variable; it has T_b, mu"):
+        Campaign.of(parse_settings(tomli_w.dumps({"space": table | {"wind": {"low": 0, "high": 1}}}), "mine.toml"))
+    table["mu"] = {"low": 0.0, "high": 0.12}
+    with pytest.raises(InputError, match=r"space\.mu\.low: must be positive for the dfp simulator, got 0\.0"):
+        Campaign.of(parse_settings(tomli_w.dumps({"space": table}), "mine.toml"))
