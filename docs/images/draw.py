@@ -1,0 +1,17 @@
+"""Draw the README's pictures: `python docs/images/draw.py`."""
+
+from pathlib import Path
+
+from activefail.bearing import Bearing, Pulse, simulate_one
+from activefail.bearing.design import GRAVITY
+from activefail.report.motion import plot_snapshots
+
+HERE = Path(__file__).parent
+
+failing = Bearing.from_table(T_b=4.0, mu=0.06, D_tot=0.6, h_sl_ratio=0.6, h_rim_ratio=0.1, p=45.0, k=2e9)
+surviving = Bearing.from_table(T_b=4.0, mu=0.043, D_tot=0.544, h_sl_ratio=0.84, h_rim_ratio=0.167, p=35.6, k=7.35e8)
+for name, bearing, pulse in (
+    ("failing", failing, Pulse(2.5, 0.5 * GRAVITY)),
+    ("surviving", surviving, Pulse(4.44, 0.178 * GRAVITY)),
+):
+    plot_snapshots(simulate_one(bearing, pulse)).savefig(HERE / f"{name}.png", dpi=100)
