@@ -339,6 +339,20 @@ def test_provenance_is_not_in_the_chain(tmp_path: Path) -> None:
     assert chains[0] == chains[1]
 
 
+def test_every_part_of_a_batch_is_in_the_chain() -> None:
+    start, one = chain_start(SETTINGS, SCHEMA), batch(3)
+    digests = {chain_next(start, one), chain_next(chain_start("other", SCHEMA), one)}
+    digests |= {chain_next(chain_start(SETTINGS, changed(SCHEMA, margins=("gap",))), one)}
+    digests |= {chain_next(start, changed(one, iteration=1))}
+    for name in ("designs", "origin"):
+        digests |= {chain_next(start, changed(one, **{name: 1 - getattr(one, name)}))}
+    for name in ("outcome", "cause", "margins", "seconds"):
+        answers = changed(one.results, **{name: 1 - getattr(one.results, name)})
+        digests |= {chain_next(start, changed(one, results=answers))}
+    assert len(digests) == 10
+    assert chain_next(start, batch(3)) in digests
+
+
 # Settings, schema and versions
 
 
@@ -619,6 +633,7 @@ def test_without_the_lock_the_link_fences_a_second_writer(tmp_path: Path, sizes:
         with pytest.raises(StoreError, match="another writer got there first"):
             second.commit(batch(sizes[1], 2))
     assert len(second.batches) == 1
+    assert len(segments(tmp_path / "run")) == 2
     assert read(tmp_path / "run") == held
 
 
@@ -958,7 +973,8 @@ def test_a_reader_is_not_disturbed_by_a_compaction_while_it_reads(
 ) -> None:
     monkeypatch.setattr(store_module, "COMPACT_AT", 3)
     with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as writer:
-        for seed in (0, 1):
+        # Three are merged already, and stay while the other two are merged away under the reader.
+        for seed in range(5):
             writer.commit(batch(2, seed))
         listing = store_module._plain_files
         late = [True]
@@ -966,12 +982,12 @@ def test_a_reader_is_not_disturbed_by_a_compaction_while_it_reads(
         def files(folder: Path) -> list[str]:
             names = listing(folder)
             if late.pop() if late else False:
-                writer.commit(batch(2, 2))
+                writer.commit(batch(2, 5))
             return names
 
         monkeypatch.setattr(store_module, "_plain_files", files)
         assert read(tmp_path / "run") == contents(writer)
-        assert segments(tmp_path / "run") == ["000000000-000000005.h5"]
+        assert segments(tmp_path / "run") == ["000000000-000000005.h5", "000000006-000000011.h5"]
 
 
 @settings(deadline=None)
@@ -1083,6 +1099,10 @@ def changed_value(file: h5py.File) -> None:
     file["designs"][0, 0] = 0.5
 
 
+def wrong_sizes(file: h5py.File) -> None:
+    file["size"][0] = 2
+
+
 def wrong_schema(file: h5py.File) -> None:
     file["schema"][0] = b"[]"
 
@@ -1103,6 +1123,7 @@ def wrong_schema(file: h5py.File) -> None:
         (group, "not a dataset"),
         (without_designs, "no dataset 'designs'"),
         (changed_value, "its chain"),
+        (wrong_sizes, "in batches of [2]"),
         (wrong_schema, "does not hold what activefail writes"),
     ],
 )
