@@ -207,7 +207,9 @@ class Tolerance:
     def __post_init__(self) -> None:
         if not 1e-12 <= self.relative <= 1e-2:
             raise InputError(f"`1e-12 <= relative <= 1e-2` must hold for the tolerance, got {self.relative}.")
-        _require_positive(longest_step=self.longest_step, most_steps=self.most_steps)
+        _require_positive(longest_step=self.longest_step)
+        if not (isinstance(self.most_steps, int) and self.most_steps >= 1):
+            raise InputError(f"`most_steps` must be a whole number of at least 1, got {self.most_steps!r}.")
 
 
 def check_designs(X: Array) -> Array:
@@ -216,7 +218,10 @@ def check_designs(X: Array) -> Array:
     Raises:
         InputError: naming the row, the column, the rule and the value of the first bad entry.
     """
-    X = np.ascontiguousarray(X, dtype=np.float64)
+    try:
+        X = np.ascontiguousarray(X, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"Designs must be numbers: {error}.") from None
     if X.ndim != 2 or X.shape[1] != TABLE_1.dimension:
         raise InputError(
             f"Designs must be an (n, {TABLE_1.dimension}) array of {', '.join(TABLE_1.names)}; got shape {X.shape}."

@@ -81,8 +81,11 @@ def observe(system, q, v):
 
 @njit(cache=True, error_model="numpy")
 def crossing(before, after, level):
-    """Where in a step, 0 to 1, a function that goes from `before` to `after` meets `level`, by linear interpolation."""
-    if not (before < level < after):
+    """Where in a step, 0 to 1, a function that goes from `before` to `after` meets `level`, by linear interpolation.
+
+    1 where it does not, or where it had no finite value before.
+    """
+    if not (-math.inf < before < level < after):
         return 1.0
     return (level - before) / (after - before)
 

@@ -17,6 +17,7 @@ from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance,
 from activefail.bearing.dynamics import COORDINATES, energy, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, advance, start, workspace
 from activefail.bearing.pulse import HALF_DURATION
+from activefail.errors import InputError
 from activefail.space import Array
 
 FREE_PERIODS = 2.5
@@ -229,6 +230,13 @@ def simulate_one(
     )
 
 
+def _design(row: int, values: list[float], model: Model) -> tuple[Bearing, Pulse]:
+    try:
+        return Bearing.from_row(values, model.slider_diameter), Pulse(values[7], values[8] * GRAVITY)
+    except InputError as impossible:
+        raise InputError(f"Row {row}: {impossible}") from None
+
+
 def simulate(
     X: Array,
     model: Model | None = None,
@@ -246,11 +254,14 @@ def simulate(
         progress: called with the number of rows just done, from the calling thread.
 
     Raises:
-        InputError: if X has the wrong shape or an entry breaks a rule; the text names row, column, rule and value.
+        InputError: if X has the wrong shape, an entry breaks a rule (the text names row, column, rule and value) or a
+            row is no bearing that can be built; or if `threads` is not positive.
     """
     X = check_designs(X)
     model, tolerance = model or Model(), tolerance or Tolerance()
-    designs = [(Bearing.from_row(row, model.slider_diameter), Pulse(row[7], row[8] * GRAVITY)) for row in X.tolist()]
+    if threads is not None and threads < 1:
+        raise InputError(f"`threads` must be at least 1, got {threads}.")
+    designs = [_design(row, values, model) for row, values in enumerate(X.tolist())]
     n = len(designs)
     label, cause = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.int8)
     margins, seconds = np.empty((n, len(o.MARGINS))), np.empty(n)

@@ -110,7 +110,8 @@ def test_a_bearing_that_cannot_be_built_is_refused_with_rule_and_value(bearing, 
         (lambda: Tolerance(relative=0.1), ("`1e-12 <= relative <= 1e-2`", "0.1")),
         (lambda: Tolerance(relative=math.nan), ("`1e-12 <= relative <= 1e-2`", "nan")),
         (lambda: Tolerance(longest_step=0.0), ("`longest_step > 0`", "0.0")),
-        (lambda: Tolerance(most_steps=0), ("`most_steps > 0`", "0")),
+        (lambda: Tolerance(most_steps=0), ("`most_steps`", "at least 1", "0")),
+        (lambda: Tolerance(most_steps=0.5), ("`most_steps`", "whole number", "0.5")),
     ],
 )
 def test_a_setting_outside_its_range_is_refused_with_rule_and_value(make, said):

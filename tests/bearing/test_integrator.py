@@ -257,19 +257,30 @@ def test_the_state_half_way_through_a_step_has_order_three():
     assert errors[-1] < 1e-6
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
-def test_the_error_of_a_controlled_run_follows_the_tolerance(tolerance):
-    end = 8.0
+def controlled(tolerance: float, end: float) -> Workspace:
     work = began(DUFFING, 0.0, [0.7], [-0.2], 1e-3)
     half_q, half_v = np.empty(1), np.empty(1)
     while work.clock[0] < end:
         assert advance(DUFFING, work, tolerance, end - work.clock[0], UNLIMITED, half_q, half_v) == ACCEPTED
+    assert work.clock[0] == end
+    return work
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+def test_the_error_of_a_controlled_run_follows_the_tolerance(tolerance):
+    end = 8.0
+    work = controlled(tolerance, end)
     exact = duffing_reference(DUFFING, np.array([0.0, end]), [0.7, -0.2])[-1]
     error = max(abs(work.q[0] - exact[0]), abs(work.v[0] - exact[1]))
-    assert work.clock[0] == end
-    # The motion's own growth of errors over eight seconds is within a factor of ten either way.
-    assert error < 20.0 * tolerance
-    assert error > 1e-3 * tolerance
+    # The motion's own growth of errors over eight seconds, and that the error estimated is of order three.
+    assert 1e-3 * tolerance < error < 20.0 * tolerance
+
+
+def test_steps_grow_as_the_fourth_root_of_the_tolerance_and_few_are_rejected():
+    counts = np.array([controlled(tolerance, 40.0).counts for tolerance in (1e-6, 1e-10)])
+    # The estimate is of order three, its local error of order four: 10,000 times tighter is ten times as many.
+    assert counts[1, 0] / counts[0, 0] == pytest.approx(10.0, rel=0.15)
+    assert (counts[:, 1] < 0.1 * counts[:, 0]).all(), counts
 
 
 def test_a_relaxation_oscillator_is_crossed_with_few_steps_and_the_right_period():

@@ -177,3 +177,7 @@ def test_observations_agree_with_the_definitions_written_a_second_time(bearing):
             max((b for b, a in zip(beyond, above, strict=True) if a < 0.0), default=-math.inf), abs=1e-12
         )
         assert seen.tilt == abs(q[2])
+
+
+def test_an_event_that_had_no_value_before_is_put_at_the_end_of_the_step():
+    assert crossing(-np.inf, 0.1, 0.0) == 1.0

@@ -12,6 +12,7 @@ from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Response, Respons
 from activefail.bearing import outcome as o
 from activefail.bearing.dynamics import equilibrium, system
 from activefail.bearing.simulate import EVENT_STEP
+from activefail.errors import InputError
 from activefail.space import Array
 
 G = 9.81
@@ -444,3 +445,21 @@ def test_table_1_reaches_every_outcome_from_its_corners():
         mild[i], harsh[i] = high[i], low[i]
     responses = simulate(np.array([mild, harsh]))
     assert responses.outcome.tolist() == ["no_impact", "failure"]
+
+
+def test_a_design_that_cannot_be_built_is_refused_with_its_row():
+    X = TABLE_1.latin_hypercube(4, np.random.default_rng(0))
+    X[2, 0] = 0.8
+    with pytest.raises(InputError, match=r"Row 2: A dish must be less than a hemisphere"):
+        simulate(X)
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_a_number_of_threads_below_one_is_refused(threads):
+    with pytest.raises(InputError, match=f"threads.*got {threads}"):
+        simulate(TABLE_1.latin_hypercube(2, np.random.default_rng(0)), threads=threads)
+
+
+def test_designs_that_are_no_numbers_are_refused():
+    with pytest.raises(InputError, match="must be numbers"):
+        simulate([["four"] * 9])
