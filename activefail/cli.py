@@ -480,6 +480,31 @@ def compare(
     print(f"curves     {results / 'learning_curves.png'} and .svg")
 
 
+@app.command()
+def paper(
+    draws: Annotated[int, typer.Option(help="Independent samples of 250 simulations.", min=4, max=1000)] = 20,
+    fresh: Annotated[int, typer.Option(help="Fresh designs to judge by.", min=100, max=1_000_000)] = 4000,
+    seed: Annotated[int, typer.Option(help="Seed of everything.", min=0)] = 1,
+    out: Annotated[Path, typer.Option(help="Folder for reproduction.md and its figures.")] = Path("runs/reproduction"),
+) -> None:
+    """Reproduce the paper: its tables and figures beside ours, with intervals."""
+    from activefail.report.reproduction import summary, write_reproduction
+    from activefail.study.paper import run_study
+
+    def stage(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    with _writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    study = run_study(draws, fresh, seed, stage)
+    with _writing(out):
+        page = write_reproduction(study, out, {"draws": draws, "fresh": fresh, "seed": seed}, stage)
+    for line in summary(study):
+        verdict = line.verdict.replace("*", "")
+        print(f"{line.item:<58} paper {line.paper:<24} ours {line.ours:<24} {line.interval:<32} {verdict}")
+    print(f"page       {page}")
+
+
 def _parse_budgets(text: str) -> list[int]:
     try:
         return sorted({int(part) for part in text.split(",")})

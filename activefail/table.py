@@ -109,16 +109,19 @@ def _problem(cells: list[str], header: list[str], columns: list[int], check: Che
 
 @contextmanager
 def _reading(path: Path) -> Iterator[Any]:
+    lines = None
     try:
         # utf-8-sig: spreadsheets put a byte order mark in front.
         with path.open(encoding="utf-8-sig", newline="") as file:
-            yield csv.reader(file, strict=True)
+            lines = csv.reader(file, strict=True)
+            yield lines
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: must be UTF-8 text: {error.reason}.") from None
     except csv.Error as error:
-        raise InputError(f"{path}: not valid CSV: {error}.") from None
+        place = f" at line {lines.line_num}" if lines is not None else ""
+        raise InputError(f"{path}: not valid CSV{place}: {error}.") from None
 
 
 @contextmanager
@@ -132,9 +135,16 @@ def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Se
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(descriptor, "w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            yield writer.writerows
+            plain = csv.writer(file, lineterminator="\n")
+            # The plain writer does not quote a lone carriage return, at which a reader would end the row.
+            quoting = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
+
+            def write(rows: Sequence[Sequence[Any]]) -> None:
+                for row in rows:
+                    (quoting if any("\r" in str(cell) for cell in row) else plain).writerow(row)
+
+            write([header])
+            yield write
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from activefail.bearing import TABLE_1
@@ -52,6 +52,7 @@ def test_samples_lie_in_the_box_and_fill_it_uniformly(sample: str) -> None:
     assert np.allclose(U.std(axis=0), math.sqrt(1.0 / 12.0), atol=0.01)
 
 
+@settings(deadline=None)
 @given(bounds=bounds, u=st.floats(0.0, 1.0))
 def test_no_point_of_the_unit_cube_leaves_the_box_whatever_the_rounding(bounds: list[float], u: float) -> None:
     space = DesignSpace((Parameter("x", *bounds),))
@@ -61,6 +62,7 @@ def test_no_point_of_the_unit_cube_leaves_the_box_whatever_the_rounding(bounds: 
     assert abs(X[2, 0] - bounds[1]) <= 2.0 * np.spacing(max(map(abs, bounds)))
 
 
+@settings(deadline=None)
 @given(bounds=bounds, u=st.floats(0.0, 1.0))
 def test_the_unit_cube_and_the_box_map_to_each_other(bounds: list[float], u: float) -> None:
     space = DesignSpace((Parameter("x", *bounds),))

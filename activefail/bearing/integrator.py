@@ -7,7 +7,7 @@ coordinates costs one n x n factorisation a step instead of 2n x 2n.
 A problem is a NamedTuple of numbers. It says what it computes by overloading `acceleration` and `linearisation` for its
 type (numba.extending.overload): compiled code then calls them without indirection, and the compiled result is cached
 on disk, which numba does not do for functions that are passed as arguments. (The type of a problem goes into the
-index of that cache. One that is defined in a script or a test must be kept out of it: other processes cannot import it.)
+index of that cache. One from a script or a test must be kept out of it: other processes cannot import it.)
 """
 
 from typing import NamedTuple

@@ -15,7 +15,8 @@ from activefail.space import DesignSpace, Parameter
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # Strict: "7" is no seed, and 0 no truth value.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 class Variable(_Section):

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor as Pool
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 from typing import Protocol, Self
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from activefail.campaign.simulator import Results, Simulator
 from activefail.errors import SimulationError
@@ -91,11 +93,14 @@ class ProcessExecutor(_PoolExecutor):
 
     def __init__(self, workers: int) -> None:
         context = multiprocessing.get_context("spawn")
-        super().__init__(ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread), workers)
+        super().__init__(ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker), workers)
 
 
-def _one_thread() -> None:
-    # Side by side, workers must not each start a thread a core in their libraries.
+def _begin_worker() -> None:
+    # A terminal sends Ctrl-C to the whole process group; whether to stop is for the parent to say.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Side by side, workers must not each start a thread a core: not in libraries that are loaded, nor in later ones.
+    threadpool_limits(1)
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
 

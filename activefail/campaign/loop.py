@@ -119,13 +119,16 @@ def run(campaign: Campaign, store: Store, executor: Executor, budget: int, obser
     batch = campaign.settings.sampling.batch
     with one_thread():
         validation = _validation_set(campaign, store, executor, observer)
-        initial = initial_designs(campaign)[:budget]
+        initial = initial_designs(campaign)
         while (progress := standing(campaign, store.batches, budget)).done < len(initial):
             observer.progress(progress)
+            if progress.done >= budget:
+                # Nothing is learned from a part of the initial design: a later resume would start from it.
+                return True
             if observer.stop():
                 return False
             observer.stage("simulating the initial design")
-            designs = initial[progress.done : progress.done + batch]
+            designs = initial[progress.done : min(progress.done + batch, budget)]
             _simulate_and_record(campaign, store, executor, 0, SEED, designs)
             _check_numerical_failures(campaign, standing(campaign, store.batches, budget))
 

@@ -1,23 +1,20 @@
 """A simulator that costs nothing and whose boundary is known: a disc in the plane, two variables and two outcomes."""
 
 from dataclasses import dataclass
+from threading import Lock
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
+
+if TYPE_CHECKING:
+    from activefail.campaign.campaign import Campaign
 
 LOW, HIGH = np.array([-2.0, 10.0]), np.array([3.0, 50.0])
 CENTRE, RADIUS = np.array([0.55, 0.4]), 0.32
 """Of the disc, in units of the variables' ranges; its rim comes nowhere near the bounds."""
-
-CAMPAIGN = f"""
-classifier.features = "design"
-acquisition.boundary = "broken"
-space.x = {{ low = {LOW[0]}, high = {HIGH[0]} }}
-space.y = {{ low = {LOW[1]}, high = {HIGH[1]} }}
-"""
-"""What the settings of a campaign on the disc have in common."""
 
 
 def distance(X: Array) -> Array:
@@ -52,3 +49,44 @@ class Disc:
             np.where(blind, np.nan, margin)[:, None],
             np.zeros(len(X)),
         )
+
+
+class Counting:
+    """A disc that counts the designs it is asked about."""
+
+    outcomes, causes, margins, releases_gil = Disc.outcomes, Disc.causes, Disc.margins, True
+
+    def __init__(self) -> None:
+        self.rows = 0
+        self._lock = Lock()
+
+    def run(self, X: Array) -> Results:
+        """Answer designs (x, y), shape (n, 2)."""
+        with self._lock:
+            self.rows += len(X)
+        return Disc().run(X)
+
+
+def disc(
+    simulator: Simulator | None = None,
+    seed: int = 1,
+    initial: int = 12,
+    budget: int = 28,
+    batch: int = 4,
+    more: str = "",
+) -> "Campaign":
+    """A campaign on the disc; `more` is TOML that the settings get besides."""
+    # Here, not above: a worker process that is sent a disc starts without the learning and its libraries.
+    from activefail.campaign.campaign import Campaign
+    from activefail.campaign.config import parse_settings
+
+    text = f"""
+        seed = {seed}
+        sampling = {{ initial = {initial}, budget = {budget}, batch = {batch} }}
+        {more}
+        classifier.features = "design"
+        acquisition.boundary = "broken"
+        space.x = {{ low = {LOW[0]}, high = {HIGH[0]} }}
+        space.y = {{ low = {LOW[1]}, high = {HIGH[1]} }}
+        """
+    return Campaign.with_simulator(parse_settings(text, "disc"), simulator or Disc())

@@ -1,0 +1,279 @@
+"""Gaussian process classification as in Rasmussen and Williams (2006): Laplace's method and expectation propagation.
+
+Both end in a Gaussian posterior of the latent f ~ GP(m, k) with one Gaussian factor for each point, proportional to
+N(f | m, K) ∏ exp(νᵢfᵢ − τᵢfᵢ²/2). So they share its algebra, its predictions and the gradient of the evidence. Nothing
+inverts K: only B = I + T^½ K T^½, T = diag(τ), is factorised; its eigenvalues are 1 or more. "R&W" is that book.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+from scipy.special import erfcx, expit, log_expit, log_ndtr
+
+from activefail.space import Array
+
+_NEWTON_TOLERANCE, _NEWTON_STEPS, _HALVINGS = 1e-12, 100, 40
+"""Of Laplace's method: gain that one more step promises [nats] at which it stops, and limits of the two loops."""
+
+_EP_TOLERANCE, _EP_SWEEPS, _LEAST_SHARE = 1e-6, 400, 0.05
+"""Of expectation propagation: change of a site, in marginal standard deviations, at which it stops; limits."""
+
+
+class Hyperparameters(NamedTuple):
+    """Of a constant mean and a squared-exponential ARD covariance."""
+
+    mean: float
+    signal_variance: float
+    length_scales: Array  # (m,), in units of the features
+
+
+class Terms(NamedTuple):
+    """log p(y | f) and its derivatives by f, point by point, each shape (n,)."""
+
+    value: Array
+    slope: Array
+    curvature: Array  # minus the second derivative: not negative, as the likelihoods are log-concave
+    third: Array
+
+
+Likelihood = Callable[[Array, Array], Terms]
+"""From labels, (n,) of -1 and 1, and latents, (n,), to the terms of the log likelihood."""
+
+
+class Sites(NamedTuple):
+    """A Gaussian factor for each training point: exp(linear f − precision f²/2)."""
+
+    linear: Array  # (n,) ν
+    precision: Array  # (n,) τ, not negative
+
+
+class Posterior(NamedTuple):
+    """A Gaussian approximation of the posterior at n training points, and what predictions and gradients need of it."""
+
+    sites: Sites
+    alpha: Array  # (n,) K⁻¹ (posterior mean − m)
+    cholesky_b: Array  # (n, n) lower factor of B = I + T^½ K T^½
+    log_evidence: float  # log Z, the approximate log marginal likelihood
+    implicit: Array  # (n,) (I + T K)⁻¹ ∂log Z/∂f̂ of Laplace's mode f̂; zero where the sites are stationary
+    iterations: int
+    converged: bool
+
+
+def covariance(F: Array, G: Array, hyperparameters: Hyperparameters) -> Array:
+    """k(f, g) = s² exp(−½ Σ (f_d − g_d)²/ℓ_d²) of features, (n, m) and (l, m) -> (n, l); R&W eq. 5.1."""
+    scales = hyperparameters.length_scales
+    return np.asarray(hyperparameters.signal_variance * np.exp(-0.5 * cdist(F / scales, G / scales, "sqeuclidean")))
+
+
+def normal_ratio(z: Array) -> Array:
+    """φ(z)/Φ(z), shape of z, to rounding in both tails."""
+    return np.asarray(math.sqrt(2.0 / math.pi) / erfcx(-z / math.sqrt(2.0)))
+
+
+def probit(y: Array, f: Array) -> Terms:
+    """Terms of log Φ(yf); R&W eq. 3.16, and its third derivative."""
+    z = y * f
+    ratio = normal_ratio(z)
+    slope = ratio + z  # of -log ratio
+    return Terms(log_ndtr(z), y * ratio, ratio * slope, y * ratio * (slope * slope + ratio * slope - 1.0))
+
+
+def logistic(y: Array, f: Array) -> Terms:
+    """Terms of −log(1 + exp(−yf)); R&W eq. 3.15, and its third derivative."""
+    p, q = expit(f), expit(-f)
+    return Terms(log_expit(y * f), y * expit(-y * f), p * q, p * q * (p - q))
+
+
+def _factor(K: Array, sites: Sites) -> tuple[Array, Array]:
+    """T^½, (n,), and the lower Cholesky factor of B, (n, n)."""
+    root = np.sqrt(sites.precision)
+    B = root[:, None] * K * root
+    B.flat[:: len(root) + 1] += 1.0
+    return root, cholesky(B, lower=True, check_finite=False)
+
+
+def _shrunk(x: Array, K: Array, root: Array, L: Array) -> Array:
+    """(I + T K)⁻¹ x, (n,): as T^½ B⁻¹ T^-½ x, and as x − T^½ B⁻¹ T^½ K x where a precision is next to nothing.
+
+    The book has the latter all through (Algorithm 3.1, line 6). Its K x, times B's smallest eigenvalue of 1, loses half
+    of all digits where the prior is wide and its mean far from the labels.
+    """
+    some = root > 1e-6
+    rest = np.where(some, 0.0, x)
+    inner = np.divide(x, root, out=np.zeros_like(x), where=some) - root * (K @ rest)
+    return np.asarray(rest + root * cho_solve((L, True), inner, check_finite=False))
+
+
+def _solve(K: Array, mean: float, sites: Sites, root: Array, L: Array) -> Array:
+    """α = K⁻¹ (posterior mean − m) of given sites, (n,)."""
+    return _shrunk(sites.linear - sites.precision * mean, K, root, L)
+
+
+def _variances(K: Array, root: Array, L: Array) -> Array:
+    """Marginal variances at the training points, (n,): the diagonal of K − K T^½ B⁻¹ T^½ K."""
+    V = solve_triangular(L, root[:, None] * K, lower=True, check_finite=False)
+    return np.asarray(K.diagonal() - np.einsum("ij,ij->j", V, V))
+
+
+def laplace_posterior(
+    K: Array, mean: float, y: Array, likelihood: Likelihood = probit, start: Sites | None = None
+) -> Posterior:
+    """Laplace's approximation: a Gaussian about the posterior's mode; R&W Algorithms 3.1 and 5.1.
+
+    Newton's method on the concave ψ(f) = log p(y | f) − ½ (f − m)ᵀ K⁻¹ (f − m), a step halved until it gains.
+
+    Args:
+        K: prior covariance at the training points, (n, n).
+        mean: of the prior.
+        y: labels, (n,) of -1 and 1.
+        start: sites of a similar problem; the search starts from their mean, where that is better than the prior's.
+    """
+
+    def objective(a: Array, f: Array) -> float:
+        return float(likelihood(y, f).value.sum() - 0.5 * a @ (f - mean))
+
+    alpha, f = np.zeros(len(y)), np.full(len(y), mean)
+    gained = objective(alpha, f)
+    if start is not None:
+        warm = _solve(K, mean, start, *_factor(K, start))
+        from_warm = objective(warm, mean + K @ warm)
+        if from_warm > gained:
+            alpha, f, gained = warm, mean + K @ warm, from_warm
+
+    converged = False
+    for iteration in range(_NEWTON_STEPS + 1):
+        terms = likelihood(y, f)
+        sites = Sites(terms.slope + terms.curvature * f, terms.curvature)
+        root, L = _factor(K, sites)
+        if converged or iteration == _NEWTON_STEPS:
+            break
+        step = _solve(K, mean, sites, root, L) - alpha
+        step_f = K @ step
+        # Half the squared Newton decrement. The step is taken still: log |B| can be steep where ψ is flat.
+        converged = bool(0.5 * (terms.slope - alpha) @ step_f < _NEWTON_TOLERANCE)
+        share = 1.0
+        for _ in range(0 if converged else _HALVINGS):
+            if objective(alpha + share * step, f + share * step_f) >= gained:
+                break
+            share *= 0.5
+        alpha, f = alpha + share * step, f + share * step_f
+        gained = objective(alpha, f)
+
+    log_evidence = gained - np.log(L.diagonal()).sum()
+    implicit = _shrunk(0.5 * _variances(K, root, L) * terms.third, K, root, L)
+    return Posterior(sites, alpha, L, float(log_evidence), implicit, iteration, converged)
+
+
+class _Tilted(NamedTuple):
+    """The cavities of expectation propagation and the moments of the cavities times the true likelihoods, (n,) each."""
+
+    log_evidence: Array  # log Ẑᵢ
+    target: Sites  # that would match the moments
+
+
+def _match(mean: Array, precision: Array, y: Array) -> _Tilted:
+    """Match the moments of Φ(yf) N(f | mean, 1/precision), for cavities with these moments, each (n,).
+
+    With the derivatives of log Ẑ by the cavity's mean in the place of the moments, which R&W eq. 3.58 states: the same,
+    but it does not cancel in the tails.
+    """
+    variance = 1.0 / precision
+    scale = np.sqrt(1.0 + variance)
+    z = y * mean / scale
+    ratio = normal_ratio(z)
+    slope, curvature = y * ratio / scale, ratio * (z + ratio) / scale**2
+    shrink = 1.0 - curvature * variance  # tilted over cavity variance
+    return _Tilted(log_ndtr(z), Sites((slope + curvature * mean) / shrink, curvature / shrink))
+
+
+def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) -> Posterior:
+    """Expectation propagation for the probit likelihood; R&W Algorithm 3.5, its evidence by eq. 3.65.
+
+    All sites are updated at once, in the place of one after the other: the fixed point is the same. A whole step can
+    circle round it; the share of each that is taken is the one that the step before, were the map linear, calls for.
+
+    Args:
+        K: prior covariance at the training points, (n, n).
+        mean: of the prior.
+        y: labels, (n,) of -1 and 1.
+        start: sites of a similar problem, to start from.
+    """
+    sites = Sites(np.zeros(len(y)), np.zeros(len(y))) if start is None else start
+    share, before, converged = 1.0, np.zeros(2 * len(y)), False
+    for iteration in range(_EP_SWEEPS + 1):
+        root, L = _factor(K, sites)
+        alpha = _solve(K, mean, sites, root, L)
+        variance, offset = _variances(K, root, L), K @ alpha
+        cavity_precision = 1.0 / variance - sites.precision
+        cavity_linear = (mean + offset) / variance - sites.linear
+        tilted = _match(cavity_linear / cavity_precision, cavity_precision, y)
+        linear, precision = (new - old for new, old in zip(tilted.target, sites, strict=True))
+        # The change of the sites about the marginal's mean, in units of its standard deviation.
+        change = np.concatenate([(linear - precision * (mean + offset)) * np.sqrt(variance), precision * variance])
+        converged = bool(np.abs(change).max() < _EP_TOLERANCE)
+        if converged or iteration == _EP_SWEEPS:
+            break
+        if iteration > 0:
+            # Along the last step: change = (1 − share r) before, where a share of 1/r would have left nothing.
+            r = float(1.0 - (change @ before) / (before @ before)) / share
+            share = min(1.0, max(_LEAST_SHARE, 1.0 / r)) if r > 0.0 else 1.0
+        before = change
+        sites = Sites(sites.linear + share * linear, sites.precision + share * precision)
+
+    return Posterior(
+        sites,
+        alpha,
+        L,
+        _ep_log_evidence(mean, sites, L, offset, cavity_linear, cavity_precision, tilted.log_evidence),
+        np.zeros(len(y)),
+        iteration,
+        converged,
+    )
+
+
+def _ep_log_evidence(
+    mean: float, sites: Sites, L: Array, offset: Array, cavity_linear: Array, cavity_precision: Array, tilted: Array
+) -> float:
+    """log Z of expectation propagation, R&W eq. 3.65, in the terms of f − m and without differences of large ones.
+
+    Each site is scaled so that its cavity times it has the evidence of its cavity times the likelihood.
+    """
+    p, t = sites.linear - sites.precision * mean, sites.precision
+    q, s = cavity_linear - cavity_precision * mean, cavity_precision
+    joint = 0.5 * p @ offset - np.log(L.diagonal()).sum()  # log ∫ N(f | m, K) ∏ exp(p (f−m) − t (f−m)²/2)
+    scales = tilted + 0.5 * np.log1p(t / s) + 0.5 * (q * q * t / s - 2.0 * q * p - p * p) / (s + t)
+    return float(joint + scales.sum())
+
+
+def evidence_gradient(
+    F: Array, K: Array, hyperparameters: Hyperparameters, posterior: Posterior
+) -> tuple[float, float, Array]:
+    """∂log Z by the mean, by the log signal variance and by the log length scales, (m,); R&W Algorithms 5.1 and 5.2.
+
+    d log Z = ½ αᵀdK α − ½ tr(R dK) + uᵀdK α + (α + u)ᵀ1 dm with R = T^½ B⁻¹ T^½ and u the posterior's `implicit`: the
+    last but one and the second half of the last term are what follows from the motion of Laplace's mode.
+    """
+    alpha, u = posterior.alpha, posterior.implicit
+    half = solve_triangular(
+        posterior.cholesky_b, np.diag(np.sqrt(posterior.sites.precision)), lower=True, check_finite=False
+    )
+    both = np.outer(0.5 * alpha + u, alpha)
+    weights: Array = (0.5 * (both + both.T) - 0.5 * half.T @ half) * K  # ∂log Z/∂log K, by element
+    X = F / hyperparameters.length_scales
+    # ∂log K_ij/∂log ℓ_d = (x_id − x_jd)²
+    by_scale = 2.0 * (weights.sum(1) @ (X * X) - np.einsum("id,id->d", X, weights @ X))
+    return float((alpha + u).sum()), float(weights.sum()), np.asarray(by_scale)
+
+
+def predict(F: Array, hyperparameters: Hyperparameters, posterior: Posterior, at: Array) -> tuple[Array, Array]:
+    """Latent mean and variance at features, (l, m) -> (l,) each; R&W Algorithms 3.2 and 3.6 up to the averaging."""
+    Ks = covariance(F, at, hyperparameters)
+    root = np.sqrt(posterior.sites.precision)
+    V = solve_triangular(posterior.cholesky_b, root[:, None] * Ks, lower=True, check_finite=False)
+    # Not below zero but for rounding.
+    variance = np.maximum(hyperparameters.signal_variance - np.einsum("ij,ij->j", V, V), 0.0)
+    return hyperparameters.mean + posterior.alpha @ Ks, variance

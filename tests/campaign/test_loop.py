@@ -1,0 +1,529 @@
+"""The loop: it finds the boundary, and no interruption changes a bit of what it does."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from campaign.stub import Counting, Disc, disc, distance
+from numpy.typing import NDArray
+
+from activefail.campaign.campaign import Campaign, initial_designs, stream
+from activefail.campaign.config import parse_settings
+from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.folder import open_campaign
+from activefail.campaign.learning import accuracy, current_classifier, training_rows
+from activefail.campaign.loop import Observer, Progress, one_thread, run, standing
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
+from activefail.campaign.store import ACTIVE, SEED, Batch, FolderStore, MemoryStore, Store
+from activefail.errors import SimulationError
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier, train
+
+INITIAL, BUDGET, BATCH = 12, 28, 4
+COMMITS = BUDGET // BATCH
+SEED_COMMITS = INITIAL // BATCH
+
+
+def take(
+    campaign: Campaign,
+    store: Store | None = None,
+    budget: int | None = None,
+    workers: int = 2,
+    observer: Observer | None = None,
+) -> Store:
+    """The store of a campaign, taken to a budget (its own by default)."""
+    store = MemoryStore(campaign.schema) if store is None else store
+    with ThreadExecutor(workers) as executor:
+        run(campaign, store, executor, campaign.settings.sampling.budget if budget is None else budget, observer)
+    return store
+
+
+def stop_after(commits: int, store: Store) -> Observer:
+    return Observer(stop=lambda: len(store.batches) >= commits)
+
+
+def recorded(store: Store) -> list[object]:
+    """Every bit of a record but the wall times."""
+    return [
+        (batch.iteration, *(a.tobytes() for a in (batch.designs, batch.origin)), *answers(batch.results))
+        for batch in store.batches
+    ]
+
+
+def answers(results: Results) -> tuple[bytes, ...]:
+    return results.outcome.tobytes(), results.cause.tobytes(), results.margins.tobytes()
+
+
+def learned(store: Store) -> tuple[int, dict[str, bytes]]:
+    """Every bit of what was learned last, and when."""
+    saved = store.latest_state()
+    assert saved is not None
+    return saved[0], {name: array.tobytes() for name, array in saved[1].items()}
+
+
+def designs(store: Store, origin: int) -> Array:
+    return np.concatenate([batch.designs[batch.origin == origin] for batch in store.batches])
+
+
+@pytest.fixture(scope="module")
+def uninterrupted() -> Store:
+    return take(disc())
+
+
+# --- what a campaign is ------------------------------------------------------------------------------------------
+
+
+def test_a_campaign_spends_its_budget_in_whole_batches_seed_first(uninterrupted: Store) -> None:
+    assert [len(batch) for batch in uninterrupted.batches] == [BATCH] * COMMITS
+    assert [batch.iteration for batch in uninterrupted.batches] == [0, 0, 0, 1, 2, 3, 4]
+    origins = [SEED] * SEED_COMMITS + [ACTIVE] * (COMMITS - SEED_COMMITS)
+    assert [set(batch.origin.tolist()) for batch in uninterrupted.batches] == [{origin} for origin in origins]
+
+
+@pytest.mark.parametrize(("initial", "budget", "batch"), [(5, 12, 4), (2, 3, 10), (6, 6, 4)])
+def test_a_budget_that_batches_do_not_divide_is_spent_to_the_last_simulation(
+    initial: int, budget: int, batch: int
+) -> None:
+    store = take(disc(initial=initial, budget=budget, batch=batch))
+    assert sum(len(one) for one in store.batches) == budget
+    assert len(designs(store, SEED)) == initial
+    assert max(len(one) for one in store.batches) <= batch
+
+
+def test_the_seed_is_one_latin_hypercube_however_it_is_cut_into_batches(uninterrupted: Store) -> None:
+    X = designs(uninterrupted, SEED)
+    space = disc().space
+    assert X.tobytes() == initial_designs(disc()).tobytes()
+    assert (np.sort(np.floor(space.to_unit(X) * INITIAL), axis=0) == np.arange(INITIAL)[:, None]).all()
+
+
+def test_every_design_lies_in_the_space_and_none_is_simulated_twice(uninterrupted: Store) -> None:
+    X = np.concatenate([batch.designs for batch in uninterrupted.batches])
+    assert disc().space.contains(X).all()
+    assert len(np.unique(X, axis=0)) == BUDGET
+
+
+def test_the_record_holds_what_the_simulator_answers_in_the_order_of_the_designs(uninterrupted: Store) -> None:
+    for batch in uninterrupted.batches:
+        assert answers(batch.results) == answers(Disc().run(batch.designs))
+
+
+def test_campaigns_with_other_seeds_share_no_design(uninterrupted: Store) -> None:
+    mine, others = (np.concatenate([b.designs for b in s.batches]) for s in (uninterrupted, take(disc(seed=2))))
+    assert not np.isin(mine, others).any()
+
+
+class Alike:
+    """A simulator that answers every design alike."""
+
+    outcomes, causes, margins, releases_gil = Disc.outcomes, Disc.causes, Disc.margins, True
+
+    def __init__(self, outcome: int) -> None:
+        self.outcome = outcome
+
+    def run(self, X: Array) -> Results:
+        n = len(X)
+        return Results(np.full(n, self.outcome, dtype=np.int8), np.zeros(n, dtype=np.int8), np.ones((n, 1)), np.ones(n))
+
+
+@pytest.mark.parametrize("outcome", [0, 1])
+def test_a_campaign_that_sees_one_outcome_only_goes_on_and_expects_more_of_it(outcome: int) -> None:
+    campaign = disc(Alike(outcome), initial=6, budget=10, batch=2)
+    store = take(campaign)
+    assert sum(len(batch) for batch in store.batches) == 10
+    probabilities = current_classifier(campaign, store, write=False).probabilities(designs(store, SEED))
+    assert (probabilities[:, outcome] > 0.5).all()
+
+
+# --- what it finds -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=["entropy", "bald"])
+def found(request: pytest.FixtureRequest) -> list[tuple[Campaign, Store]]:
+    """Four campaigns that differ in their seeds."""
+    criterion = f'acquisition.criterion = "{request.param}"'
+    campaigns = [disc(seed=seed, initial=20, budget=60, batch=10, more=criterion) for seed in range(4)]
+    return [(campaign, take(campaign)) for campaign in campaigns]
+
+
+def test_the_chosen_designs_crowd_along_the_true_boundary(found: list[tuple[Campaign, Store]]) -> None:
+    for _, store in found:
+        active, seed = (float(np.median(np.abs(distance(designs(store, o))))) for o in (ACTIVE, SEED))
+        assert active < seed / 2.0
+
+
+def test_chosen_designs_teach_more_than_static_ones_and_more_than_the_seed_did(
+    found: list[tuple[Campaign, Store]],
+) -> None:
+    errors = []
+    for campaign, store in found:
+        X = campaign.space.from_unit(np.random.default_rng(9).random((1000, 2)))
+        outcome = Disc().run(X).outcome
+        hypercube = campaign.space.latin_hypercube(60, stream(campaign.settings.seed, "static", 60))
+        with one_thread():
+            seed = train(*training_rows(store.batches, 0), Disc.outcomes, campaign.features, "rbf")
+            static = train(hypercube, Disc().run(hypercube).outcome, Disc.outcomes, campaign.features, "rbf")
+            active = current_classifier(campaign, store, write=False)
+            errors.append([1.0 - accuracy(classifier, 1, X, outcome) for classifier in (seed, static, active)])
+    seed_error, static_error, active_error = np.mean(errors, axis=0)
+    assert active_error < 0.7 * static_error
+    assert static_error < 0.7 * seed_error
+    assert all(active < seed for seed, _, active in errors)
+
+
+# --- numerical failures ------------------------------------------------------------------------------------------
+
+FOGGY = Disc(blind=-1.0)
+
+
+def test_numerical_failures_are_recorded_and_counted_but_never_learned_from() -> None:
+    seen: list[Progress] = []
+    campaign = disc(FOGGY, more="limits.numerical_failures = 1.0")
+    store = take(campaign, observer=Observer(seen.append))
+    outcome = np.concatenate([batch.results.outcome for batch in store.batches])
+    failures = int((outcome == NUMERICAL_FAILURE).sum())
+    assert failures > 0
+    assert (seen[-1].numerical_failures, seen[-1].done, int(seen[-1].counts.sum())) == (
+        failures,
+        BUDGET,
+        BUDGET - failures,
+    )
+    classifier = current_classifier(campaign, store, write=False)
+    assert len(classifier.latents[0].trained.labels) == BUDGET - failures
+    X, labels = training_rows(store.batches)
+    assert FOGGY.run(X).outcome.tobytes() == labels.tobytes()
+    assert NUMERICAL_FAILURE not in labels
+
+
+def test_a_campaign_with_numerical_failures_learns_what_it_would_without_those_rows() -> None:
+    campaign = disc(FOGGY, more="limits.numerical_failures = 1.0")
+    foggy = take(campaign, budget=INITIAL)
+    X = initial_designs(campaign)
+    X = X[X[:, 0] >= FOGGY.blind]
+    clear = train(X, Disc().run(X).outcome, Disc.outcomes, campaign.features, "rbf")
+    probe = campaign.space.sobol(64, np.random.default_rng(0))
+    assert np.array_equal(
+        current_classifier(campaign, foggy, write=False).probabilities(probe), clear.probabilities(probe)
+    )
+
+
+def test_too_many_numerical_failures_stop_the_campaign_with_counts_limit_and_a_record() -> None:
+    campaign = disc(Disc(blind=0.5), initial=24)
+    store = MemoryStore(campaign.schema)
+    with pytest.raises(SimulationError) as stopped:
+        take(campaign, store)
+    progress = standing(campaign, store.batches, BUDGET)
+    # Twenty is the least number of simulations whose share is judged.
+    assert progress.done == 20
+    assert progress.numerical_failures == sum(int((b.designs[:, 0] < 0.5).sum()) for b in store.batches)
+    message = str(stopped.value)
+    assert f"{progress.numerical_failures} of 20 simulations" in message
+    assert "0.05" in message
+    assert "limits.numerical_failures" in message
+
+
+def test_a_share_of_numerical_failures_up_to_the_limit_is_borne() -> None:
+    campaign = disc(FOGGY, initial=24, budget=24, more="limits.numerical_failures = 0.3")
+    progress = standing(campaign, take(campaign).batches, 24)
+    assert 0.05 * 24 < progress.numerical_failures <= 0.3 * 24
+
+
+@pytest.mark.parametrize("initial", [12, 24])
+def test_a_simulator_that_never_answers_is_given_up_after_twenty_simulations(initial: int) -> None:
+    with pytest.raises(SimulationError, match="20 of 20 simulations"):
+        take(disc(Alike(NUMERICAL_FAILURE), initial=initial))
+
+
+# --- what a caller hears -----------------------------------------------------------------------------------------
+
+
+def test_progress_is_told_after_every_batch_and_ends_at_the_budget(uninterrupted: Store) -> None:
+    seen: list[Progress] = []
+    store = take(disc(), observer=Observer(seen.append))
+    assert [progress.done for progress in seen] == [0, 4, 8, 12, 16, 20, 24, 28]
+    assert [progress.iteration for progress in seen] == [0, 0, 0, 0, 1, 2, 3, 4]
+    assert {progress.budget for progress in seen} == {BUDGET}
+    assert {progress.accuracy for progress in seen} == {None}
+    outcome = np.concatenate([batch.results.outcome for batch in store.batches])
+    assert seen[-1].counts.tolist() == [int((outcome == 0).sum()), int((outcome == 1).sum())]
+    # Listening changes nothing.
+    assert recorded(store) == recorded(uninterrupted)
+
+
+def test_stages_are_named_in_the_order_of_the_algorithm() -> None:
+    stages: list[str] = []
+    take(disc(initial=8, budget=12, more="validation.size = 10"), observer=Observer(stage=stages.append))
+    assert stages == [
+        "simulating the validation set",
+        "simulating the initial design",
+        "simulating the initial design",
+        "learning",
+        "proposing",
+        "simulating",
+        "learning",
+    ]
+
+
+def test_the_validation_set_is_outside_the_budget_and_changes_no_choice(uninterrupted: Store) -> None:
+    seen: list[Progress] = []
+    campaign = disc(more="validation.size = 200")
+    store = take(campaign, observer=Observer(seen.append))
+    assert recorded(store) == recorded(uninterrupted)
+    saved = store.read_set("validation")
+    assert saved is not None
+    X, results = saved
+    assert len(X) == 200
+    assert not np.isin(X, np.concatenate([batch.designs for batch in store.batches])).any()
+    right = [
+        (latent.moments(campaign.features(X)).mean > 0.0) == (results.outcome == 1)
+        for latent in current_classifier(campaign, store, write=False).latents
+    ]
+    assert seen[-1].accuracy == np.mean(right[0])
+    assert [progress.accuracy is None for progress in seen] == [True] * SEED_COMMITS + [False] * 5
+
+
+def test_the_validation_set_is_simulated_once() -> None:
+    simulator = Counting()
+    campaign = disc(simulator, more="validation.size = 50")
+    take(campaign, take(campaign, budget=16))
+    assert simulator.rows == 50 + BUDGET
+
+
+def test_asked_to_stop_the_campaign_ends_after_a_whole_batch_and_says_that_it_is_not_done() -> None:
+    campaign = disc()
+    store = MemoryStore(campaign.schema)
+    with ThreadExecutor(2) as executor:
+        assert run(campaign, store, executor, BUDGET, stop_after(2, store)) is False
+        assert [len(batch) for batch in store.batches] == [BATCH, BATCH]
+        assert run(campaign, store, executor, BUDGET, stop_after(5, store)) is False
+        assert [len(batch) for batch in store.batches] == [BATCH] * 5
+        assert run(campaign, store, executor, BUDGET) is True
+        assert run(campaign, store, executor, BUDGET) is True
+    assert len(store.batches) == COMMITS
+
+
+# --- interruption ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("commits", range(COMMITS))
+def test_stopped_after_any_batch_and_resumed_a_campaign_is_the_uninterrupted_one_bit_for_bit(
+    commits: int, uninterrupted: Store
+) -> None:
+    campaign = disc()
+    store = MemoryStore(campaign.schema)
+    take(campaign, store, observer=stop_after(commits, store))
+    assert len(store.batches) == commits
+    take(disc(), store)
+    assert recorded(store) == recorded(uninterrupted)
+    assert learned(store) == learned(uninterrupted)
+
+
+def test_stopped_after_every_batch_a_campaign_is_the_uninterrupted_one_bit_for_bit(uninterrupted: Store) -> None:
+    store = MemoryStore(disc().schema)
+    for commits in range(COMMITS + 1):
+        take(disc(), store, observer=stop_after(commits, store))
+    assert recorded(store) == recorded(uninterrupted)
+    assert learned(store) == learned(uninterrupted)
+
+
+class Struck:
+    """A disc on which Ctrl-C is struck, once, while the simulation of that number is under way."""
+
+    outcomes, causes, margins, releases_gil = Disc.outcomes, Disc.causes, Disc.margins, True
+
+    def __init__(self, at: int) -> None:
+        self.left = at
+
+    def run(self, X: Array) -> Results:
+        left, self.left = self.left, self.left - len(X)
+        if 0 <= left < len(X):
+            raise KeyboardInterrupt
+        return Disc().run(X)
+
+
+@pytest.mark.parametrize("at", [0, 5, 12, 14, 21, 27])
+def test_interrupted_in_the_middle_of_a_batch_and_resumed_a_campaign_is_the_uninterrupted_one(
+    at: int, uninterrupted: Store
+) -> None:
+    campaign = disc(Struck(at))
+    store = MemoryStore(campaign.schema)
+    with pytest.raises(KeyboardInterrupt):
+        take(campaign, store, workers=1)
+    assert len(store.batches) == at // BATCH
+    take(disc(), store)
+    assert recorded(store) == recorded(uninterrupted)
+    assert learned(store) == learned(uninterrupted)
+
+
+class Dying(MemoryStore):
+    """A store that dies, once: right after a commit, which is kept, or in the place of `write_state`, which is lost."""
+
+    def __init__(self, campaign: Campaign, call: str, number: int) -> None:
+        super().__init__(campaign.schema)
+        self.call, self.left = call, number
+
+    def _die(self, call: str) -> None:
+        if call == self.call:
+            self.left -= 1
+            if self.left == -1:
+                raise KeyboardInterrupt
+
+    def commit(self, batch: Batch) -> None:
+        super().commit(batch)
+        self._die("commit")
+
+    def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
+        self._die("write_state")
+        super().write_state(iteration, arrays)
+
+
+@pytest.mark.parametrize(
+    ("call", "number"),
+    [
+        *(("commit", n) for n in range(SEED_COMMITS - 1, COMMITS)),
+        *(("write_state", n) for n in range(COMMITS - SEED_COMMITS + 1)),
+    ],
+)
+def test_killed_at_a_write_and_resumed_a_campaign_is_the_uninterrupted_one(
+    call: str, number: int, uninterrupted: Store
+) -> None:
+    store = Dying(disc(), call, number)
+    with pytest.raises(KeyboardInterrupt):
+        take(disc(), store)
+    take(disc(), store)
+    assert recorded(store) == recorded(uninterrupted)
+    assert learned(store) == learned(uninterrupted)
+
+
+@pytest.mark.parametrize("commits", [SEED_COMMITS, SEED_COMMITS + 2, COMMITS])
+def test_what_was_learned_is_learned_again_when_its_files_are_gone(
+    commits: int, uninterrupted: Store, tmp_path: Path
+) -> None:
+    campaign = disc()
+    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
+        take(campaign, store, observer=stop_after(commits, store))
+    states = list((tmp_path / "run" / "state").iterdir())
+    assert states
+    for path in states:
+        path.unlink()
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
+        take(campaign, store)
+        assert recorded(store) == recorded(uninterrupted)
+        assert learned(store) == learned(uninterrupted)
+
+
+def test_an_older_state_does_as_well_as_the_newest(uninterrupted: Store, tmp_path: Path) -> None:
+    campaign = disc()
+    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
+        take(campaign, store, observer=stop_after(6, store))
+    *_, newest = sorted((tmp_path / "run" / "state").iterdir())
+    newest.unlink()
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
+        take(campaign, store)
+        assert recorded(store) == recorded(uninterrupted)
+        assert learned(store) == learned(uninterrupted)
+
+
+def test_reading_what_was_learned_writes_nothing_and_gives_what_the_running_loop_has(
+    uninterrupted: Store, tmp_path: Path
+) -> None:
+    campaign = disc()
+    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
+        take(campaign, store)
+    for path in (tmp_path / "run" / "state").iterdir():
+        path.unlink()
+    probe = campaign.space.sobol(64, np.random.default_rng(0))
+
+    def predicted(of: Store) -> bytes:
+        classifier: Classifier = current_classifier(campaign, of, write=False)
+        return classifier.probabilities(probe).tobytes()
+
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store:
+        assert predicted(store) == predicted(uninterrupted)
+    assert list((tmp_path / "run" / "state").iterdir()) == []
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_the_number_of_workers_changes_no_bit(workers: int, uninterrupted: Store) -> None:
+    store = take(disc(), workers=workers)
+    assert recorded(store) == recorded(uninterrupted)
+    assert learned(store) == learned(uninterrupted)
+
+
+@pytest.mark.parametrize("budget", [INITIAL, INITIAL + 2 * BATCH])
+def test_taken_beyond_its_budget_a_campaign_is_the_one_that_had_the_larger_budget(
+    budget: int, uninterrupted: Store
+) -> None:
+    campaign = disc(budget=budget)
+    store = take(campaign)
+    assert sum(len(batch) for batch in store.batches) == budget
+    take(campaign, store, BUDGET)
+    assert recorded(store) == recorded(uninterrupted)
+    assert learned(store) == learned(uninterrupted)
+
+
+def test_a_budget_that_is_spent_already_changes_nothing() -> None:
+    store = take(disc())
+    before = recorded(store), learned(store)
+    take(disc(), store, budget=20)
+    assert (recorded(store), learned(store)) == before
+
+
+@pytest.mark.parametrize("budget", [2, 6, 8])
+def test_halted_within_the_seed_by_a_smaller_budget_and_resumed_a_campaign_goes_on_with_the_whole_seed(
+    budget: int,
+) -> None:
+    campaign = disc()
+    store = take(campaign, budget=budget)
+    take(campaign, store)
+    assert designs(store, SEED).tobytes() == initial_designs(campaign).tobytes()
+    assert sum(len(batch) for batch in store.batches) == BUDGET
+    # Cut into other batches or not, the seed is the same, and so is all that was learned from it.
+    straight = take(campaign)
+    assert designs(store, ACTIVE).tobytes() == designs(straight, ACTIVE).tobytes()
+    assert learned(store) == learned(straight)
+
+
+# --- the bearing, killed -----------------------------------------------------------------------------------------
+
+BEARING = "seed = 11\nsampling = { initial = 40, budget = 90, batch = 5 }\n"
+
+
+def _kill_after(command: list[str], segments: Path, number: int, delay: float) -> None:
+    """Start a command and kill it -9 some time after there are so many segments."""
+    log = segments.parents[1] / f"killed-{number}.txt"
+    with log.open("w") as file:
+        process = subprocess.Popen([sys.executable, "-m", "activefail.cli", *command], stdout=file, stderr=file)
+    give_up = time.monotonic() + 120.0
+    try:
+        while not segments.is_dir() or len(list(segments.glob("*.h5"))) < number:
+            assert process.poll() is None, log.read_text()
+            assert time.monotonic() < give_up
+            time.sleep(0.002)
+        time.sleep(delay)
+    finally:
+        process.kill()
+    assert process.wait() == -signal.SIGKILL, log.read_text()
+
+
+def test_a_bearing_campaign_killed_twice_and_resumed_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
+    (tmp_path / "bearing.toml").write_text(BEARING)
+    folder = tmp_path / "run"
+    delays = np.random.default_rng(time.time_ns()).uniform(0.0, 0.2, 2).tolist()
+    begin = ["run", str(tmp_path / "bearing.toml"), "--out", str(folder), "--workers", "2"]
+    _kill_after(begin, folder / "segments", 2, delays[0] / 10.0)
+    _kill_after(["resume", str(folder), "--workers", "1"], folder / "segments", 9, delays[1])
+
+    campaign = Campaign.of(parse_settings(BEARING, "bearing"))
+    straight = take(campaign, workers=2)
+    with open_campaign(folder, write=True) as (again, store):
+        assert 9 <= len(store.batches) < 18, f"killed too late, after {delays} s"
+        take(again, store)
+        assert recorded(store) == recorded(straight)
+        assert learned(store) == learned(straight)

@@ -1,0 +1,720 @@
+"""The command line: every command does what its help says, and every mistake ends in one message, not a traceback."""
+
+import csv
+import io
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+import typer
+
+from activefail import __version__
+from activefail.bearing import TABLE_1, simulate
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.config import read_settings
+from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.folder import open_campaign
+from activefail.campaign.loop import Observer
+from activefail.campaign.loop import run as run_loop
+from activefail.campaign.store import FolderStore
+from activefail.cli import app, main
+
+COMMANDS = tuple(typer.main.get_group(app).commands)
+
+DESIGN = {
+    "--t-b": "4.0",
+    "--mu": "0.06",
+    "--d-tot": "0.6",
+    "--h-sl-ratio": "0.8",
+    "--h-rim-ratio": "0.1",
+    "--p": "50",
+    "--k": "2e9",
+    "--t-p": "2.0",
+    "--a-p": "0.4",
+}
+ROW = "4.0,0.06,0.6,0.8,0.1,50,2e9,2.0,0.4"
+HEADER = ",".join(TABLE_1.names)
+
+TINY = "seed = 3\nsampling = { initial = 20, budget = 30, batch = 5 }\n"
+
+
+@dataclass(frozen=True)
+class Said:
+    code: int
+    out: str
+    err: str
+
+
+def activefail(*words: str | Path) -> Said:
+    """What the program says to a command line, in this process; an exception that it lets through is a failure."""
+    out, err = io.StringIO(), io.StringIO()
+    code: object = 0
+    with (
+        mock.patch.object(sys, "argv", ["activefail", *map(str, words)]),
+        mock.patch.dict(os.environ, {"COLUMNS": "200", "TERMINAL_WIDTH": "200"}),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as left:
+            code = left.code or 0
+    assert isinstance(code, int)
+    return Said(code, out.getvalue(), err.getvalue())
+
+
+def design(**other: str) -> list[str]:
+    """The options of a design, some of them other than usual: `design(t_b="5")`."""
+    options = DESIGN | {f"--{name.replace('_', '-')}": value for name, value in other.items()}
+    return [word for option in options.items() for word in option]
+
+
+def refused(said: Said, *parts: str, code: int = 2) -> None:
+    """Assert that the program ended in one message on stderr with all these parts."""
+    assert (said.code, said.out) == (code, "")
+    assert said.err.startswith("activefail: ")
+    assert "Traceback" not in said.err
+    assert [part for part in parts if part not in said.err] == []
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file, strict=True))
+
+
+def record(folder: Path) -> list[dict[str, str]]:
+    """All that a campaign has recorded, as `export` writes it, without the wall times."""
+    target = folder.with_suffix(".csv")
+    assert activefail("export", folder, "--csv", target).code == 0
+    return [{name: cell for name, cell in row.items() if name != "seconds"} for row in table(target)]
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign file: 20 simulations and 10 more."""
+    path = tmp_path_factory.mktemp("campaign") / "tiny.toml"
+    path.write_text(TINY)
+    return path
+
+
+@pytest.fixture(scope="session")
+def ran(tiny: Path) -> tuple[Path, Said]:
+    """The run folder of the tiny campaign, not to be changed, and what was said when it was run."""
+    folder = tiny.with_name("ran")
+    return folder, activefail("run", tiny, "--out", folder)
+
+
+@pytest.fixture
+def folder(ran: tuple[Path, Said], tmp_path: Path) -> Path:
+    """A copy of the run folder of the tiny campaign."""
+    return Path(shutil.copytree(ran[0], tmp_path / "run"))
+
+
+def halted(tiny: Path, folder: Path, batches: int) -> Path:
+    """The run folder of the tiny campaign, stopped after some batches."""
+    campaign = Campaign.of(read_settings(tiny))
+    with (
+        FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store,
+        ThreadExecutor(2) as executor,
+    ):
+        run_loop(campaign, store, executor, 30, Observer(stop=lambda: len(store.batches) == batches))
+    return folder
+
+
+# --- help --------------------------------------------------------------------------------------------------------
+
+
+def test_the_help_lists_every_command_and_loads_neither_learning_nor_physics() -> None:
+    script = "import sys; from activefail.cli import app, main\ntry: main()\nfinally: print(sorted(sys.modules))"
+    said = subprocess.run([sys.executable, "-c", script, "--help"], capture_output=True, text=True, check=True)
+    assert {"simulate", "run", "resume", "status", "predict", "export", "compare"} <= set(COMMANDS)
+    assert [command for command in COMMANDS if command not in said.stdout] == []
+    loaded = said.stdout[said.stdout.index("['") :]
+    assert [name for name in ("torch", "numba", "h5py", "matplotlib") if f"'{name}'" in loaded] == []
+
+
+@pytest.mark.parametrize("asked", ["--help", "-h"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_a_help(command: str, asked: str) -> None:
+    said = activefail(command, asked)
+    assert (said.code, said.err) == (0, "")
+    assert f"activefail {command}" in said.out
+
+
+def test_the_help_of_simulate_gives_the_unit_of_every_variable_that_has_one() -> None:
+    lines = activefail("simulate", "--help").out.splitlines()
+    for parameter in TABLE_1.parameters:
+        option = "--" + parameter.name.lower().replace("_", "-") + " "
+        (line,) = [line for line in lines if option in line]
+        assert f"[{parameter.unit}]" in line or not parameter.unit, line
+
+
+def test_the_version_is_the_packages() -> None:
+    assert activefail("--version") == Said(0, f"activefail {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["explode"], "No such command 'explode'"),
+        (["status"], "Missing argument"),
+        (["run", "c.toml"], "Missing option '--out'"),
+        (["simulate", "--speed", "3"], "No such option: --speed"),
+        (["simulate", "--mu", "rough"], "Invalid value for '--mu'"),
+        (["run", "c.toml", "--out", "x", "--workers", "0"], "Invalid value for '--workers'"),
+        (["run", "c.toml", "--out", "x", "--seed", "1.5"], "Invalid value for '--seed'"),
+        (["compare", "x", "--test", "9"], "Invalid value for '--test'"),
+    ],
+)
+def test_a_command_line_that_makes_no_sense_is_refused_naming_what_does_not(words: list[str], says: str) -> None:
+    said = activefail(*words)
+    assert (said.code, said.out) == (2, "")
+    assert says in said.err
+    assert "Traceback" not in said.err
+
+
+def test_without_a_command_the_help_is_shown_and_the_exit_code_says_that_nothing_was_done() -> None:
+    said = activefail()
+    assert said.code == 2
+    assert "simulate" in said.out + said.err
+
+
+# --- simulate ----------------------------------------------------------------------------------------------------
+
+
+def test_one_design_is_simulated_as_the_library_does() -> None:
+    said = activefail("simulate", *design())
+    answer = simulate(np.array([[float(value) for value in DESIGN.values()]]))
+    assert (said.code, said.err) == (0, "")
+    assert re.search(rf"^outcome +{answer.outcome[0]} \(\w+\)$", said.out, re.MULTILINE)
+    for label, margin in (
+        ("impact", "first_touch_time"),
+        ("failure", "failure_time"),
+        ("x / D_tot", "peak_displacement_ratio"),
+        ("F_rim / Mg", "peak_rim_force_ratio"),
+        ("tilt", "peak_tilt"),
+    ):
+        assert re.search(rf"^{label} +{answer.margin(margin)[0]:.3f} ", said.out, re.MULTILINE)
+
+
+def test_without_an_impact_no_impact_is_told() -> None:
+    said = activefail("simulate", *design(a_p="0.1", t_p="0.5"))
+    assert re.search(r"^outcome +no_impact$", said.out, re.MULTILINE)
+    assert not re.search(r"^(impact|failure) ", said.out, re.MULTILINE)
+
+
+def test_a_design_outside_the_papers_ranges_is_simulated_with_a_note_that_names_value_and_range() -> None:
+    said = activefail("simulate", *design(mu="0.3"))
+    assert said.code == 0
+    assert said.err == "note: mu = 0.3 lies outside the paper's range 0.02 to 0.12\n"
+
+
+def test_a_plot_and_a_film_are_written_and_named(tmp_path: Path) -> None:
+    plot, film = tmp_path / "a.svg", tmp_path / "a.gif"
+    said = activefail("simulate", *design(), "--plot", plot, "--animate", film)
+    assert said.code == 0
+    assert said.out.splitlines()[-2:] == [f"plot       {plot}", f"film       {film}"]
+    assert plot.read_text().startswith("<?xml")
+    assert film.read_bytes().startswith(b"GIF8")
+
+
+def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER},site\n{ROW},A\n{ROW.replace('0.4', '0.1')},B\n")
+    said = activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    assert (said.code, said.err) == (0, "")
+    rows = table(tmp_path / "out.csv")
+    assert [row["site"] for row in rows] == ["A", "B"]
+    counted = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)(?:,|$)", said.out.splitlines()[0])}
+    assert counted == {
+        name: [row["outcome"] for row in rows].count(name)
+        for name in ("no_impact", "impact", "failure", "numerical_failure")
+    }
+    assert said.out.splitlines()[1] == f"written to {tmp_path / 'out.csv'}"
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        ([], ["missing: --t-b, --mu, --d-tot, --h-sl-ratio, --h-rim-ratio, --p, --k, --t-p, --a-p", "--csv and --out"]),
+        (["--mu", "0.1", "--k", "2e9"], ["missing: --t-b, --d-tot, --h-sl-ratio, --h-rim-ratio, --p, --t-p, --a-p"]),
+        (["--csv", "in.csv"], ["--csv needs --out"]),
+        (["--csv", "in.csv", "--out", "o.csv", "--mu", "0.1"], ["--csv simulates a table; --mu belongs to one design"]),
+        (["--csv", "in.csv", "--out", "o.csv", "--plot", "p.png"], ["--plot belongs to one design"]),
+        (["--csv", "in.csv", "--out", "o.csv", "--animate", "a.gif"], ["--animate belongs to one design"]),
+        (["--csv", "none.csv", "--out", "o.csv"], ["none.csv: cannot be read: No such file or directory"]),
+        ([*design(), "--out", "o.csv"], ["--out goes with --csv"]),
+        ([*design(), "--plot", "p.jpeg"], ["p.jpeg: a plot's name must end in .png, .svg or .pdf"]),
+        ([*design(), "--plot", "plot"], ["plot: a plot's name must end in"]),
+        ([*design(), "--animate", "a.avi"], ["a.avi: a film's name must end in .gif or .mp4"]),
+        ([*design(), "--plot", "none/p.png"], ["none/p.png: the folder", "does not exist"]),
+        ([*design(), "--animate", "none/a.gif"], ["none/a.gif: the folder", "does not exist"]),
+        (design(mu="0"), ["`mu > 0` must hold, got 0.0"]),
+        (design(mu="nan"), ["`mu > 0` must hold, got nan"]),
+        (design(t_p="-1"), ["> 0` must hold, got -1.0"]),
+        (design(a_p="inf"), ["must be finite, got inf"]),
+        (design(d_tot="20"), ["`dish_diameter < 2 radius`", "20.3"]),
+        ([*design(), "--restitution", "elastic"], ["`restitution` must be one of pairwise, assembly, got 'elastic'"]),
+        ([*design(), "--tolerance", "1"], ["1e-12 <= relative <= 1e-2", "got 1.0"]),
+        ([*design(), "--slider-diameter", "0"], ["`slider_diameter > 0` must hold, got 0.0"]),
+        ([*design(), "--friction-velocity", "-1"], ["`friction_velocity > 0` must hold, got -1.0"]),
+    ],
+)
+def test_a_design_or_options_that_break_a_rule_are_refused(
+    words: list[str], parts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(activefail("simulate", *words), *parts)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--t-p", "0"), ("--k", "-1"), ("--p", "0"), ("--a-p", "inf"), ("--h-rim-ratio", "-2")]
+)
+def test_a_value_that_breaks_a_rule_is_told_by_a_name_that_the_user_knows(option: str, value: str) -> None:
+    name = option.removeprefix("--").replace("-", "_")
+    said = activefail("simulate", *design(**{name: value}))
+    refused(said, value)
+    assert option in said.err or re.search(rf"\b{name}\b", said.err, re.IGNORECASE)
+
+
+def test_a_bad_row_of_a_table_is_named_and_nothing_is_written(tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n{ROW.replace('0.06', 'rough')}\n")
+    said = activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    refused(said, f"{tmp_path / 'in.csv'}: row 2 (line 3), column mu: must be a number, got 'rough'.")
+    assert os.listdir(tmp_path) == ["in.csv"]
+
+
+def test_a_plot_that_cannot_be_written_is_named_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "p.png").mkdir()
+    said = activefail("simulate", *design(), "--plot", tmp_path / "p.png")
+    assert said.code == 2
+    assert said.err == f"activefail: {tmp_path / 'p.png'}: cannot be written: Is a directory.\n"
+
+
+# --- run and resume ----------------------------------------------------------------------------------------------
+
+
+def test_a_campaign_is_run_to_its_budget_and_tells_where_it_is(ran: tuple[Path, Said]) -> None:
+    folder, said = ran
+    assert (said.code, said.err) == (0, "")
+    lines = said.out.splitlines()
+    assert lines[0].startswith("0/30 simulations | iteration 0 | 0 no_impact, 0 impact, 0 failure")
+    assert lines[-2].startswith("30/30 simulations | iteration 2 | ")
+    assert lines[-1] == f"results    {folder}"
+    rows = record(folder)
+    counts = [[row["outcome"] for row in rows].count(name) for name in ("no_impact", "impact", "failure")]
+    assert sum(counts) == 30
+    assert "{} no_impact, {} impact, {} failure".format(*counts) in lines[-2]
+
+
+def test_the_run_folder_keeps_the_settings_with_the_command_lines_seed_and_budget(tiny: Path, tmp_path: Path) -> None:
+    said = activefail("run", tiny, "--out", tmp_path / "run", "--seed", "8", "--budget", "22", "--workers", "1")
+    assert said.code == 0
+    kept = read_settings(tmp_path / "run" / "campaign.toml")
+    assert kept == read_settings(tiny).with_overrides(seed=8, budget=22)
+    assert len(record(tmp_path / "run")) == 22
+
+
+def test_the_command_line_and_the_library_run_the_same_campaign(
+    tiny: Path, ran: tuple[Path, Said], tmp_path: Path
+) -> None:
+    assert record(halted(tiny, tmp_path / "run", 99)) == record(ran[0])
+
+
+@pytest.mark.parametrize("batches", [0, 2, 5])
+def test_a_campaign_that_was_stopped_is_resumed_to_the_uninterrupted_one(
+    tiny: Path, ran: tuple[Path, Said], tmp_path: Path, batches: int
+) -> None:
+    folder = halted(tiny, tmp_path / "run", batches)
+    said = activefail("resume", folder, "--workers", "2")
+    assert (said.code, said.err) == (0, "")
+    assert said.out.splitlines()[0].startswith(f"{5 * batches}/30 simulations")
+    assert record(folder) == record(ran[0])
+
+
+def test_a_finished_campaign_is_resumed_to_itself_and_beyond_its_budget_when_asked(folder: Path) -> None:
+    before = record(folder)
+    assert activefail("resume", folder).code == 0
+    assert record(folder) == before
+    said = activefail("resume", folder, "--budget", "33")
+    assert (said.code, said.out.splitlines()[-1]) == (0, f"results    {folder}")
+    after = record(folder)
+    assert (len(after), after[:30]) == (33, before)
+    assert {row["origin"] for row in after[30:]} == {"active"}
+
+
+def test_an_existing_run_folder_is_refused_with_the_command_that_goes_on(tiny: Path, ran: tuple[Path, Said]) -> None:
+    said = activefail("run", tiny, "--out", ran[0])
+    refused(said, f"{ran[0]}: holds a campaign already", f"`activefail resume {ran[0]}`")
+
+
+def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tiny: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").touch()
+    refused(activefail("run", tiny, "--out", tmp_path), "is not empty (it holds thesis.tex)", code=1)
+    assert os.listdir(tmp_path) == ["thesis.tex"]
+
+
+def test_a_run_folder_that_cannot_be_made_is_named(tiny: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    refused(activefail("run", tiny, "--out", tmp_path / "file" / "run"), str(tmp_path / "file" / "run"), code=1)
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (None, ["mine.toml: cannot be read: No such file or directory"]),
+        (b"seed = ", ["mine.toml: not valid TOML"]),
+        (b'description = "\xfc"', ["mine.toml: not UTF-8 text"]),
+        (b"sead = 1", ["mine.toml:", "sead: unknown key"]),
+        (b"sampling = {initial = 9, budget = 8}", ["`initial <= budget` must hold, got 9 and 8"]),
+    ],
+)
+def test_a_campaign_file_with_a_mistake_is_refused_before_a_run_folder_is_made(
+    content: bytes | None, parts: list[str], tmp_path: Path
+) -> None:
+    if content is not None:
+        (tmp_path / "mine.toml").write_bytes(content)
+    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), *parts)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        ('acquisition.boundary = "collapse"', "acquisition.boundary: must be one of impact, failure, got 'collapse'"),
+        ("space.mu = {low = 0.1, high = 0.2}", "lacks the variable 'T_b'"),
+        ('space."T b" = {low = 1, high = 2}', "must be an identifier, got 'T b'"),
+    ],
+)
+def test_a_campaign_whose_pieces_do_not_fit_is_refused_by_the_name_of_its_file(
+    content: str, part: str, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.toml").write_text(content)
+    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), part, "mine.toml")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["--budget", "10"], "command line:\n  sampling: `initial <= budget` must hold, got 20 and 10"),
+        (["--seed", "-1"], "command line:\n  seed: must be greater than or equal to 0, got -1"),
+    ],
+)
+def test_a_seed_or_budget_that_breaks_a_rule_is_refused_as_the_command_lines(
+    tiny: Path, tmp_path: Path, words: list[str], part: str
+) -> None:
+    refused(activefail("run", tiny, "--out", tmp_path / "run", *words), part)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("budget", ["1", "0", "-3"])
+def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -> None:
+    refused(activefail("resume", folder, "--budget", budget), f"--budget: must be at least 2, got {budget}")
+
+
+COMMANDS_ON_FOLDERS = {
+    "resume": [],
+    "status": [],
+    "predict": ["--csv", "in.csv", "--out", "out.csv"],
+    "export": ["--csv", "out.csv"],
+    "compare": [],
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS_ON_FOLDERS)
+def test_what_is_no_run_folder_is_refused_by_every_command_and_left_alone(command: str, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").touch()
+    for name in ("none", "empty", "file"):
+        said = activefail(command, tmp_path / name, *COMMANDS_ON_FOLDERS[command])
+        refused(said, f"{tmp_path / name}: is not a run folder")
+    assert sorted(os.listdir(tmp_path)) == ["empty", "file"]
+    assert os.listdir(tmp_path / "empty") == []
+
+
+@pytest.mark.parametrize("command", COMMANDS_ON_FOLDERS)
+def test_settings_that_were_changed_afterwards_are_refused_by_every_command_with_the_change(
+    command: str, folder: Path
+) -> None:
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text().replace("seed = 3", "seed = 4"))
+    said = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
+    refused(said, "settings were changed", "-seed = 3", "+seed = 4", code=1)
+
+
+def test_a_folder_that_another_process_writes_to_can_be_read_and_not_written_to(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
+    with open_campaign(folder, write=True):
+        for command in ("resume", "compare"):
+            refused(activefail(command, folder), "Another process is writing to", str(folder), code=1)
+        assert activefail("status", folder).code == 0
+        assert activefail("export", folder, "--csv", tmp_path / "all.csv").code == 0
+        said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+        assert said.code == 0
+
+
+# --- status, predict, export -------------------------------------------------------------------------------------
+
+
+def test_the_status_of_a_finished_campaign_tells_its_pieces_and_counts(ran: tuple[Path, Said]) -> None:
+    said = activefail("status", ran[0])
+    assert (said.code, said.err) == (0, "")
+    assert "dfp, 9 variables, seed 3" in said.out
+    assert "rbf on paper features, entropy at the failure boundary" in said.out
+    assert "done       30 of 30 simulations, iteration 2" in said.out
+    outcomes = [row["outcome"] for row in record(ran[0])]
+    for name in ("no_impact", "impact", "failure"):
+        share = 100.0 * outcomes.count(name) / 30
+        assert re.search(rf"^ +{outcomes.count(name)} {name} \({share:.1f} %\)$", said.out, re.MULTILINE)
+    assert re.search(r"^ +0 numerical failures$", said.out, re.MULTILINE)
+    assert "resume" not in said.out
+
+
+@pytest.mark.parametrize("batches", [0, 3])
+def test_the_status_of_a_campaign_that_was_stopped_says_how_to_go_on(tiny: Path, tmp_path: Path, batches: int) -> None:
+    folder = halted(tiny, tmp_path / "run", batches)
+    said = activefail("status", folder)
+    assert said.code == 0
+    assert f"done       {5 * batches} of 30 simulations, iteration 0" in said.out
+    assert said.out.splitlines()[-1] == f"go on      activefail resume {folder}"
+
+
+def test_the_command_to_go_on_can_be_pasted_whatever_the_name_of_the_folder(tiny: Path, tmp_path: Path) -> None:
+    folder = halted(tiny, tmp_path / "my run", 0)
+    line = activefail("status", folder).out.splitlines()[-1]
+    assert shlex.split(line.removeprefix("go on")) == ["activefail", "resume", str(folder)]
+
+
+def test_the_status_of_a_campaign_taken_beyond_its_budget_does_not_say_that_it_did_more_than_all(folder: Path) -> None:
+    activefail("resume", folder, "--budget", "32")
+    assert "32 of 30" not in activefail("status", folder).out
+
+
+def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"site,{HEADER}\nA,{ROW}\nB,{ROW.replace('0.06', '0.5')}\n")
+    said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    assert said.code == 0
+    assert said.err == "warning: 1 designs lie outside the campaign's ranges; there it extrapolates\n"
+    assert said.out == f"written to {tmp_path / 'out.csv'}\n"
+    for row in table(tmp_path / "out.csv"):
+        assert sum(float(row[f"p_{name}"]) for name in ("no_impact", "impact", "failure")) == pytest.approx(1.0)
+
+
+def test_predictions_do_not_need_what_was_saved_of_the_learning(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
+    written = []
+    for name in ("before.csv", "after.csv"):
+        assert activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / name).code == 0
+        written.append((tmp_path / name).read_bytes())
+        shutil.rmtree(folder / "state", ignore_errors=True)
+    assert written[0] == written[1]
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (f"{HEADER}\n{ROW},1\n", "row 1 (line 2), must have 9 cells"),
+        (f"{HEADER}\n{ROW.replace('0.06', '')}\n", "row 1 (line 2), column mu: must be a number, got ''"),
+        (f"{HEADER}\n{ROW.replace('0.06', '0')}\n", "row 1 (line 2), features: must be finite"),
+        (f"{HEADER},p_failure\n{ROW},1\n", "column 'p_failure': will be written"),
+        ("", "is empty"),
+        (None, "cannot be read: No such file or directory"),
+    ],
+)
+def test_a_table_that_cannot_be_predicted_is_refused_and_nothing_is_written(
+    folder: Path, tmp_path: Path, content: str | None, part: str
+) -> None:
+    if content is not None:
+        (tmp_path / "in.csv").write_text(content)
+    said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    refused(said, f"{tmp_path / 'in.csv'}", part)
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_campaign_without_simulations_predicts_and_compares_nothing(tiny: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
+    folder = halted(tiny, tmp_path / "run", 0)
+    said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    refused(said, f"{folder}: has no simulations to learn from yet")
+    refused(activefail("compare", folder), "no simulations to compare yet")
+    assert record(folder) == []
+
+
+def test_where_a_table_cannot_be_written_its_name_and_the_reason_are_told(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
+    for target, reason in ((tmp_path / "none" / "out.csv", "No such file or directory"), (folder, "Is a directory")):
+        part = f"{target}: cannot be written: {reason}."
+        refused(activefail("export", folder, "--csv", target), part)
+        refused(activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", target), part)
+        refused(activefail("simulate", "--csv", tmp_path / "in.csv", "--out", target), part)
+
+
+# --- compare -----------------------------------------------------------------------------------------------------
+
+
+def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folder: Path) -> None:
+    said = activefail("compare", folder, "--budgets", "30,20,30", "--test", "60")
+    assert said.code == 0
+    results = folder / "compare"
+    rows = table(results / "scores.csv")
+    assert [(row["sampling"], row["simulations"]) for row in rows] == [
+        ("active", "20"),
+        ("active", "30"),
+        ("static", "20"),
+        ("static", "30"),
+    ]
+    lines = said.out.splitlines()
+    assert "failure accuracy" in lines[0]
+    printed = [line.split() for line in lines[1:5]]
+    assert [(words[1], words[0]) for words in printed] == [
+        ("active", "20"),
+        ("static", "20"),
+        ("active", "30"),
+        ("static", "30"),
+    ]
+    for words in printed:
+        (row,) = [row for row in rows if (row["sampling"], row["simulations"]) == (words[1], words[0])]
+        assert float(words[2]) == pytest.approx(100.0 * float(row["accuracy"]), abs=0.005)
+    assert (results / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
+    assert (results / "learning_curves.svg").read_text().startswith("<?xml")
+    assert str(results / "scores.csv") in said.out
+    # The campaign is what it was.
+    assert len(record(folder)) == 30
+
+
+@pytest.mark.parametrize("budgets", ["", "many", "20;30", "20,", "20,30.5", "1e2"])
+def test_budgets_that_are_no_whole_numbers_are_refused(folder: Path, budgets: str) -> None:
+    said = activefail("compare", folder, "--budgets", budgets)
+    refused(said, f"--budgets: must be whole numbers with commas between them, got {budgets!r}")
+
+
+@pytest.mark.parametrize(("budgets", "wrong"), [("20,31", 31), ("1", 1), ("0,20", 0), ("-5", -5)])
+def test_budgets_that_the_campaign_has_not_are_refused_before_anything_is_simulated(
+    folder: Path, budgets: str, wrong: int
+) -> None:
+    refused(
+        activefail("compare", folder, f"--budgets={budgets}"),
+        f"budgets: must lie between 2 and the 30 simulations done, got {wrong}",
+    )
+    assert list((folder / "sets").iterdir()) == []
+
+
+def test_where_a_comparison_cannot_be_written_the_place_is_named(folder: Path) -> None:
+    (folder / "compare").touch()
+    said = activefail("compare", folder, "--budgets", "20", "--test", "10")
+    assert said.code == 2
+    assert f"activefail: {folder / 'compare'}: cannot be written: File exists" in said.err
+
+
+# --- signals and pipes -------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def started(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
+    """The program in a process of its own, ended with the block."""
+    # A shell has its background jobs ignore Ctrl-C, and what they start would too.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "activefail.cli", *map(str, words)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_for(lines: io.TextIOBase, start: str) -> None:
+    """Read lines until one begins so."""
+    for line in lines:
+        if line.startswith(start):
+            return
+    pytest.fail(f"the program ended before it said {start!r}")
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, str]]]:
+    """A campaign file of twelve batches beyond the seed, and what it records when nothing interrupts it."""
+    path = tmp_path_factory.mktemp("long") / "long.toml"
+    path.write_text("seed = 5\nsampling = { initial = 20, budget = 80, batch = 5 }\n")
+    assert activefail("run", path, "--out", path.with_name("straight")).code == 0
+    return path, record(path.with_name("straight"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names_completes_it(
+    long: tuple[Path, list[dict[str, str]]], tmp_path: Path, number: signal.Signals
+) -> None:
+    folder = tmp_path / "run"
+    with started("run", long[0], "--out", folder, "--workers", "2") as process:
+        wait_for(process.stdout, "20/80 simulations")  # type: ignore[arg-type]
+        process.send_signal(number)
+        out, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert "stopping after this batch; once more to stop now" in err
+    assert "results" not in out
+    done = len(record(folder))
+    assert done % 5 == 0
+    assert 20 <= done < 80
+    command = shlex.split(err.strip().splitlines()[-1].partition("Go on with: ")[2])
+    assert command == ["activefail", "resume", str(folder)]
+
+    assert activefail(*command[1:]).code == 0
+    assert record(folder) == long[1]
+
+
+def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "slow.toml").write_text(
+        "sampling = { initial = 500, budget = 500, batch = 500 }\nbearing.tolerance = 1e-9\n"
+    )
+    with started("run", tmp_path / "slow.toml", "--out", tmp_path / "run", "--workers", "2") as process:
+        wait_for(process.stdout, "0/500 simulations")  # type: ignore[arg-type]
+        process.send_signal(signal.SIGINT)
+        wait_for(process.stderr, "stopping after this batch")  # type: ignore[arg-type]
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert err == f"stopped; batches that were recorded are safe. Go on with: activefail resume {tmp_path / 'run'}\n"
+    assert record(tmp_path / "run") == []
+
+
+def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n" + f"{ROW}\n" * 6000)
+    with started("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv") as process:
+        give_up = time.monotonic() + 60.0
+        while len(os.listdir(tmp_path)) < 2 and time.monotonic() < give_up:
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert os.listdir(tmp_path) == ["in.csv"]
+
+
+def test_a_reader_that_goes_away_is_no_reason_for_a_traceback(ran: tuple[Path, Said]) -> None:
+    with started("status", ran[0]) as process:
+        process.stdout.close()  # type: ignore[union-attr]
+        process.stdout = None
+        _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (1, "")
