@@ -8,8 +8,8 @@ from activefail.acquisition.batch import propose
 from activefail.acquisition.criteria import criterion
 from activefail.campaign.config import CampaignSettings
 from activefail.campaign.dfp import DfpSimulator
+from activefail.campaign.record import Schema
 from activefail.campaign.simulator import Simulator
-from activefail.campaign.store import Schema
 from activefail.errors import InputError
 from activefail.features import FeatureMap, feature_map
 from activefail.space import Array, DesignSpace

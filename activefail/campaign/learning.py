@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 
 from activefail.campaign.campaign import Campaign
+from activefail.campaign.record import Batch, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
-from activefail.campaign.store import Batch, Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent, train
 from activefail.surrogate.fitting import Fit, Hyperparameters, Sites

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 from activefail.campaign.campaign import Campaign, initial_designs, next_batch, stream
 from activefail.campaign.executor import Executor
 from activefail.campaign.learning import accuracy, classifier_state, current_classifier, learn
+from activefail.campaign.record import ACTIVE, SEED, Batch, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
-from activefail.campaign.store import ACTIVE, SEED, Batch, Store
 from activefail.errors import SimulationError
 from activefail.space import Array
 

@@ -11,18 +11,14 @@ altered or from another campaign is noticed; merging segments leaves the chain a
 """
 
 import difflib
-import hashlib
-import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields
-from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import fields
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -40,473 +36,36 @@ from activefail.campaign.image import (
     replace,
     sync_folder,
 )
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
+from activefail.campaign.record import (
+    COLUMNS,
+    STATES_KEPT,
+    Batch,
+    Schema,
+    answers_of,
+    check_set,
+    checked_state,
+    own_copy,
+)
+from activefail.campaign.segment import (
+    SCHEMA_VERSION,
+    Recovery,
+    Segment,
+    chain_start,
+    check_version,
+    decode_segment,
+    encode_segment,
+    merge,
+    program_version,
+    read_columns,
+    recover,
+)
+from activefail.campaign.simulator import Results
 from activefail.errors import BusyError, InputError, StoreError
 from activefail.space import Array
 
-SCHEMA_VERSION = 1
-"""Version of what the datasets and attributes of the files mean."""
-
-SEED = 0
-"""Origin of a design that stood before any learning."""
-
-ACTIVE = 1
-"""Origin of a design that the learner chose."""
-
-STATES_KEPT = 3
 COMPACT_AT = 64
 QUARANTINE = ".quarantine"
 FOLDERS = ("segments", "state", "sets")
-
-# Little-endian, whatever the machine: the digests are over these bytes.
-COLUMNS = {"designs": "<f8", "origin": "i1", "outcome": "i1", "cause": "i1", "margins": "<f8", "seconds": "<f8"}
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Designs that were simulated together, and the answers.
-
-    Attributes:
-        iteration: of the loop; 0 is the seed design.
-        designs: (n, d) float64, in the variables' units; at least one row.
-        origin: (n,) int8, SEED or ACTIVE.
-        results: of the n designs.
-
-    Raises:
-        ValueError: if the shapes do not agree, there is no design or the iteration is negative.
-    """
-
-    iteration: int
-    designs: Array
-    origin: NDArray[np.int8]
-    results: Results
-
-    def __post_init__(self) -> None:
-        n = len(self.results)
-        if self.designs.ndim != 2 or len(self.designs) != n or self.origin.shape != (n,):
-            shapes = (self.designs.shape, self.origin.shape, (n,))
-            raise ValueError(f"A batch needs (n, d) designs, (n,) origins and n results, got shapes {shapes}.")
-        if n == 0 or self.iteration < 0:
-            raise ValueError(f"`designs > 0` and `iteration >= 0` must hold, got {n} and {self.iteration}.")
-
-    def __len__(self) -> int:
-        return len(self.origin)
-
-
-@dataclass(frozen=True)
-class Schema:
-    """What the columns and codes of a record mean.
-
-    Attributes:
-        variables: names of the columns of the designs.
-        outcomes: names of the outcomes 0, 1, ...; NUMERICAL_FAILURE stands beside them.
-        causes: names of the causes 0, 1, ...
-        margins: names of the columns of the margins.
-
-    Raises:
-        ValueError: if one of them is not a tuple of texts.
-    """
-
-    variables: tuple[str, ...]
-    outcomes: tuple[str, ...]
-    causes: tuple[str, ...]
-    margins: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            names = getattr(self, field.name)
-            if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
-                raise ValueError(f"`{field.name}` must be a tuple of texts, got {names!r}.")
-
-    @classmethod
-    def from_text(cls, text: str) -> Self:
-        """The schema that `text` gave."""
-        return cls(**{name: tuple(names) for name, names in json.loads(text).items()})
-
-    @property
-    def text(self) -> str:
-        """The schema as JSON, always the same for the same names."""
-        return json.dumps(asdict(self), ensure_ascii=True, separators=(",", ":"))
-
-    def check(self, designs: Array, results: Results) -> None:
-        """Check that designs and results are of this schema, bit for bit what a file can hold.
-
-        Raises:
-            InputError: if a type, a number of columns or a code is not.
-        """
-        columns = {"designs": designs, **_answers(results)}
-        for name, array in columns.items():
-            if array.dtype != np.dtype(COLUMNS[name]):
-                raise InputError(f"`{name}` must be {np.dtype(COLUMNS[name]).name}, got {array.dtype}.")
-        for name, names in (("designs", self.variables), ("margins", self.margins)):
-            if columns[name].shape[1] != len(names):
-                raise InputError(f"`{name}` must have {len(names)} columns {names}, got {columns[name].shape[1]}.")
-        for name, names, low in (("outcome", self.outcomes, NUMERICAL_FAILURE), ("cause", self.causes, 0)):
-            codes = columns[name]
-            if len(codes) and not (low <= codes.min() and codes.max() < len(names)):
-                raise InputError(f"`{low} <= {name} < {len(names)}` must hold, got {codes.min()} to {codes.max()}.")
-
-
-class Store(Protocol):
-    """Where a campaign is recorded; a context manager that closes itself.
-
-    The arrays of `batches` are read-only and the store's own; those of states and sets are the caller's.
-    """
-
-    @property
-    def batches(self) -> tuple[Batch, ...]:
-        """All committed batches, in order."""
-        ...
-
-    def commit(self, batch: Batch) -> None:
-        """Append a batch; it is durable when this returns.
-
-        Raises:
-            InputError: if the batch is not of the store's schema.
-            StoreError: if it cannot be kept; no reader ever sees a part of it.
-        """
-        ...
-
-    def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep named float64 or int64 arrays, learned from the batches so far; the last three states stay.
-
-        States of later iterations are dropped: they belong to a course that this campaign did not take.
-
-        Raises:
-            InputError: if an array has another type or a name is empty.
-            StoreError: if they cannot be written.
-        """
-        ...
-
-    def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
-        """The newest state that can be read and was learned from batches of this record, with its iteration."""
-        ...
-
-    def write_set(self, name: str, X: Array, results: Results) -> None:
-        """Keep designs X, shape (n, d), and their results beside the campaign, in the place of an older set.
-
-        Raises:
-            InputError: if the name is not made of letters, digits, `_` and `-`, or the set is not of the schema.
-            StoreError: if it cannot be written.
-        """
-        ...
-
-    def read_set(self, name: str) -> tuple[Array, Results] | None:
-        """The set, or None if there is none that is whole."""
-        ...
-
-    def close(self) -> None:
-        """Write nothing more and let another writer in; what was read stays."""
-        ...
-
-    def __enter__(self) -> Self: ...
-    def __exit__(self, *exception: object) -> None: ...
-
-
-class MemoryStore:
-    """A record that lasts as long as this object."""
-
-    def __init__(self, schema: Schema) -> None:
-        self.schema = schema
-        self._batches: tuple[Batch, ...] = ()
-        self._states: dict[int, dict[str, NDArray[Any]]] = {}
-        self._sets: dict[str, tuple[Array, Results]] = {}
-        self._open = True
-
-    @property
-    def batches(self) -> tuple[Batch, ...]:
-        """All committed batches, in order."""
-        return self._batches
-
-    def commit(self, batch: Batch) -> None:
-        """Append a batch (see Store)."""
-        self._check_open()
-        self._batches = (*self._batches, _kept(batch, self.schema))
-
-    def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep named arrays (see Store)."""
-        self._check_open()
-        kept = [i for i in sorted(self._states) if i < iteration][1 - STATES_KEPT :]
-        self._states = {i: self._states[i] for i in kept} | {iteration: _checked_state(iteration, arrays)}
-
-    def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
-        """The newest state (see Store)."""
-        if not self._states:
-            return None
-        iteration = max(self._states)
-        return iteration, {name: array.copy() for name, array in self._states[iteration].items()}
-
-    def write_set(self, name: str, X: Array, results: Results) -> None:
-        """Keep a set (see Store)."""
-        self._check_open()
-        _check_set(name, X, results, self.schema)
-        self._sets[name] = X.copy(), _copied(results)
-
-    def read_set(self, name: str) -> tuple[Array, Results] | None:
-        """The set, or None (see Store)."""
-        if name not in self._sets:
-            return None
-        X, results = self._sets[name]
-        return X.copy(), _copied(results)
-
-    def close(self) -> None:
-        """Refuse further writing."""
-        self._open = False
-
-    def _check_open(self) -> None:
-        if not self._open:
-            raise StoreError("This store is closed.")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
-
-def _answers(results: Results) -> dict[str, NDArray[Any]]:
-    return {
-        "outcome": results.outcome,
-        "cause": results.cause,
-        "margins": results.margins,
-        "seconds": results.seconds,
-    }
-
-
-def _copied(results: Results) -> Results:
-    return Results(**{name: array.copy() for name, array in _answers(results).items()})
-
-
-def _columns(batch: Batch) -> dict[str, NDArray[Any]]:
-    return {"designs": batch.designs, "origin": batch.origin, **_answers(batch.results)}
-
-
-def _batch(iteration: int, columns: Mapping[str, NDArray[Any]]) -> Batch:
-    """The batch of these columns; its arrays are made read-only."""
-    for array in columns.values():
-        array.flags.writeable = False
-    answers = {name: array for name, array in columns.items() if name not in ("designs", "origin")}
-    return Batch(iteration, columns["designs"], columns["origin"], Results(**answers))
-
-
-def _kept(batch: Batch, schema: Schema) -> Batch:
-    """The store's own copy of a batch that is of the schema."""
-    schema.check(batch.designs, batch.results)
-    if batch.origin.dtype != np.int8:
-        raise InputError(f"`origin` must be int8, got {batch.origin.dtype}.")
-    return _batch(batch.iteration, {name: array.copy() for name, array in _columns(batch).items()})
-
-
-def _checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Copies of the arrays of a state."""
-    if iteration < 0 or not all(arrays):
-        raise InputError(f"A state needs `iteration >= 0` and names, got {iteration} and {list(arrays)}.")
-    state = {name: np.array(array) for name, array in arrays.items()}
-    for name, array in state.items():
-        if array.dtype not in (np.float64, np.int64):
-            raise InputError(f"A state holds float64 and int64 arrays, got {array.dtype} for {name!r}.")
-    return state
-
-
-def _check_set(name: str, X: Array, results: Results, schema: Schema) -> None:
-    if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
-        raise InputError(f"The name of a set must be made of letters, digits, `_` and `-`, got {name!r}.")
-    if X.ndim != 2 or len(X) != len(results):
-        raise InputError(f"A set needs (n, d) designs and n results, got shape {X.shape} and {len(results)}.")
-    schema.check(X, results)
-
-
-def chain_start(settings: str, schema: Schema) -> str:
-    """The digest that the chain of a campaign begins with (SHA-256 over the settings' SHA-256 and the schema)."""
-    return hashlib.sha256(_sha256(settings).encode() + schema.text.encode()).hexdigest()
-
-
-def chain_next(before: str, batch: Batch) -> str:
-    """The digest after a batch: SHA-256 over the one before it and every bit of the batch."""
-    columns = _columns(batch)
-    digest = hashlib.sha256(bytes.fromhex(before))
-    digest.update(f"{batch.iteration} {batch.designs.shape} {batch.results.margins.shape}\n".encode())
-    for name, dtype in COLUMNS.items():
-        digest.update(columns[name].astype(dtype, copy=False).tobytes())
-    return digest.hexdigest()
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """One file of the record: whole batches, numbered by their designs' ids, and their place in the chain."""
-
-    settings: str
-    schema: Schema
-    first: int
-    before: str
-    batches: tuple[Batch, ...]
-    provenance: Mapping[str, str]
-
-    @cached_property
-    def chain(self) -> dict[int, str]:
-        """The chain's digest before the design of each id at which a batch begins, and after the last design."""
-        end, digest = self.first, self.before
-        chain = {end: digest}
-        for batch in self.batches:
-            end, digest = end + len(batch), chain_next(digest, batch)
-            chain[end] = digest
-        return chain
-
-    @property
-    def last(self) -> int:
-        """Id of the last design."""
-        return max(self.chain) - 1
-
-    @property
-    def after(self) -> str:
-        """The chain's digest after the last design."""
-        return self.chain[self.last + 1]
-
-    @property
-    def name(self) -> str:
-        """Name of the file."""
-        return f"{self.first:09d}-{self.last:09d}.h5"
-
-
-def _encode_segment(segment: Segment) -> bytes:
-    columns = [_columns(batch) for batch in segment.batches]
-    content: dict[str, NDArray[Any] | str] = {
-        **{name: np.concatenate([part[name] for part in columns]) for name in COLUMNS},
-        "iteration": np.array([batch.iteration for batch in segment.batches], dtype=np.int64),
-        "size": np.array([len(batch) for batch in segment.batches], dtype=np.int64),
-        "settings": segment.settings,
-        "schema": segment.schema.text,
-    }
-    attributes = {
-        "schema_version": str(SCHEMA_VERSION),
-        "first": str(segment.first),
-        "last": str(segment.last),
-        "chain_before": segment.before,
-        "chain_after": segment.after,
-        "settings_sha256": _sha256(segment.settings),
-    }
-    return encode(content, attributes | {f"provenance.{name}": text for name, text in segment.provenance.items()})
-
-
-def _decode_segment(name: str, data: bytes) -> Segment:
-    """The segment in a file of this name.
-
-    Raises:
-        DamagedError: if the file is not whole or not what its name says.
-        StoreError: if it was written in another version.
-    """
-    with opened(data) as image:
-        _check_version(image)
-        settings, schema = image.text("settings"), Schema.from_text(image.text("schema"))
-        first, n = int(image.attribute("first")), int(image.attribute("last")) - int(image.attribute("first")) + 1
-        columns = _read_columns(image, list(COLUMNS), n, schema)
-        _, sizes_shape = image.declared("size")
-        sizes, iterations = (image.array(key, "<i8", sizes_shape) for key in ("size", "iteration"))
-        if sizes.ndim != 1 or sizes.min() < 1 or sum(sizes.tolist()) != n:
-            raise DamagedError(f"holds {n} designs in batches of {sizes.tolist()}")
-        parts = {key: np.split(array, np.cumsum(sizes)[:-1]) for key, array in columns.items()}
-        batches = tuple(
-            _batch(int(iteration), {key: part[i] for key, part in parts.items()})
-            for i, iteration in enumerate(iterations)
-        )
-        before, after = image.attribute("chain_before"), image.attribute("chain_after")
-        segment = Segment(settings, schema, first, before, batches, image.attributes("provenance."))
-        if (segment.name, segment.after, _sha256(settings)) != (name, after, image.attribute("settings_sha256")):
-            raise DamagedError("is not the file that its name, its chain and its settings' SHA-256 say")
-    return segment
-
-
-def _read_columns(image: Image, names: Sequence[str], n: int, schema: Schema) -> dict[str, NDArray[Any]]:
-    widths = {"designs": len(schema.variables), "margins": len(schema.margins)}
-    return {name: image.array(name, COLUMNS[name], (n, widths[name]) if name in widths else (n,)) for name in names}
-
-
-def _check_version(image: Image) -> None:
-    written = image.attribute("schema_version")
-    if written != str(SCHEMA_VERSION):
-        program = image.attributes("provenance.").get("activefail", "of an unknown version")
-        raise StoreError(
-            f"was written in schema version {written} by activefail {program}; "
-            f"this program (activefail {_version()}) reads schema version {SCHEMA_VERSION}."
-        )
-
-
-def _version() -> str:
-    try:
-        return version("activefail")
-    except PackageNotFoundError:
-        return "unknown"
-
-
-def _merged(segments: Sequence[Segment]) -> Segment:
-    """One segment with the batches of consecutive ones."""
-    provenance = {}
-    for key in sorted({key for segment in segments for key in segment.provenance}):
-        # Where the programs changed in between, the merged file says from which design on.
-        changes = {
-            run[0].first: text
-            for text, group in groupby(segments, key=lambda segment: segment.provenance.get(key, ""))
-            if (run := list(group))
-        }
-        provenance[key] = next(iter(changes.values())) if len(changes) == 1 else json.dumps(changes)
-    start = segments[0]
-    batches = tuple(batch for segment in segments for batch in segment.batches)
-    return Segment(start.settings, start.schema, start.first, start.before, batches, provenance)
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """What a folder's segments come to: the chain, and what can go without losing a design."""
-
-    chain: tuple[Segment, ...]
-    covered: tuple[str, ...]  # inputs of a compaction that was interrupted
-    damaged: Mapping[str, str]  # name -> reason; none of them stands before a valid segment
-
-
-def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str) -> Recovery:
-    """The longest chain of segments from design 0 on, where the widest one wins.
-
-    Raises:
-        StoreError: if designs are missing before valid segments, or segments contradict each other.
-    """
-    chain: list[Segment] = []
-    digests = {0: start}
-    end = 0
-    while fits := [segment for segment in segments if segment.first == end and segment.before == digests[end]]:
-        chain.append(max(fits, key=lambda segment: segment.last))
-        digests |= chain[-1].chain
-        end = max(digests)
-    covered, beyond, strays = [], [], {}
-    for segment in segments:
-        if segment.first > end:
-            beyond.append(segment)
-        elif segment.first == end:
-            strays[segment.name] = "does not continue the chain of this campaign"
-        elif segment in chain:
-            continue
-        elif segment.chain.items() <= digests.items():
-            covered.append(segment.name)
-        else:
-            rivals = [other.name for other in chain if other.first <= segment.last and segment.first <= other.last]
-            raise StoreError(
-                f"Two writers have written different designs under the same ids: {segment.name} against "
-                f"{', '.join(rivals)}. Nothing was changed. Move the wrong one out of segments/ to go on."
-            )
-    damaged = {**damaged, **strays}
-    if beyond:
-        later = min(beyond, key=lambda segment: segment.first)
-        bad = "; ".join(f"{name} {reason}" for name, reason in sorted(damaged.items()))
-        raise StoreError(
-            f"Designs {end} to {later.first - 1} are missing ({bad or 'there is no file with them'}), yet there "
-            f"{'are' if len(beyond) > 1 else 'is'} {', '.join(sorted(segment.name for segment in beyond))}. Nothing "
-            f"was changed. Restore the missing file from a copy, or move the later ones out of segments/ to go on "
-            f"from design {end}."
-        )
-    return Recovery(tuple(chain), tuple(covered), damaged)
 
 
 def _plain_files(folder: Path) -> list[str]:
@@ -549,7 +108,7 @@ def _read_segments(folder: Path) -> tuple[list[Segment], dict[str, str]]:
         for name in sorted(names - read.keys()):
             try:
                 with _reading(folder / name):
-                    read[name] = _decode_segment(name, (folder / name).read_bytes())
+                    read[name] = decode_segment(name, (folder / name).read_bytes())
             except FileNotFoundError:
                 continue
             except DamagedError as error:
@@ -610,7 +169,7 @@ class FolderStore:
         self.folder = folder
         self.settings = settings
         self.schema = schema
-        self._provenance = {"activefail": _version(), **provenance}
+        self._provenance = {"activefail": program_version(), **provenance}
         self._lock = lock
         self._warnings: list[str] = []
         self._segments: list[Segment] = []
@@ -804,9 +363,9 @@ class FolderStore:
         """Append a batch (see Store); merge segments if there are many small ones."""
         schema = self._writable()
         first = self._segments[-1].last + 1 if self._segments else 0
-        kept = (_kept(batch, schema),)
+        kept = (own_copy(batch, schema),)
         segment = Segment(self.settings, schema, first, self._digest, kept, self._provenance)
-        data = _encode_segment(segment)
+        data = encode_segment(segment)
         with self._writing():
             self._publish(segment, data)
             self._segments.append(segment)
@@ -851,10 +410,10 @@ class FolderStore:
         for run in runs:
             if len(run) < COMPACT_AT:
                 continue
-            merged = _merged(run)
+            merged = merge(run)
             if merged.after != run[-1].after:
                 raise StoreError(f"Batches of {self.folder} changed in memory; open it again.")
-            data = _encode_segment(merged)
+            data = encode_segment(merged)
             with self._writing():
                 publish(folder / merged.name, data)
                 at = self._segments.index(run[0])
@@ -868,7 +427,7 @@ class FolderStore:
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays (see Store)."""
         self._writable()
-        content = {_dataset_name(name): array for name, array in _checked_state(iteration, arrays).items()}
+        content = {_dataset_name(name): array for name, array in checked_state(iteration, arrays).items()}
         attributes = {"schema_version": str(SCHEMA_VERSION), "iteration": str(iteration), "chain": self._digest}
         data = encode(content, attributes)
         with self._writing():
@@ -890,7 +449,7 @@ class FolderStore:
         for iteration, path in reversed(self._states()):
             try:
                 with _reading(path), opened(path.read_bytes()) as image:
-                    _check_version(image)
+                    check_version(image)
                     # A state may know a batch that was quarantined since.
                     if image.attribute("chain") not in digests or image.attribute("iteration") != str(iteration):
                         raise DamagedError("was not learned from the batches of this record")
@@ -904,8 +463,8 @@ class FolderStore:
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""
         schema = self._writable()
-        _check_set(name, X, results, schema)
-        content: dict[str, NDArray[Any] | str] = {"designs": X, **_answers(results), "schema": schema.text}
+        check_set(name, X, results, schema)
+        content: dict[str, NDArray[Any] | str] = {"designs": X, **answers_of(results), "schema": schema.text}
         data = encode(content, {"schema_version": str(SCHEMA_VERSION), "campaign": self._start})
         with self._writing():
             replace(self.folder / "sets" / f"{name}.h5", data)
@@ -917,12 +476,12 @@ class FolderStore:
             return None
         try:
             with _reading(path), opened(path.read_bytes()) as image:
-                _check_version(image)
+                check_version(image)
                 schema = Schema.from_text(image.text("schema"))
                 if image.attribute("campaign") != chain_start(self.settings, schema):
                     raise DamagedError("belongs to another campaign")
                 _, shape = image.declared("outcome")
-                columns = _read_columns(image, [key for key in COLUMNS if key != "origin"], shape[0], schema)
+                columns = read_columns(image, [key for key in COLUMNS if key != "origin"], shape[0], schema)
                 return columns.pop("designs"), Results(**columns)
         except DamagedError as error:
             if self._refusal:

@@ -10,8 +10,8 @@ from scipy.stats import binomtest
 from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.executor import Executor
 from activefail.campaign.loop import one_thread, simulated_set, standing
+from activefail.campaign.record import Batch, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
-from activefail.campaign.store import Batch, Store
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train

@@ -9,8 +9,8 @@ from activefail.bearing import outcome as o
 from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulate import simulate
 from activefail.campaign.campaign import Campaign
+from activefail.campaign.record import SEED, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
-from activefail.campaign.store import SEED, Store
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier

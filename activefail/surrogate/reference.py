@@ -124,7 +124,8 @@ def _maximum(model: Logit, separation: bool) -> tuple[Any, bool]:
         if separation:
             return start, False
         try:
-            found = model.fit(method="newton", start_params=start.params, **quiet)
+            tolerance = 1e-8 * max(1.0, float(np.abs(start.params).max()))
+            found = model.fit(method="newton", start_params=start.params, tol=tolerance, **quiet)
         except np.linalg.LinAlgError:  # next to separation the information vanishes
             return start, False
     return (found, True) if found.mle_retvals["converged"] else (start, False)

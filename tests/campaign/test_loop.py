@@ -19,8 +19,9 @@ from activefail.campaign.executor import ThreadExecutor
 from activefail.campaign.folder import open_campaign
 from activefail.campaign.learning import accuracy, current_classifier, training_rows
 from activefail.campaign.loop import Observer, Progress, one_thread, run, standing
+from activefail.campaign.record import ACTIVE, SEED, Batch, MemoryStore, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
-from activefail.campaign.store import ACTIVE, SEED, Batch, FolderStore, MemoryStore, Store
+from activefail.campaign.store import FolderStore
 from activefail.errors import SimulationError
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train

@@ -22,8 +22,10 @@ from hypothesis import strategies as st
 
 from activefail.campaign import image
 from activefail.campaign import store as store_module
+from activefail.campaign.record import Batch, Schema, columns_of
+from activefail.campaign.segment import Segment, chain_next, chain_start, recover
 from activefail.campaign.simulator import Results
-from activefail.campaign.store import Batch, FolderStore, Schema, Segment, chain_next, chain_start, recover
+from activefail.campaign.store import FolderStore
 from activefail.errors import BusyError, InputError, StoreError
 
 SCHEMA = Schema(("radius", "mu"), ("none", "failure"), ("", "uplift"), ("drift",))
@@ -39,9 +41,7 @@ def batch(n: int, seed: int = 0, iteration: int = 0) -> Batch:
 
 
 def contents(store: FolderStore) -> list[tuple[object, ...]]:
-    return [
-        (one.iteration, *(array.tobytes() for array in store_module._columns(one).values())) for one in store.batches
-    ]
+    return [(one.iteration, *(array.tobytes() for array in columns_of(one).values())) for one in store.batches]
 
 
 def written(folder: Path, *sizes: int) -> list[tuple[object, ...]]:
@@ -602,7 +602,7 @@ def test_kill_9_releases_the_lock_and_loses_no_acknowledged_batch(tmp_path: Path
     written(folder, 2)
     program = (
         "import sys, numpy as np\n"
-        "from activefail.campaign.store import Batch, FolderStore\n"
+        "from activefail.campaign.record import Batch\nfrom activefail.campaign.store import FolderStore\n"
         "store = FolderStore.open(sys.argv[1], write=True)\n"
         "while True:\n"
         "    store.commit(store.batches[0])\n"

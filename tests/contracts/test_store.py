@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from activefail.campaign.record import ACTIVE, SEED, Batch, MemoryStore, Schema, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
-from activefail.campaign.store import ACTIVE, SEED, Batch, FolderStore, MemoryStore, Schema, Store
+from activefail.campaign.store import FolderStore
 from activefail.errors import InputError, StoreError
 
 SCHEMA = Schema(("radius", "mu"), ("none", "impact", "failure"), ("", "uplift"), ("drift", "gap", "force"))

@@ -10,7 +10,7 @@ from activefail.campaign.campaign import Campaign
 from activefail.campaign.executor import ThreadExecutor
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread, run
-from activefail.campaign.store import MemoryStore
+from activefail.campaign.record import MemoryStore
 from activefail.surrogate.classifier import Classifier
 
 

@@ -8,7 +8,7 @@ from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.executor import ThreadExecutor
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import Observer, one_thread, run, standing
-from activefail.campaign.store import MemoryStore
+from activefail.campaign.record import MemoryStore
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.study.compare import Score, compare, default_budgets, score
