@@ -1,5 +1,6 @@
 """The command line: parse, call, print."""
 
+import shlex
 import signal
 import sys
 import time
@@ -21,6 +22,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    # Plain help: markup would take a unit in brackets for a style.
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -126,19 +129,18 @@ def simulate(
 def _simulate_one(
     design: list[float], model: "Model", tolerance: "Tolerance", plot: Path | None, animate: Path | None
 ) -> None:
-    from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Pulse
+    from activefail.bearing.design import TABLE_1, Bearing, Pulse
     from activefail.bearing.simulate import simulate_one
 
-    T_p, A_p = design[7:]
     for path in (plot, animate):
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
-    if plot is not None and plot.suffix not in {".png", ".svg", ".pdf"}:
+    if plot is not None and plot.suffix.lower() not in {".png", ".svg", ".pdf"}:
         raise InputError(f"{plot}: a plot's name must end in .png, .svg or .pdf.")
-    if animate is not None and animate.suffix not in {".gif", ".mp4"}:
+    if animate is not None and animate.suffix.lower() not in {".gif", ".mp4"}:
         raise InputError(f"{animate}: a film's name must end in .gif or .mp4.")
     response = simulate_one(
-        Bearing.from_row(design, model.slider_diameter), Pulse(T_p, A_p * GRAVITY), model, tolerance
+        Bearing.from_row(design, model.slider_diameter), Pulse.from_table(*design[7:]), model, tolerance
     )
     _print_response(response)
     for parameter, value in zip(TABLE_1.parameters, design, strict=True):
@@ -235,17 +237,18 @@ def run(
     workers: Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)] = None,
 ) -> None:
     """Start a campaign in a new run folder and take it to its budget."""
-    from activefail.campaign.campaign import Campaign
-    from activefail.campaign.config import read_settings
-    from activefail.campaign.provenance import provenance
-    from activefail.campaign.store import FolderStore
+    from activefail.campaign.folder import create_run, read_campaign
 
-    settings = read_settings(campaign).with_overrides(seed, budget)
-    assembled = Campaign.of(settings)
+    assembled = read_campaign(campaign, seed, budget)
     if (out / "campaign.toml").exists():
-        raise InputError(f"{out}: holds a campaign already; `activefail resume {out}` goes on with it.")
-    with FolderStore.create(out, settings.text(), assembled.schema, provenance=provenance()) as store:
-        _take_to_budget(assembled, store, out, settings.sampling.budget, workers, "")
+        raise InputError(f"{out}: holds a campaign already; `{_resume(out)}` goes on with it.")
+    with create_run(out, assembled) as store:
+        _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, workers, "")
+
+
+def _resume(folder: Path) -> str:
+    """The command that goes on with a campaign, ready to be pasted."""
+    return f"activefail resume {shlex.quote(str(folder))}"
 
 
 @app.command()
@@ -274,7 +277,7 @@ def _take_to_budget(
     from activefail.campaign.executor import local_executor
     from activefail.campaign.loop import run as run_loop
 
-    again = f"activefail resume {folder}{resume_options}"
+    again = f"{_resume(folder)}{resume_options}"
     try:
         with (
             _stop_on_signals() as stop,
@@ -362,7 +365,7 @@ def _progress_line(campaign: Any, progress: "Progress", bar: bool = False) -> st
         parts.append(f"{progress.numerical_failures} numerical failures")
     if progress.accuracy is not None:
         parts.append(f"accuracy {100.0 * progress.accuracy:.1f} %")
-    if progress.seconds_left:
+    if progress.seconds_left is not None and progress.done < progress.budget:
         parts.append(f"{progress.seconds_left:.0f} s left")
     return " | ".join(parts)
 
@@ -388,13 +391,16 @@ def status(folder: RunFolder) -> None:
             f"learner    {settings.classifier.kernel} on {settings.classifier.features} features, "
             f"{settings.acquisition.criterion} at the {settings.acquisition.boundary} boundary"
         )
-        print(f"done       {progress.done} of {progress.budget} simulations, iteration {progress.iteration}")
+        planned = f"{progress.done} of {progress.budget} simulations"
+        if progress.done > progress.budget:
+            planned = f"{progress.done} simulations, {progress.budget} were planned"
+        print(f"done       {planned}, iteration {progress.iteration}")
         for name, count in zip(campaign.simulator.outcomes, progress.counts, strict=True):
             share = f"{100.0 * count / progress.done:.1f} %" if progress.done else "-"
             print(f"           {count:>6} {name} ({share})")
         print(f"           {progress.numerical_failures:>6} numerical failures")
         if progress.done < progress.budget:
-            print(f"go on      activefail resume {folder}")
+            print(f"go on      {_resume(folder)}")
 
 
 @app.command()
@@ -417,7 +423,7 @@ def predict(
         with _progress_bar("predicting") as begin:
             outside = predict_table(campaign, classifier, csv, out, begin)
     if outside:
-        print(f"warning: {outside} designs lie outside the campaign's ranges; there it extrapolates", file=sys.stderr)
+        print(f"warning: outside the campaign's ranges, where it extrapolates: {outside} designs", file=sys.stderr)
     print(f"written to {out}")
 
 

@@ -66,7 +66,7 @@ class DesignTable:
                     raise InputError(f"{path}: column {name!r}: will be written and must not be there already.")
             columns = [header.index(name) for name in names]
             rows = 0
-            for cells in lines:
+            for cells in filter(None, lines):  # blank lines are no rows
                 rows += 1
                 problem = _problem(cells, header, columns, check)
                 if problem is not None:
@@ -79,7 +79,7 @@ class DesignTable:
         with _reading(self.path) as lines:
             next(lines)
             texts: list[list[str]] = []
-            for cells in lines:
+            for cells in filter(None, lines):
                 texts.append(cells)
                 if len(texts) == ROWS_AT_ONCE:
                     yield texts, _designs(texts, columns)
@@ -99,7 +99,8 @@ def _problem(cells: list[str], header: list[str], columns: list[int], check: Che
     for place, column in enumerate(columns):
         text = cells[column].strip()
         try:
-            design[place] = float(text)
+            # Python's own 1_000 is no number to anyone else.
+            design[place] = float(text.replace("_", "?"))
         except ValueError:
             return f"column {header[column]}: must be a number, got {text!r}"
         if not math.isfinite(design[place]):
@@ -118,7 +119,7 @@ def _reading(path: Path) -> Iterator[Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: must be UTF-8 text: {error.reason}.") from None
+        raise InputError(f"{path}: must be UTF-8 text: {error.reason} at byte {error.start}.") from None
     except csv.Error as error:
         place = f" at line {lines.line_num}" if lines is not None else ""
         raise InputError(f"{path}: not valid CSV{place}: {error}.") from None

@@ -96,7 +96,7 @@ class Bearing:
         Raises:
             InputError: as the class does.
         """
-        _require_positive(T_b=T_b, D_tot=D_tot, h_sl_ratio=h_sl_ratio, h_rim_ratio=h_rim_ratio, p=p)
+        _require_positive(T_b=T_b, mu=mu, D_tot=D_tot, h_sl_ratio=h_sl_ratio, h_rim_ratio=h_rim_ratio, p=p, k=k)
         return cls(
             radius=GRAVITY * (T_b / (2.0 * math.pi)) ** 2 / 2.0,
             mu=mu,
@@ -140,6 +140,18 @@ class Pulse:
         _require_positive(period=self.period)
         if not math.isfinite(self.amplitude):
             raise InputError(f"The amplitude of a pulse must be finite, got {self.amplitude}.")
+
+    @classmethod
+    def from_table(cls, T_p: float, A_p: float) -> Self:
+        """The pulse of a row of Table 1: s, g.
+
+        Raises:
+            InputError: as the class does, by the table's names.
+        """
+        _require_positive(T_p=T_p)
+        if not math.isfinite(A_p):
+            raise InputError(f"`A_p` must be finite, got {A_p}.")
+        return cls(T_p, A_p * GRAVITY)
 
 
 RESTITUTIONS = ("pairwise", "assembly")

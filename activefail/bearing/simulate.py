@@ -232,7 +232,7 @@ def simulate_one(
 
 def _design(row: int, values: list[float], model: Model) -> tuple[Bearing, Pulse]:
     try:
-        return Bearing.from_row(values, model.slider_diameter), Pulse(values[7], values[8] * GRAVITY)
+        return Bearing.from_row(values, model.slider_diameter), Pulse.from_table(*values[7:])
     except InputError as impossible:
         raise InputError(f"Row {row}: {impossible}") from None
 
@@ -275,6 +275,9 @@ def simulate(
             seconds[row] = time.perf_counter() - began
         return len(rows)
 
+    if designs:
+        # Compiled before the clock runs, and by one thread.
+        _simulate(*designs[0], model, Tolerance(most_steps=1), no_history)
     threads = threads or os.cpu_count() or 1
     # Short calls: a keyboard interrupt waits for the chunks under way only.
     chunks = [range(first, min(first + 16, n)) for first in range(0, n, 16)]

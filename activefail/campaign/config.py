@@ -175,7 +175,7 @@ def read_settings(path: Path) -> CampaignSettings:
         InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -11,6 +11,28 @@ from activefail.campaign.store import FolderStore
 from activefail.errors import InputError
 
 
+def read_campaign(path: Path, seed: int | None = None, budget: int | None = None) -> Campaign:
+    """The campaign of a file, with a command line's seed and budget instead of its own where they are given.
+
+    Raises:
+        InputError: naming the file and the rule, if the file cannot be read, is not valid, or its pieces do not fit.
+    """
+    settings = read_settings(path).with_overrides(seed, budget)
+    try:
+        return Campaign.of(settings)
+    except InputError as unfit:
+        raise InputError(f"{path}: {unfit}") from None
+
+
+def create_run(folder: Path, campaign: Campaign) -> FolderStore:
+    """A new run folder for a campaign, open for writing.
+
+    Raises:
+        BusyError, StoreError: as `FolderStore.create` does.
+    """
+    return FolderStore.create(folder, campaign.settings.text(), campaign.schema, provenance=provenance())
+
+
 @contextmanager
 def open_campaign(folder: Path, write: bool) -> Iterator[tuple[Campaign, FolderStore]]:
     """The campaign of a run folder and its record; with `write`, this process becomes its only writer.
@@ -23,6 +45,6 @@ def open_campaign(folder: Path, write: bool) -> Iterator[tuple[Campaign, FolderS
     path = folder / "campaign.toml"
     if not path.is_file():
         raise InputError(f"{folder}: is not a run folder; there is no campaign.toml in it.")
-    campaign = Campaign.of(read_settings(path))
+    campaign = read_campaign(path)
     with FolderStore.open(folder, campaign.schema, write=write, provenance=provenance()) as store:
         yield campaign, store

@@ -193,8 +193,8 @@ class FolderStore:
 
         Raises:
             BusyError: if another process is creating it.
-            InputError: if the settings hold a NUL.
-            StoreError: if the folder is not empty or cannot be written; nothing in it was changed.
+            InputError: if the folder is not empty, or the settings hold a NUL; nothing was changed.
+            StoreError: if the folder cannot be written.
         """
         folder = Path(folder).absolute()
         if "\0" in settings:
@@ -203,7 +203,7 @@ class FolderStore:
             present = sorted(os.listdir(folder)) if folder.exists() else []
             found = [name for name in present if name != ".lock" and not name.startswith(TEMPORARY)]
             if found:
-                raise StoreError(
+                raise InputError(
                     f"{folder} is not empty (it holds {found[0]}): a new campaign needs a new folder. "
                     f"Resume the campaign in it, if there is one, or choose another folder."
                 )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from activefail.bearing import outcome as o
-from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Model, Pulse, Tolerance
+from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulate import simulate
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.record import SEED, Store
@@ -26,10 +26,9 @@ def check_bearing(model: Model) -> Callable[[Array], str | None]:
         for name, value in zip(TABLE_1.names, design.tolist(), strict=True):
             if value <= 0.0:
                 return f"column {name}: `{name} > 0` must hold, got {value:g}"
-        T_p, A_p = design[7:].tolist()
         try:
             Bearing.from_row(design.tolist(), model.slider_diameter)
-            Pulse(T_p, A_p * GRAVITY)
+            Pulse.from_table(*design[7:].tolist())
         except InputError as impossible:
             return str(impossible).rstrip(".")
         return None
@@ -92,8 +91,12 @@ def predict_table(
 
     def check(design: Array) -> str | None:
         with np.errstate(all="ignore"):
-            seen = np.isfinite(campaign.features(design[None])).all()
-        return None if seen else f"features: must be finite, which those of {design.tolist()} are not"
+            if np.isfinite(campaign.features(design[None])).all():
+                return None
+        for parameter, value in zip(space.parameters, design.tolist(), strict=True):
+            if parameter.low > 0.0 >= value:
+                return f"column {parameter.name}: `{parameter.name} > 0` must hold, got {value:g}"
+        return f"features: must be finite, which those of {design.tolist()} are not"
 
     table = DesignTable.checked(source, space.names, added, check)
     advance = begin(table.rows)

@@ -21,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from activefail.campaign import image
+from activefail.campaign import segment as segment_module
 from activefail.campaign import store as store_module
 from activefail.campaign.record import Batch, Schema, columns_of
 from activefail.campaign.segment import Segment, chain_next, chain_start, recover
@@ -163,14 +164,14 @@ def test_a_new_folder_holds_the_frozen_settings_and_the_folders_of_the_record(tm
 def test_a_folder_that_is_not_empty_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     before = snapshot(tmp_path)
-    with pytest.raises(StoreError, match=r"not empty \(it holds notes.txt\)"):
+    with pytest.raises(InputError, match=r"not empty \(it holds notes.txt\)"):
         FolderStore.create(tmp_path, SETTINGS, SCHEMA)
     assert snapshot(tmp_path) == before
 
 
 def test_a_campaign_is_not_created_over_another_one(tmp_path: Path) -> None:
     held = written(tmp_path / "run", 3)
-    with pytest.raises(StoreError, match="not empty"):
+    with pytest.raises(InputError, match="not empty"):
         FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA)
     assert read(tmp_path / "run") == held
 
@@ -390,7 +391,7 @@ def test_another_schema_is_refused_with_both(tmp_path: Path) -> None:
     ("module", "name", "rule"),
     [
         (image, "FORMAT", "format 2; this program reads format 1"),
-        (store_module, "SCHEMA_VERSION", "schema version 2 .* 1"),
+        (segment_module, "SCHEMA_VERSION", "schema version 2 .* 1"),
     ],
 )
 def test_a_record_of_another_version_is_refused_and_not_quarantined(
