@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/paper
 
-.PHONY: paper test check benchmark clean help
+.PHONY: paper test check reproduction benchmark clean help
 
 help:
 	@echo "make paper      install, run the paper's campaign, compare it with static sampling"
 	@echo "make test       install, run all checks"
+	@echo "make reproduction  install, write docs/reproduction.md and its figures anew"
 	@echo "make benchmark  install, measure the simulator against SciPy's solvers"
 	@echo "make clean      remove the virtual environment (run folders stay)"
 
@@ -35,7 +36,10 @@ check: $(VENV)/.installed
 	$(BIN)/lint-imports
 
 test: check
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
+
+reproduction: $(VENV)/.installed
+	$(BIN)/activefail paper --out docs
 
 benchmark: $(VENV)/.installed
 	$(BIN)/python benchmarks/simulator.py

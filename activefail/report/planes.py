@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.special import ndtr
 
-from activefail.report.style import BLUE, GREY, VERMILION, styled
+from activefail.report.style import BLUE, GREEN, GREY, PURPLE, VERMILION, styled
 from activefail.space import Array
 
 Moments = Callable[[Array], tuple[Array, Array]]
@@ -124,22 +124,27 @@ def plot_plane(plane: Plane, moments: Moments, F: Array, failed: Array) -> Figur
     return figure
 
 
-def plot_reliability(
-    probabilities: dict[str, Array], outcomes: dict[str, Array], titles: dict[str, str], bins: int = 10
-) -> Figure:
-    """Observed share of failures against predicted probability, one line a method; perfect is the diagonal."""
-    colours = (BLUE, VERMILION, "#009E73", "#CC79A7")
+def plot_reliability(probabilities: dict[str, Array], failed: Array, bins: int = 10) -> Figure:
+    """Observed share of failures against predicted probability, one line a method; perfect is the diagonal.
+
+    Args:
+        probabilities: (n,) of failure, by the method's title.
+        failed: (n,) bool.
+        bins: of equal width.
+    """
     with styled():
         figure = Figure(figsize=(5.4, 5.0), layout="constrained")
         axes = figure.add_subplot()
         axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
-        for (method, p), colour, marker in zip(probabilities.items(), colours, "osD^", strict=False):
+        for (title, p), colour, marker in zip(
+            probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=True
+        ):
             place = np.clip((p * bins).astype(int), 0, bins - 1)
             counts = np.bincount(place, minlength=bins)
             shown = counts > 0
             predicted = np.bincount(place, weights=p, minlength=bins)[shown] / counts[shown]
-            observed = np.bincount(place, weights=outcomes[method], minlength=bins)[shown] / counts[shown]
-            axes.plot(predicted, observed, color=colour, marker=marker, label=titles[method])
+            observed = np.bincount(place, weights=failed, minlength=bins)[shown] / counts[shown]
+            axes.plot(predicted, observed, color=colour, marker=marker, label=title)
         axes.set_xlabel("predicted P(failure)")
         axes.set_ylabel("share of failures among fresh designs")
         axes.legend(loc="upper left")

@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from activefail.features import PAPER_FEATURES, paper_features
 from activefail.report.planes import PLANES, plot_plane, plot_reliability
+from activefail.report.style import styled
 from activefail.space import Array
 from activefail.study import paper
 from activefail.study.paper import METHODS, Study
@@ -153,7 +154,8 @@ def summary(study: Study) -> list[Summary]:
             "5 points",
             f"{gain.mean():.1f} points",
             _range(gain, 1),
-            _reproduced(interval(gain)[0] <= 5.0 <= interval(gain)[1]),
+            # Whole points, too.
+            _reproduced(interval(gain)[0] - 0.5 <= 5.0 <= interval(gain)[1] + 0.5),
         )
     )
     difference = 100 * (_values(study, "ep", "fresh") - fresh)
@@ -238,7 +240,7 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
         "answered_fresh": int(np.sum(study.data.label_fresh >= 0)),
         "simulations": study.data.label.size + study.data.label_fresh.size,
         "numerical_failures": int(np.sum(study.data.label < 0) + np.sum(study.data.label_fresh < 0)),
-        "summary": lines,
+        "summary": [vars(line) for line in lines],
         "shares": f"{100 * shares[0]:.1f} % no impact, {100 * shares[1]:.1f} % impact, {100 * shares[2]:.1f} % failure",
         "table2": _table_2(study),
         "low_mu": int(np.sum(table2[2].medians <= PAPER_TABLE_2[2][1])),
@@ -296,6 +298,14 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
     }
 
 
+def render(numbers: dict[str, Any]) -> str:
+    """The page with these numbers in it."""
+    environment = Environment(
+        loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
+    )
+    return environment.get_template("reproduction.md.j2").render(numbers)
+
+
 def write_reproduction(study: Study, out: Path, command: dict[str, int], stage: Callable[[str], None]) -> Path:
     """Write the page `out/reproduction.md`, its figures and its numbers below `out/reproduction`; the page's path."""
     folder = out / "reproduction"
@@ -306,19 +316,14 @@ def write_reproduction(study: Study, out: Path, command: dict[str, int], stage: 
     moments = paper.failure_moments(X[label >= 0], failed)
     figures = {plane.name: plot_plane(plane, moments, F, failed) for plane in PLANES}
     y_fresh = np.tile(study.data.label_fresh[study.data.label_fresh >= 0] == 2, len(study.draws))
-    pooled = {method: _values(study, method, "probability").ravel() for method in METHODS}
-    figures["reliability"] = plot_reliability(pooled, dict.fromkeys(METHODS, y_fresh), TITLES)
-    for name, figure in figures.items():
-        for suffix in ("svg", "png"):
-            # No date, and names of elements that do not change: the same study gives the same bytes.
-            figure.savefig(folder / f"{name}.{suffix}", metadata={"Date": None} if suffix == "svg" else None)
-    environment = Environment(
-        loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
-    )
-    context = _context(study, command)
-    page = out / "reproduction.md"
-    page.write_text(environment.get_template("reproduction.md.j2").render(context), encoding="utf-8")
-    numbers = {key: value for key, value in context.items() if key != "summary"}
-    numbers["summary"] = [vars(line) for line in context["summary"]]
+    pooled = {TITLES[method]: _values(study, method, "probability").ravel() for method in METHODS}
+    figures["reliability"] = plot_reliability(pooled, y_fresh)
+    with styled():
+        for name, figure in figures.items():
+            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+            figure.savefig(folder / f"{name}.png")
+    numbers = _context(study, command)
     (folder / "numbers.json").write_text(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    page = out / "reproduction.md"
+    page.write_text(render(numbers), encoding="utf-8")
     return page

@@ -47,6 +47,8 @@ RC: dict[Any, Any] = {
     "xtick.labelsize": 8,
     "ytick.labelsize": 8,
     "axes.unicode_minus": True,
+    # Element names of an SVG from its content: the same figure gives the same bytes.
+    "svg.hashsalt": "activefail",
 }
 """matplotlib's settings for all pictures of the project."""
 
