@@ -7,11 +7,11 @@ RUN := runs/paper
 .PHONY: paper test check reproduction benchmark clean help
 
 help:
-	@echo "make paper      install, run the paper's campaign, compare it with static sampling"
-	@echo "make test       install, run all checks"
-	@echo "make reproduction  install, write docs/reproduction.md and its figures anew"
-	@echo "make benchmark  install, measure the simulator against SciPy's solvers"
-	@echo "make clean      remove the virtual environment (run folders stay)"
+	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
+	@echo "make test         install, run all checks"
+	@echo "make reproduction install, write docs/reproduction.md and its figures anew"
+	@echo "make benchmark    install, measure the simulator against SciPy's solvers"
+	@echo "make clean        remove the virtual environment (run folders stay)"
 
 # The stamp is newer than what it was installed from; a change of either installs again.
 $(VENV)/.installed: pyproject.toml constraints.txt
