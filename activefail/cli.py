@@ -1,5 +1,6 @@
 """The command line: parse, call, print."""
 
+import os
 import shlex
 import signal
 import sys
@@ -7,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,7 +16,9 @@ from activefail.errors import ActivefailError, InputError
 
 if TYPE_CHECKING:
     from activefail.bearing import Model, Response, Tolerance
+    from activefail.campaign.campaign import Campaign
     from activefail.campaign.loop import Observer, Progress
+    from activefail.campaign.record import Store
 
 app = typer.Typer(
     help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",
@@ -38,8 +41,15 @@ def main() -> None:
         print(f"activefail: {error}", file=sys.stderr)
         sys.exit(2 if isinstance(error, InputError) else 1)
     except BrokenPipeError:
-        # The reader of our output went away (`| head`); there is nobody left to tell.
-        sys.stderr.close()
+        # `| head`, say. The rest of the output goes nowhere, so that closing it at exit does not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(
+            "activefail: stopped, since the reader of its output went away; what was recorded is safe", file=sys.stderr
+        )
+        sys.exit(1)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"activefail: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
         sys.exit(1)
 
 
@@ -87,6 +97,11 @@ def simulate(
     ] = None,
     animate: Annotated[Path | None, typer.Option(help="Film the bearing (.gif or .mp4).", show_default=False)] = None,
     slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
+    restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of a rim impact.")] = 0.65,
+    slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m3].")] = 7850.0,
+    loss_of_confinement: Annotated[
+        bool, typer.Option(help="Whether a slider that no rim holds any more has failed.")
+    ] = True,
     restitution: Annotated[str, typer.Option(help="Mass in the damper: pairwise or assembly.")] = "pairwise",
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
     tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
@@ -105,7 +120,14 @@ def simulate(
         "--t-p": t_p,
         "--a-p": a_p,
     }
-    model = Model(slider_diameter=slider_diameter, restitution=restitution, friction_velocity=friction_velocity)
+    model = Model(
+        slider_diameter=slider_diameter,
+        restitution_coefficient=restitution_coefficient,
+        restitution=restitution,
+        slider_density=slider_density,
+        friction_velocity=friction_velocity,
+        loss_of_confinement=loss_of_confinement,
+    )
     integration = Tolerance(relative=tolerance)
     given = [option for option, value in design.items() if value is not None]
     if csv is not None:
@@ -130,7 +152,7 @@ def _simulate_one(
     design: list[float], model: "Model", tolerance: "Tolerance", plot: Path | None, animate: Path | None
 ) -> None:
     from activefail.bearing.design import TABLE_1, Bearing, Pulse
-    from activefail.bearing.simulate import simulate_one
+    from activefail.bearing.simulation import simulate_one
 
     for path in (plot, animate):
         if path is not None and not path.absolute().parent.is_dir():
@@ -162,6 +184,8 @@ def _simulate_one(
         with _writing(animate):
             save_animation(response, animate)
         print(f"film       {animate}")
+    if response.outcome == "numerical_failure":
+        raise typer.Exit(1)
 
 
 @contextmanager
@@ -243,7 +267,7 @@ def run(
     if (out / "campaign.toml").exists():
         raise InputError(f"{out}: holds a campaign already; `{_resume(out)}` goes on with it.")
     with create_run(out, assembled) as store:
-        _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, workers, "")
+        _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, workers)
 
 
 def _resume(folder: Path) -> str:
@@ -258,6 +282,12 @@ def resume(
         int | None, typer.Option(help="Simulations in all, instead of the campaign's.", show_default=False)
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)] = None,
+    numerical_failures: Annotated[
+        float | None,
+        typer.Option(
+            help="Share of them to stop above, instead of the campaign's.", min=0.0, max=1.0, show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Go on with a campaign that was interrupted, or beyond its budget."""
     from activefail.campaign.folder import open_campaign
@@ -268,11 +298,19 @@ def resume(
         if target < 2:
             raise InputError(f"--budget: must be at least 2, got {target}.")
         extra = "" if budget is None else f" --budget {budget}"
-        _take_to_budget(assembled, store, folder, target, workers, extra)
+        if numerical_failures is not None:
+            extra += f" --numerical-failures {numerical_failures:g}"
+        _take_to_budget(assembled, store, folder, target, workers, extra, numerical_failures)
 
 
 def _take_to_budget(
-    campaign: Any, store: Any, folder: Path, budget: int, workers: int | None, resume_options: str
+    campaign: "Campaign",
+    store: "Store",
+    folder: Path,
+    budget: int,
+    workers: int | None,
+    resume_options: str = "",
+    failure_limit: float | None = None,
 ) -> None:
     from activefail.campaign.executor import local_executor
     from activefail.campaign.loop import run as run_loop
@@ -284,7 +322,7 @@ def _take_to_budget(
             local_executor(campaign.simulator, workers) as executor,
             _campaign_display(campaign, stop) as observer,
         ):
-            finished = run_loop(campaign, store, executor, budget, observer)
+            finished = run_loop(campaign, store, executor, budget, observer, failure_limit)
     except KeyboardInterrupt:
         print(f"stopped; batches that were recorded are safe. Go on with: {again}", file=sys.stderr)
         raise typer.Exit(130) from None
@@ -315,7 +353,7 @@ def _stop_on_signals() -> Iterator[Callable[[], bool]]:
 
 
 @contextmanager
-def _campaign_display(campaign: Any, stop: Callable[[], bool]) -> Iterator["Observer"]:
+def _campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator["Observer"]:
     """A live line on a terminal; a plain line a batch otherwise."""
     from rich.console import Console
 
@@ -336,33 +374,39 @@ def _campaign_display(campaign: Any, stop: Callable[[], bool]) -> Iterator["Obse
         yield Observer(show, stop=stop)
         return
 
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.console import Group
+    from rich.live import Live
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
+    from rich.text import Text
 
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Bar(*columns, console=console) as bar:
-        task = bar.add_task("starting", total=None)
-        line, stage = "", ""
+    bar = Bar(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console)
+    task = bar.add_task("simulations", total=None)
+    line, below = "", Text("starting")
 
-        def update(progress: "Progress") -> None:
-            nonlocal line
-            line = _progress_line(campaign, progress, bar=True)
-            bar.update(task, total=progress.budget, completed=progress.done, description=f"{line}  {stage}")
+    def update(progress: "Progress") -> None:
+        nonlocal line
+        line = _progress_line(campaign, progress, bar=True)
+        bar.update(task, total=progress.budget, completed=progress.done)
 
-        def enter(name: str) -> None:
-            nonlocal stage
-            stage = name
-            bar.update(task, description=f"{line}  {stage}")
+    def enter(name: str) -> None:
+        below.plain = f"{line} | {name}" if line else name
 
+    # The text on lines of its own: a narrow terminal would cut it, or the bar.
+    with Live(Group(bar, below), console=console, refresh_per_second=8):
         yield Observer(update, enter, stop)
+        below.plain = line
 
 
-def _progress_line(campaign: Any, progress: "Progress", bar: bool = False) -> str:
-    counts = ", ".join(f"{n} {name}" for name, n in zip(campaign.simulator.outcomes, progress.counts, strict=True))
+def _counts(campaign: "Campaign", progress: "Progress") -> str:
+    names = (*campaign.simulator.outcomes, "numerical failures")
+    counts = (*progress.counts, progress.numerical_failures)
+    return ", ".join(f"{count} {name}" for count, name in zip(counts, names, strict=True))
+
+
+def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False) -> str:
     parts = [] if bar else [f"{progress.done}/{progress.budget} simulations"]
-    parts += [f"iteration {progress.iteration}", counts]
-    if progress.numerical_failures:
-        parts.append(f"{progress.numerical_failures} numerical failures")
+    parts += [f"iteration {progress.iteration}", _counts(campaign, progress)]
     if progress.accuracy is not None:
         parts.append(f"accuracy {100.0 * progress.accuracy:.1f} %")
     if progress.seconds_left is not None and progress.done < progress.budget:
@@ -395,10 +439,10 @@ def status(folder: RunFolder) -> None:
         if progress.done > progress.budget:
             planned = f"{progress.done} simulations, {progress.budget} were planned"
         print(f"done       {planned}, iteration {progress.iteration}")
-        for name, count in zip(campaign.simulator.outcomes, progress.counts, strict=True):
-            share = f"{100.0 * count / progress.done:.1f} %" if progress.done else "-"
-            print(f"           {count:>6} {name} ({share})")
-        print(f"           {progress.numerical_failures:>6} numerical failures")
+        initial = tuple(batch for batch in store.batches if batch.iteration == 0)
+        chosen = tuple(batch for batch in store.batches if batch.iteration > 0)
+        for title, batches in (("initial", initial), ("chosen", chosen), ("all", store.batches)):
+            print(f"{title:<10} {_counts(campaign, standing(campaign, batches, 0))}")
         if progress.done < progress.budget:
             print(f"go on      {_resume(folder)}")
 
@@ -477,8 +521,8 @@ def compare(
     results = folder / "compare"
     with _writing(results):
         results.mkdir(exist_ok=True)
-        with writing(results / "scores.csv", Score.columns()) as write:
-            write([score.row() for score in scores])
+        with writing(results / "scores.csv", [*Score.columns(), "test_designs"]) as write:
+            write([[*score.row(), test] for score in scores])
         figure = plot_learning_curves(scores, boundary, test)
         for suffix in ("png", "svg"):
             figure.savefig(results / f"learning_curves.{suffix}")

@@ -57,6 +57,9 @@ class DesignTable:
                 if header.count(name) > 1:
                     raise InputError(f"{path}: column {name!r}: must come once, comes {header.count(name)} times.")
             missing = [name for name in names if name not in header]
+            for separator in (";", "\t"):
+                if missing and len(header) == 1 and separator in header[0]:
+                    raise InputError(f"{path}: columns must be separated by commas, not by {separator!r}.")
             if missing:
                 raise InputError(
                     f"{path}: column {missing[0]!r}: required, but not there; needed are {','.join(names)}."
@@ -77,7 +80,7 @@ class DesignTable:
         """The rows as text and their designs, (n, d), a few thousand at a time."""
         columns = [self.header.index(name) for name in self.names]
         with _reading(self.path) as lines:
-            next(lines)
+            next(lines, None)
             texts: list[list[str]] = []
             for cells in filter(None, lines):
                 texts.append(cells)
@@ -112,6 +115,8 @@ def _problem(cells: list[str], header: list[str], columns: list[int], check: Che
 def _reading(path: Path) -> Iterator[Any]:
     lines = None
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path}: must be a regular file, as it is read twice: checked, then used.")
         # utf-8-sig: spreadsheets put a byte order mark in front.
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file, strict=True)
@@ -133,6 +138,10 @@ def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Se
         InputError: if the folder cannot be written to or is full.
     """
     temporary = None
+    # A link keeps pointing where it did.
+    path = path.resolve()
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError(f"{path}: must be a file, and is something else.")
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(descriptor, "w", encoding="utf-8", newline="") as file:

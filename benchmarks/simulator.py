@@ -25,7 +25,7 @@ from activefail.bearing.contact import Plate
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import System, dfp_acceleration, dfp_linearisation, energy, equilibrium, system
 from activefail.bearing.pulse import HALF_DURATION
-from activefail.bearing.simulate import FREE_PERIODS
+from activefail.bearing.simulation import FREE_PERIODS
 from activefail.space import Array
 
 PEERS: tuple[type[OdeSolver], ...] = (LSODA, Radau)
@@ -87,7 +87,7 @@ class Answer(NamedTuple):
 
 
 def solve(solver: type[OdeSolver], row: Array, relative: float) -> Answer:
-    """One design by one of SciPy's solvers, by the rules of `activefail.bearing.simulate`."""
+    """One design by one of SciPy's solvers, by the rules of `activefail.bearing.simulation`."""
     began = time.perf_counter()
     bearing, pulse = Bearing.from_table(*row[:7]), Pulse(row[7], row[8] * GRAVITY)
     constants = system(bearing, pulse, Model())

@@ -61,7 +61,7 @@ BAD = {
     ),
     "missing column": ("a,c\n1,2\n", "column 'b': required, but not there; needed are a,b"),
     "other case": ("A,b\n1,2\n", "column 'a': required, but not there; needed are a,b"),
-    "semicolons": ("a;b\n1;2\n", "column 'a': required, but not there; needed are a,b"),
+    "semicolons": ("a;b\n1;2\n", "columns must be separated by commas, not by ';'"),
     "column twice": ("a,b,a\n1,2,3\n", "column 'a': must come once, comes 2 times"),
     "further column twice": ("a,b,c,c\n1,2,3,4\n", "column 'c': must come once, comes 2 times"),
     "column that will be written": ("a,answer,b\n1,2,3\n", "column 'answer': will be written and must not be there"),
@@ -228,3 +228,20 @@ def test_numbers_that_are_written_with_repr_are_read_again_to_the_last_bit(tmp_p
     with (tmp_path / "out.csv").open(newline="") as file:
         again = np.array(list(csv.reader(file))[1:], dtype=np.float64)
     assert again.tobytes() == X.tobytes()
+
+
+def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    with writing(tmp_path / "link.csv", ["a"]) as write:
+        write([["1"]])
+    assert (tmp_path / "link.csv").is_symlink()
+    assert (tmp_path / "real.csv").read_text() == "a\n1\n"
+
+
+def test_what_is_no_regular_file_is_neither_read_nor_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="must be a regular file"):
+        DesignTable.checked(tmp_path / "pipe", NAMES, (), ordered)
+    with pytest.raises(InputError, match="must be a file"), writing(tmp_path / "pipe", ["a"]):
+        pass
+    assert (tmp_path / "pipe").is_fifo()

@@ -44,7 +44,7 @@ MARGINS = (
 
 
 class Observation(NamedTuple):
-    """The event functions at an instant; an event holds where its function is positive (zero for escape too)."""
+    """The event functions at an instant; a rim is touched where `touch` is positive; see `failure_cause`."""
 
     touch: float  # deepest rim penetration of a vertex below the top of its rim [m]
     touch_velocity: float  # of that vertex, towards the rim [m/s]

@@ -9,7 +9,7 @@ _PEAK = 1.38
 """The paper's rounded peak of |s² − 3|·s·exp(−s²/2); the exact value is 1.380119."""
 
 HALF_DURATION = 1.5
-"""The pulse is cut at −1.5 T_p and 1.5 T_p, where it has fallen to 4·10⁻⁵ of its peak."""
+"""A run begins 1.5 T_p before the pulse's centre and counts it as over 1.5 T_p after: 4·10⁻⁵ of its peak are left."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from activefail.bearing import outcome as o
-from activefail.bearing.design import TABLE_1, Model, Tolerance
-from activefail.bearing.simulate import simulate
+from activefail.bearing.design import TABLE_1, Bearing, Model, Tolerance
+from activefail.bearing.simulation import simulate
 from activefail.campaign.simulator import Results
 from activefail.errors import InputError
 from activefail.space import Array, DesignSpace
@@ -43,10 +43,23 @@ class DfpSimulator:
                     f"space.{parameter.name}: the dfp simulator has no such variable; "
                     f"it has {', '.join(TABLE_1.names)}."
                 )
+            unit = TABLE_1.parameters[TABLE_1.names.index(parameter.name)].unit
+            if parameter.unit not in ("", unit):
+                raise InputError(
+                    f"space.{parameter.name}.unit: the dfp simulator takes {unit or 'no unit'!r}, got {parameter.unit!r}."
+                )
             if parameter.low <= 0.0:
                 raise InputError(
                     f"space.{parameter.name}.low: must be positive for the dfp simulator, got {parameter.low}."
                 )
+        low, high = space.low[columns], space.high[columns]
+        try:
+            # The hardest to build of all: small radius, wide dish, high slider.
+            Bearing.from_row([low[0], high[1], high[2], high[3], *high[4:7]], model.slider_diameter)
+        except InputError as impossible:
+            raise InputError(
+                f"space: the corner of least T_b, largest D_tot and h_sl_ratio cannot be built. {impossible}"
+            ) from None
         return cls(model, tolerance, tuple(columns.tolist()))
 
     def run(self, X: Array) -> Results:

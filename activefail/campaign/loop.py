@@ -18,6 +18,9 @@ from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.errors import SimulationError
 from activefail.space import Array
 
+_PART = 500
+"""Designs of a side set that are simulated and saved together."""
+
 _LEAST_FOR_RATE = 20
 """Simulations below which the share of numerical failures is not judged."""
 
@@ -80,14 +83,23 @@ def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Pro
 
 
 def simulated_set(
-    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array
-) -> tuple[Array, NDArray[np.int8]]:
-    """Designs of a side set and their outcomes, simulated once and then read; numerical failures left out."""
-    saved = store.read_set(name)
-    if saved is None or not np.array_equal(saved[0], X):
-        saved = (X, executor.run(campaign.simulator, X))
-        store.write_set(name, *saved)
-    outcome = saved[1].outcome
+    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array, stop: Callable[[], bool] = lambda: False
+) -> tuple[Array, NDArray[np.int8]] | None:
+    """Designs of a side set and their outcomes, simulated once and then read; numerical failures left out.
+
+    The set is kept in parts, so that an interruption loses one part at most. None when it was asked to stop.
+    """
+    outcomes = []
+    for part, first in enumerate(range(0, len(X), _PART)):
+        rows, key = X[first : first + _PART], f"{name}-{part}"
+        saved = store.read_set(key)
+        if saved is None or not np.array_equal(saved[0], rows):
+            if stop():
+                return None
+            saved = (rows, executor.run(campaign.simulator, rows))
+            store.write_set(key, *saved)
+        outcomes.append(saved[1].outcome)
+    outcome = np.concatenate(outcomes)
     answered = outcome != NUMERICAL_FAILURE
     return X[answered], outcome[answered]
 
@@ -99,17 +111,27 @@ def _simulate_and_record(
     store.commit(Batch(iteration, designs, np.full(len(designs), origin, dtype=np.int8), results))
 
 
-def _check_numerical_failures(campaign: Campaign, progress: Progress) -> None:
-    limit = campaign.settings.limits.numerical_failures
+def _check_numerical_failures(progress: Progress, limit: float) -> None:
     if progress.done >= _LEAST_FOR_RATE and progress.numerical_failures > limit * progress.done:
         raise SimulationError(
             f"{progress.numerical_failures} of {progress.done} simulations failed numerically, more than the share of "
-            f"{limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops here."
+            f"{limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops here. "
+            f"`activefail export` shows their causes; `activefail resume DIR --numerical-failures SHARE` allows more."
         )
 
 
-def run(campaign: Campaign, store: Store, executor: Executor, budget: int, observer: Observer | None = None) -> bool:
+def run(
+    campaign: Campaign,
+    store: Store,
+    executor: Executor,
+    budget: int,
+    observer: Observer | None = None,
+    failure_limit: float | None = None,
+) -> bool:
     """Take a campaign from where its record stands to its budget; False when it was asked to stop before.
+
+    Args:
+        failure_limit: share of numerical failures to stop above, instead of the campaign's.
 
     Raises:
         SimulationError: if the workers or too many of the simulations fail.
@@ -117,11 +139,13 @@ def run(campaign: Campaign, store: Store, executor: Executor, budget: int, obser
     """
     observer = observer or Observer()
     batch = campaign.settings.sampling.batch
+    limit = campaign.settings.limits.numerical_failures if failure_limit is None else failure_limit
     with one_thread():
         validation = _validation_set(campaign, store, executor, observer)
         initial = initial_designs(campaign)
         while (progress := standing(campaign, store.batches, budget)).done < len(initial):
             observer.progress(progress)
+            _check_numerical_failures(progress, limit)
             if progress.done >= budget:
                 # Nothing is learned from a part of the initial design: a later resume would start from it.
                 return True
@@ -130,22 +154,22 @@ def run(campaign: Campaign, store: Store, executor: Executor, budget: int, obser
             observer.stage("simulating the initial design")
             designs = initial[progress.done : min(progress.done + batch, budget)]
             _simulate_and_record(campaign, store, executor, 0, SEED, designs)
-            _check_numerical_failures(campaign, standing(campaign, store.batches, budget))
 
         observer.stage("learning")
         classifier = current_classifier(campaign, store, write=True)
         seconds = None
         while True:
             progress = standing(campaign, store.batches, budget)
-            left = budget - progress.done
+            left = max(0, budget - progress.done)
             observer.progress(
                 replace(
                     progress,
                     accuracy=None if validation is None else accuracy(classifier, campaign.severity, *validation),
-                    seconds_left=None if seconds is None else seconds * max(0, -(-left // batch)),
+                    seconds_left=None if seconds is None else seconds * -(-left // batch),
                 )
             )
-            if left <= 0:
+            _check_numerical_failures(progress, limit)
+            if left == 0:
                 return True
             if observer.stop():
                 return False
@@ -155,7 +179,6 @@ def run(campaign: Campaign, store: Store, executor: Executor, budget: int, obser
             designs = next_batch(campaign, classifier, iteration, min(batch, left))
             observer.stage("simulating")
             _simulate_and_record(campaign, store, executor, iteration, ACTIVE, designs)
-            _check_numerical_failures(campaign, standing(campaign, store.batches, budget))
             observer.stage("learning")
             classifier = learn(campaign, store.batches, iteration, classifier)
             store.write_state(iteration, classifier_state(classifier))
@@ -170,4 +193,4 @@ def _validation_set(
         return None
     observer.stage("simulating the validation set")
     X = campaign.space.from_unit(stream(campaign.settings.seed, "validation").random((size, campaign.space.dimension)))
-    return simulated_set(campaign, store, executor, "validation", X)
+    return simulated_set(campaign, store, executor, "validation", X, observer.stop)

@@ -3,15 +3,18 @@
 import platform
 from importlib.metadata import version
 
+from activefail.bearing.kernels import sources_digest
+
 _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
 
 
 def provenance() -> dict[str, str]:
-    """Versions of Python and of the packages that compute, threads of a sum, and the processor's name and features."""
+    """Versions of Python, of the packages that compute and of the physics, threads of a sum, and the processor."""
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
     record |= {name: version(name) for name in _PACKAGES}
     import llvmlite.binding as llvm
 
+    record["bearing_sources"] = sources_digest()
     record["processor"] = llvm.get_host_cpu_name()
     # The features that numba compiles for; two machines of one name can differ in them.
     record["processor_features"] = ",".join(

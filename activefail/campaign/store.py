@@ -279,9 +279,24 @@ class FolderStore:
                 self._warn(f"segments/{name} is not a segment's name; the file is ignored.")
         if self._lock:
             self._tidy(recovery)
+            self._compare_provenance()
         else:
             for name, reason in sorted(recovery.damaged.items()):
                 self._warn(f"segments/{name} {reason}; it is ignored. Opening to write renames it to {QUARANTINE}.")
+
+    def _compare_provenance(self) -> None:
+        before = self._segments[-1].provenance if self._segments else {}
+        changes = [
+            f"{name} {before[name]} -> {now}"
+            for name, now in self._provenance.items()
+            # A merged segment whose parts differ holds a JSON object instead; it was told of when it was resumed.
+            if name in before and before[name] != now and not before[name].startswith("{")
+        ]
+        if changes:
+            self._warn(
+                "This machine or its versions are not those of the last batch, so that what follows is not "
+                "bit-identical to an uninterrupted campaign: " + "; ".join(changes) + "."
+            )
 
     def _tidy(self, recovery: Recovery) -> None:
         """Make the folders, set bad files aside, remove temporaries and what a compaction left. Data stays."""

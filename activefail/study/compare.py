@@ -71,7 +71,7 @@ def score(
 
 
 def default_budgets(initial: int, done: int) -> list[int]:
-    """About five numbers of simulations from the initial design to what has been done."""
+    """Six numbers of simulations from the initial design to what has been done."""
     steps = np.linspace(initial, done, 6 if done > initial else 1)
     return sorted({round(float(step)) for step in steps})
 
@@ -82,6 +82,14 @@ def _first(batches: tuple[Batch, ...], n: int) -> tuple[Array, NDArray[np.int8]]
     outcome = np.concatenate([batch.results.outcome for batch in batches])[:n]
     answered = outcome != NUMERICAL_FAILURE
     return X[answered], outcome[answered]
+
+
+def _answers(
+    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array
+) -> tuple[Array, NDArray[np.int8]]:
+    answers = simulated_set(campaign, store, executor, name, X)
+    assert answers is not None  # it was not asked to stop
+    return answers
 
 
 def compare(
@@ -114,7 +122,7 @@ def compare(
     with one_thread():
         stage(f"simulating {test_size} test designs")
         test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
-        X_test, outcome_test = simulated_set(campaign, store, executor, f"test-{test_size}", test)
+        X_test, outcome_test = _answers(campaign, store, executor, f"test-{test_size}", test)
         scores = []
         for n in budgets:
             stage(f"learning from {n} active simulations")
@@ -124,7 +132,7 @@ def compare(
         for n in budgets:
             stage(f"simulating and learning from {n} static ones")
             hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
-            X, outcome = simulated_set(campaign, store, executor, f"static-{n}", hypercube)
+            X, outcome = _answers(campaign, store, executor, f"static-{n}", hypercube)
             classifier = train(X, outcome, outcomes, features, kernel)
             scores.append(score("static", classifier, severity, n, X_test, outcome_test))
     return scores

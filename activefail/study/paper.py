@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from activefail.bearing.design import GRAVITY, TABLE_1, Model
-from activefail.bearing.simulate import simulate
+from activefail.bearing.simulation import simulate
 from activefail.features import PAPER_FEATURES, feature_map, paper_features
 from activefail.space import Array
 from activefail.surrogate.classifier import Latent

@@ -7,7 +7,7 @@ import numpy as np
 
 from activefail.bearing import outcome as o
 from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
-from activefail.bearing.simulate import simulate
+from activefail.bearing.simulation import simulate
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.record import SEED, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE

@@ -31,6 +31,16 @@ _ROWS_AT_ONCE = 4096
 """Points predicted in one call: bounds the memory of a prediction at n x 4096 numbers."""
 
 
+_FARTHEST = 1e3
+"""Bound of a scaled feature in a prediction, in standard deviations over the design space."""
+
+
+def _bounded(F: Array) -> Tensor:
+    # Far outside the space nothing is known anyway, and one huge number would swamp the other rows in the covariance's
+    # sums of squares.
+    return torch.from_numpy(np.clip(F, -_FARTHEST, _FARTHEST))
+
+
 class _VariationalGP(gpytorch.models.ApproximateGP):
     """The trained posterior in GPyTorch's whitened form, with the training points as inducing points."""
 
@@ -100,7 +110,7 @@ class Latent:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         means, variances = [], []
         with torch.no_grad():
-            for rows in torch.from_numpy(F).split(_ROWS_AT_ONCE):
+            for rows in _bounded(F).split(_ROWS_AT_ONCE):
                 distribution = self.model.model(rows)
                 means.append(distribution.mean)
                 variances.append(distribution.variance)
@@ -109,7 +119,7 @@ class Latent:
     def joint(self, F: Array) -> tuple[Array, Array]:
         """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
         with torch.no_grad():
-            distribution = self.model.model(torch.from_numpy(F))
+            distribution = self.model.model(_bounded(F))
             return distribution.mean.numpy(), distribution.covariance_matrix.numpy()
 
 

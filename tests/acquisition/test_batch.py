@@ -70,6 +70,12 @@ def test_a_batch_does_not_pile_up(learned):
     assert np.median(nearest(batch)) > 3.0 * np.median(nearest(greediest))
 
 
+def test_a_batch_by_entropy_is_spread_along_the_boundary(learned):
+    batch = propose(learned.latent("in"), learned.features, SPACE, entropy, 8, np.random.default_rng(3))
+    # Eight random points of a curve of length L have their nearest neighbour at about L/16; a pile has it at once.
+    assert np.mean(nearest(batch)) > 0.3 * (2.0 * np.pi * 0.35 / 16.0)
+
+
 def test_proposals_lie_in_the_space_and_near_the_learned_boundary(learned):
     batch = propose(learned.latent("in"), learned.features, SPACE, entropy, 10, np.random.default_rng(5))
     assert batch.shape == (10, 2)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Response, Responses, Tolerance, simulate, simulate_one
 from activefail.bearing import outcome as o
 from activefail.bearing.dynamics import equilibrium, system
-from activefail.bearing.simulate import EVENT_STEP
+from activefail.bearing.simulation import EVENT_STEP
 from activefail.errors import InputError
 from activefail.space import Array
 

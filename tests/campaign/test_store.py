@@ -378,6 +378,17 @@ def test_settings_with_other_line_ends_are_other_settings(tmp_path: Path) -> Non
         FolderStore.open(tmp_path / "run", SCHEMA, write=True)
 
 
+def test_a_resume_under_other_versions_is_told(tmp_path: Path) -> None:
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA, provenance={"torch": "2.12", "numpy": "2.4"}) as store:
+        store.commit(batch(3))
+    with FolderStore.open(tmp_path / "run", SCHEMA, write=True, provenance={"torch": "2.12", "numpy": "2.4"}) as store:
+        assert store.warnings == ()
+    with FolderStore.open(tmp_path / "run", SCHEMA, write=True, provenance={"torch": "2.13", "numpy": "2.4"}) as store:
+        (warning,) = store.warnings
+        assert "torch 2.12 -> 2.13" in warning
+        assert "numpy" not in warning
+
+
 def test_another_schema_is_refused_with_both(tmp_path: Path) -> None:
     written(tmp_path / "run", 2)
     before = snapshot(tmp_path / "run")

@@ -111,7 +111,7 @@ def test_test_set_hypercubes_and_campaign_share_no_design(
     campaign: Campaign, store: MemoryStore, first: tuple[list[Score], int]
 ) -> None:
     samples = [np.concatenate([batch.designs for batch in store.batches])]
-    for name in (f"test-{TEST}", "static-20", "static-30", "static-40"):
+    for name in (f"test-{TEST}-0", "static-20-0", "static-30-0", "static-40-0"):
         saved = store.read_set(name)
         assert saved is not None
         samples.append(saved[0])
@@ -177,7 +177,7 @@ def test_numerical_failures_are_neither_learned_from_nor_judged_by() -> None:
     with ThreadExecutor(2) as executor:
         run(campaign, store, executor, 28)
     row = scores(campaign, store, [28])[0]
-    saved = store.read_set(f"test-{TEST}")
+    saved = store.read_set(f"test-{TEST}-0")
     assert saved is not None
     answered = int((saved[1].outcome >= 0).sum())
     assert answered < TEST

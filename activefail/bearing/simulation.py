@@ -3,8 +3,9 @@
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -237,6 +238,20 @@ def _design(row: int, values: list[float], model: Model) -> tuple[Bearing, Pulse
         raise InputError(f"Row {row}: {impossible}") from None
 
 
+@contextmanager
+def _mapping(threads: int) -> Iterator[Callable[..., Iterable[int]]]:
+    """`map` over threads; on the calling thread when there is one only."""
+    if threads == 1:
+        yield map
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            yield pool.map
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
 def simulate(
     X: Array,
     model: Model | None = None,
@@ -275,18 +290,13 @@ def simulate(
             seconds[row] = time.perf_counter() - began
         return len(rows)
 
-    if designs:
+    if designs and not _run.signatures:
         # Compiled before the clock runs, and by one thread.
         _simulate(*designs[0], model, Tolerance(most_steps=1), no_history)
-    threads = threads or os.cpu_count() or 1
     # Short calls: a keyboard interrupt waits for the chunks under way only.
     chunks = [range(first, min(first + 16, n)) for first in range(0, n, 16)]
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            for done in pool.map(run, chunks):
-                if progress is not None:
-                    progress(done)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with _mapping(threads or os.cpu_count() or 1) as mapped:
+        for done in mapped(run, chunks):
+            if progress is not None:
+                progress(done)
     return Responses(label, cause, margins, seconds)
