@@ -45,9 +45,7 @@ class DfpSimulator:
                 )
             unit = TABLE_1.parameters[TABLE_1.names.index(parameter.name)].unit
             if parameter.unit not in ("", unit):
-                raise InputError(
-                    f"space.{parameter.name}.unit: the dfp simulator takes {unit or 'no unit'!r}, got {parameter.unit!r}."
-                )
+                raise InputError(f"space.{parameter.name}.unit: must be {unit!r} or left out, got {parameter.unit!r}.")
             if parameter.low <= 0.0:
                 raise InputError(
                     f"space.{parameter.name}.low: must be positive for the dfp simulator, got {parameter.low}."

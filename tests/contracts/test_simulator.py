@@ -13,6 +13,7 @@ from activefail.bearing import TABLE_1, Model, Tolerance, simulate
 from activefail.campaign.dfp import DfpSimulator
 from activefail.campaign.record import Schema
 from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
+from activefail.errors import InputError
 from activefail.space import Array, DesignSpace, Parameter
 
 PLANE = DesignSpace((Parameter("x", LOW[0], HIGH[0]), Parameter("y", LOW[1], HIGH[1])))
@@ -142,3 +143,16 @@ def test_results_cut_and_put_together_are_the_results() -> None:
     whole = Disc(blind=0.0).run(PLANE.latin_hypercube(9, np.random.default_rng(0)))
     assert bits(Results.concatenate([whole[:4], whole[4:4], whole[4:]])) == bits(whole)
     assert len(whole[whole.outcome == 1]) == int((whole.outcome == 1).sum())
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"p": Parameter("p", 30e6, 60e6, "Pa")}, r"space\.p\.unit: must be 'MPa' or left out, got 'Pa'"),
+        ({"T_b": Parameter("T_b", 1.5, 5.5, "s")}, "cannot be built"),
+    ],
+)
+def test_a_space_in_other_units_or_with_bearings_that_cannot_be_built_is_refused(change, says):
+    space = DesignSpace(tuple(change.get(p.name, p) for p in TABLE_1.parameters))
+    with pytest.raises(InputError, match=says):
+        DfpSimulator.on(space, Model(), Tolerance())
