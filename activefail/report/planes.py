@@ -103,8 +103,9 @@ def plot_plane(plane: Plane, moments: Moments, F: Array, failed: Array) -> Figur
         for panel, line in zip(axes[1], lines, strict=True):
             mean, sd = at(np.full_like(along, line), along, thirds[1])
             low, high = (2.0 * ndtr(mean + sign * 1.96 * sd) - 1.0 for sign in (-1.0, 1.0))
-            panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0, label="95 % band")
-            panel.plot(along, 2.0 * ndtr(mean) - 1.0, color="black", label="prediction")
+            panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0, label="95 % of the latent")
+            probability = ndtr(mean / np.sqrt(1.0 + sd**2))
+            panel.plot(along, 2.0 * probability - 1.0, color="black", label="2 P(failure) − 1")
             near = near_third & (np.abs(F[:, plane.x] - line) <= line_width)
             _points(panel, F[near, plane.y], np.where(failed[near], 1.0, -1.0), failed[near])
             panel.set_title(

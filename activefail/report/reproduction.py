@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from scipy.stats import t
 
 from activefail.features import PAPER_FEATURES, paper_features
 from activefail.report.planes import PLANES, plot_plane, plot_reliability
@@ -35,8 +36,8 @@ PAPER_PROCESS = 0.97
 TITLES = {
     "laplace": "Laplace",
     "ep": "expectation propagation",
-    "variational": "variational (the campaign's)",
-    "variational_log": "variational, ratios by their logarithm",
+    "variational": "variational, the paper's features",
+    "variational_log": "variational, ratios by their logarithm (the campaign's)",
 }
 _SIGNIFICANT, _INSIGNIFICANT = [0, 1, 2], [3, 4, 5]
 _CAPTIONS = {
@@ -59,9 +60,11 @@ class Summary:
 
 
 def interval(values: Array) -> tuple[float, float]:
-    """The range that holds 95 % of the draws' values."""
-    low, high = np.quantile(values, [0.025, 0.975])
-    return float(low), float(high)
+    """The 95 % prediction interval for the value of one more draw, as the paper's is one (Student's t)."""
+    n = len(values)
+    half = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) * np.sqrt(1.0 + 1.0 / n))
+    mean = float(np.mean(values))
+    return mean - half, mean + half
 
 
 def _range(values: Array, digits: int = 3) -> str:
@@ -69,7 +72,15 @@ def _range(values: Array, digits: int = 3) -> str:
     return f"{low:.{digits}f} to {high:.{digits}f}"
 
 
+def _share_range(values: Array) -> str:
+    """The interval of a share, which ends at 1."""
+    low, high = interval(values)
+    return f"{low:.3f} to {min(high, 1.0):.3f}"
+
+
 def _with_range(values: Array, digits: int = 3) -> str:
+    if np.all((values >= 0.0) & (values <= 1.0)):
+        return f"{np.mean(values):.{digits}f} ({_share_range(values)})"
     return f"{np.mean(values):.{digits}f} ({_range(values, digits)})"
 
 
@@ -101,9 +112,10 @@ def _logistic(study: Study, boundary: str, name: str) -> Array:
     return np.array([getattr(draw.logistic[boundary], name) for draw in study.draws])
 
 
-def _length_ratio(study: Study, method: str) -> float:
-    lengths = np.median(_values(study, method, "length_scales"), axis=0)
-    return float(np.median(lengths[_INSIGNIFICANT]) / np.median(lengths[_SIGNIFICANT]))
+def _length_ratios(study: Study, method: str) -> Array:
+    """Median length scale of the insignificant features over that of the significant ones, (draws,)."""
+    lengths = _values(study, method, "length_scales")
+    return np.asarray(np.median(lengths[:, _INSIGNIFICANT], axis=1) / np.median(lengths[:, _SIGNIFICANT], axis=1))
 
 
 def summary(study: Study) -> list[Summary]:
@@ -117,7 +129,7 @@ def summary(study: Study) -> list[Summary]:
                 f"logistic regression, {boundary}, accuracy in sample",
                 f"{theirs:.2f}",
                 f"{ours.mean():.3f}",
-                _range(ours),
+                _share_range(ours),
                 # The paper rounds to whole per cents.
                 _reproduced(low - 0.005 <= theirs <= high + 0.005),
             )
@@ -141,12 +153,14 @@ def summary(study: Study) -> list[Summary]:
             "Gaussian process (Laplace), failure, held-out 25 %",
             f"{PAPER_PROCESS:.2f}",
             f"{held_out.mean():.3f}",
-            _range(held_out),
+            _share_range(held_out),
             _reproduced(low - 0.005 <= PAPER_PROCESS <= high + 0.005),
         )
     )
     fresh = _values(study, "laplace", "fresh")
-    lines.append(Summary("the same on fresh designs", "", f"{fresh.mean():.3f}", _range(fresh), "not in the paper"))
+    lines.append(
+        Summary("the same on fresh designs", "", f"{fresh.mean():.3f}", _share_range(fresh), "not in the paper")
+    )
     gain = 100 * (fresh - _logistic(study, "failure", "fresh"))
     lines.append(
         Summary(
@@ -169,23 +183,45 @@ def summary(study: Study) -> list[Summary]:
             _reproduced(abs(difference.mean()) < 0.5),
         )
     )
-    ratio = _length_ratio(study, "laplace")
+    share = float(np.mean(_length_ratios(study, "laplace") >= 10.0))
     lines.append(
         Summary(
             "length scales, insignificant over significant features",
             "an order of magnitude",
-            f"{ratio:.1f} ×",
+            f"10 × or more in {100 * share:.0f} % of the samples",
             "",
-            _reproduced(ratio >= 5.0),
+            _reproduced(share > 0.5),
+        )
+    )
+    outside = _medians_outside(study)
+    lines.append(
+        Summary(
+            "Table 2, medians of the features",
+            "its own",
+            f"outside our interval: {_named(outside)}",
+            "",
+            _reproduced(not outside),
         )
     )
     return lines
 
 
+def _medians_outside(study: Study) -> list[int]:
+    """Features whose median in the paper is not within ours, in the units that the paper seems to have used."""
+    rows = paper.table_2(study.data.X)
+    outside = []
+    for i, (row, (_, theirs)) in enumerate(zip(rows, PAPER_TABLE_2, strict=True)):
+        low, high = interval(row.medians_in_papers_units)
+        # The paper prints two decimals.
+        if not low - 0.005 <= theirs <= high + 0.005:
+            outside.append(i)
+    return outside
+
+
 def _table_2(study: Study) -> list[dict[str, str]]:
     rows = []
     for (paper_range, paper_median), row in zip(PAPER_TABLE_2, paper.table_2(study.data.X), strict=True):
-        theirs = row.in_papers_units
+        theirs = row.medians_in_papers_units
         rows.append(
             {
                 "name": row.name,
@@ -193,7 +229,7 @@ def _table_2(study: Study) -> list[dict[str, str]]:
                 "paper_median": f"{paper_median:g}",
                 "range": f"{row.low:.2g} to {row.high:.4g}",
                 "median": f"{row.median:.3g} ({interval(row.medians)[0]:.3g} to {interval(row.medians)[1]:.3g})",
-                "theirs": "" if theirs is None else f"{theirs[0]:.2g} to {theirs[1]:.4g}, {theirs[2]:.3g}",
+                "theirs": f"{np.mean(theirs):.3g} ({interval(theirs)[0]:.3g} to {interval(theirs)[1]:.3g})",
             }
         )
     return rows
@@ -283,7 +319,12 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
             }
             for i, name in enumerate(PAPER_FEATURES)
         ],
-        "length_ratio": ", ".join(f"{TITLES[method]} {_length_ratio(study, method):.1f}" for method in METHODS),
+        "length_ratio": "; ".join(
+            f"{TITLES[method]} {100 * np.mean(_length_ratios(study, method) >= 10.0):.0f} %" for method in METHODS
+        ),
+        "medians_outside": _named(_medians_outside(study)),
+        "variant_draws": study.variant_draws,
+        "variant_failures": sum(variant.numerical_failures for variant in study.variants),
         "planes": [
             {"name": plane.name, "title": f"Figure {plane.name[-1]}", "caption": _CAPTIONS[plane.name]}
             for plane in PLANES
