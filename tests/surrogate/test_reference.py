@@ -343,6 +343,31 @@ def test_a_start_from_other_sites_ends_at_the_same_posterior(method):
         assert_allclose(warm.alpha, cold.alpha, atol=1e-5)
 
 
+def test_laplaces_evidence_does_not_depend_on_the_start_where_the_prior_is_wide():
+    F, _ = points(60, m=1)
+    h = Hyperparameters(-4e3, 1e6, np.array([2.0]))
+    K, signs = prior(F, F[:, 0] > 0.0, h)
+    cold = gpml.laplace_posterior(K, h.mean, signs)
+    for linear, precision in ((1.0, 0.5), (0.1, 0.01), (-3.0, 2.0)):
+        warm = gpml.laplace_posterior(K, h.mean, signs, start=Sites(linear * signs, np.full(60, precision)))
+        assert warm.log_evidence == pytest.approx(cold.log_evidence, abs=1e-7)
+
+
+def test_a_wide_prior_far_from_the_labels_does_not_cost_the_digits_to_converge():
+    rng = np.random.default_rng(0)
+    F, y = rng.standard_normal((120, 6)), rng.random(120) < 0.5
+    h = Hyperparameters(1400.0, 2.7e5, np.linspace(7.0, 9.0, 6))
+    assert condition(F, y, h, "expectation propagation").converged
+
+
+@pytest.mark.parametrize(("method", "limit"), [("laplace", "_NEWTON_STEPS"), ("expectation propagation", "_EP_SWEEPS")])
+def test_inference_that_ran_out_of_steps_is_not_called_converged(method, limit, monkeypatch):
+    F, y = points(30)
+    monkeypatch.setattr(gpml, limit, 2)
+    assert not condition(F, y, hyperparameters(), method).converged
+    assert not TRAINING[method](F, y).converged
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_inference_converges_over_all_searched_hyperparameters(seed):
     rng = np.random.default_rng(seed)
@@ -411,6 +436,18 @@ def test_no_step_along_a_hyperparameter_betters_the_trained_evidence(method):
                 posterior, _ = reference.evaluate(at, F, signs, method)
                 assert posterior.log_evidence < fit.log_marginal_likelihood + 1e-7
     assert moved > 2 * len(best)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_of_several_local_maxima_the_highest_is_kept(method, monkeypatch):
+    F, y = points(30, seed=2)
+    best = TRAINING[method](F, y).log_marginal_likelihood
+    ends = []
+    for start in reference._STARTS:
+        monkeypatch.setattr(reference, "_STARTS", (start,))
+        ends.append(TRAINING[method](F, y).log_marginal_likelihood)
+    assert max(ends) - min(ends) > 0.05
+    assert best == pytest.approx(max(ends), abs=1e-9)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -585,6 +622,16 @@ def test_separation_is_a_flag_not_a_warning(label, seed):
     assert fit.accuracy(F, y) >= (0.96 if label is not quasi_complete else 0.5)
 
 
+def test_classes_that_differ_along_a_hardly_varying_direction_are_separable():
+    rng = np.random.default_rng(0)
+    x, difference = rng.standard_normal((2, 60))
+    Z = np.column_stack([np.ones(60), x, x + 1e-3 * difference])
+    y = difference > 0.0
+    assert reference.separable(Z, y)
+    y[0] = not y[0]
+    assert not reference.separable(Z, y)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_one_point_on_the_wrong_side_ends_separation(seed):
     rng = np.random.default_rng(seed)
@@ -598,32 +645,42 @@ def test_one_point_on_the_wrong_side_ends_separation(seed):
     assert np.isfinite(fit.p_values).all()
 
 
-def heavy_tailed(n, seed):
-    """Features without a variance: whole Newton steps from zero run away."""
-    rng = np.random.default_rng(seed)
-    F = rng.standard_t(1, (n, 2)).round(1)
-    y = rng.random(n) < expit(2.0 * F[:, 0])
-    A = np.column_stack([np.ones(n), (F - F.mean(0)) / F.std(0)])
+def test_a_maximum_that_whole_steps_run_away_from_is_found():
+    rng = np.random.default_rng(912)
+    F = rng.standard_t(1, (15, 2)).round(1)
+    y = rng.random(15) < expit(2.0 * F[:, 0])
+    A = np.column_stack([np.ones(15), (F - F.mean(0)) / F.std(0)])
     with pytest.raises(np.linalg.LinAlgError), np.errstate(all="ignore"):
         newton(A, y)
-    return F, y, A
-
-
-def test_a_maximum_that_whole_steps_run_away_from_is_found():
-    F, y, A = heavy_tailed(15, 912)
     fit = logistic_regression(F, y)
     assert fit.converged
     assert np.isfinite(fit.p_values).all()
     assert_allclose(A.T @ (y - fit.probability(F)), 0.0, atol=1e-6)
 
 
-def test_a_maximum_out_of_reach_is_reported_without_p_values():
-    F, y, _ = heavy_tailed(40, 5)
+class Singular(Logit):
+    def fit(self, method, **settings):
+        if method == "newton":
+            raise np.linalg.LinAlgError
+        return super().fit(method=method, **settings)
+
+
+class Unfinished(Logit):
+    def fit(self, method, **settings):
+        limit = {"maxiter": 1, "tol": 0.0} if method == "newton" else {}
+        return super().fit(method=method, **(settings | limit))
+
+
+@pytest.mark.parametrize("model", [Singular, Unfinished])
+def test_a_maximum_out_of_reach_is_reported_without_p_values(model, monkeypatch):
+    F, y = overlapping()
+    reached = logistic_regression(F, y)
+    monkeypatch.setattr(reference, "Logit", model)
     fit = logistic_regression(F, y)
     assert not fit.separation
     assert not fit.converged
     assert np.isnan(fit.p_values).all()
-    assert np.isfinite(fit.probability(F)).all()
+    assert_allclose(fit.probability(F), reached.probability(F), atol=1e-3)
 
 
 def test_dependent_features_are_refused():
@@ -631,4 +688,5 @@ def test_dependent_features_are_refused():
     with pytest.raises(InputError, match="linearly independent, got rank 4 of 5"):
         logistic_regression(np.column_stack([F, 2.0 * F[:, 0] - 1.0]), y)
     with pytest.raises(InputError, match="linearly independent, got rank 4 of 5"):
-        logistic_regression(np.column_stack([F, np.full(len(F), 0.1)]), y)
+        # A constant but for rounding: 0.3 and 0.1 * 3 differ.
+        logistic_regression(np.column_stack([F, np.where(y, 0.3, 0.1 * 3)]), y)
