@@ -1,47 +1,55 @@
 """The paper's Figures 3 to 5: contours of P(failure) in planes of two features, and predictions along lines in them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
 from scipy.special import ndtr
+from statsmodels.stats.proportion import proportion_confint
 
 from activefail.report.style import BLUE, GREEN, GREY, PURPLE, VERMILION, styled
 from activefail.space import Array
-
-Moments = Callable[[Array], tuple[Array, Array]]
-"""Latent mean and standard deviation, each (n,), at features in the paper's units, (n, 6)."""
+from activefail.study.paper import PaperProcess
 
 LABELS = ("$D_{ratio}$", "$T_b/T_p$", "$\\mu/A_p$", "$h_{sl}/D_{sl}$", "$h_{rim}/D_{sl}$", "$k_{norm}$")
 _HELD_AT_MEDIAN = (3, 4, 5)
 _GRID = 120
+_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
+
+SLICE = 0.02 / 0.11
+"""Half-width of a slice over its value: the paper's only stated one is μ/A_p = 0.09 to 0.13 about 0.11."""
 
 
 @dataclass(frozen=True)
 class Plane:
-    """One of the paper's figures: axes, the third feature with its three values, and where the lines below are.
+    """One of the paper's figures: axes, the third feature with its three values, and where the lines are.
 
     Attributes:
         name: of the figure.
         x, y, third: columns of the features.
-        quantiles: of the third feature at which the panels are.
+        values: of the third feature, one a panel.
+        lines: of x, one a panel: the panel below runs along y there.
     """
 
     name: str
     x: int
     y: int
     third: int
-    quantiles: tuple[float, float, float] = (0.25, 0.5, 0.75)
+    values: tuple[float, float, float]
+    lines: tuple[float, float, float]
 
 
 PLANES = (
-    Plane("figure3", x=1, y=0, third=2),
-    Plane("figure4", x=2, y=0, third=1),
-    Plane("figure5", x=2, y=1, third=0),
+    Plane("figure3", x=1, y=0, third=2, values=(0.11, 0.16, 0.25), lines=(2.0, 1.5, 1.0)),
+    Plane("figure4", x=2, y=0, third=1, values=(1.0, 1.5, 2.5), lines=(0.25, 0.16, 0.11)),
+    Plane("figure5", x=2, y=1, third=0, values=(0.5, 1.0, 2.0), lines=(0.11, 0.16, 0.25)),
 )
-"""The paper's three; the lower panels run along y at constant x, for the middle value of the third feature."""
+"""The paper's three; μ/A_p = 0.11 is its own, the other values are about the quartiles over Table 1."""
 
 
 def _limits(column: Array) -> tuple[float, float]:
@@ -50,92 +58,98 @@ def _limits(column: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _points(axes: Axes, x: Array, y: Array, failed: Array) -> None:
+def _points(axes: Axes, x: Array, y: Array, failed: NDArray[np.bool_]) -> None:
     for value, colour, marker in ((False, BLUE, "o"), (True, VERMILION, "^")):
         rows = failed == value
-        axes.scatter(x[rows], y[rows], s=14, c=colour, marker=marker, edgecolors="white", linewidths=0.4, zorder=3)
+        axes.scatter(x[rows], y[rows], s=18, c=colour, marker=marker, edgecolors="white", linewidths=0.4, zorder=3)
 
 
-def plot_plane(plane: Plane, moments: Moments, F: Array, failed: Array) -> Figure:
-    """Three panels of contours of P(failure), and three of the label's prediction with its 95 % band.
+def _beyond(axes: Axes, outside: int) -> None:
+    """Says how many points of a slice the axes leave out."""
+    if outside:
+        text = f"{outside} more beyond the axes"
+        axes.annotate(text, (0.98, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=7, color="black")
 
-    Args:
-        moments: of the failure latent.
-        F: (n, 6) features of the training points in the paper's units.
-        failed: (n,) bool.
-    """
+
+def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
+    """Three panels of contours of P(failure), and below each the label's prediction along its dotted line."""
+    F, failed = process.F, process.failed
     medians = np.median(F, axis=0)
-    thirds = np.quantile(F[:, plane.third], plane.quantiles)
-    # Half of the distance between neighbouring panels, so that a point is shown in one panel only.
-    half_width = 0.5 * float(np.min(np.diff(thirds)))
     x_low, x_high = _limits(F[:, plane.x])
     y_low, y_high = _limits(F[:, plane.y])
-    lines = x_low + np.array([0.15, 0.4, 0.75]) * (x_high - x_low)
+    inside = (F[:, plane.x] <= x_high) & (F[:, plane.y] <= y_high)
 
     def at(x: Array, y: Array, third: float) -> tuple[Array, Array]:
         rows = np.tile(medians, (x.size, 1))
         rows[:, plane.x], rows[:, plane.y], rows[:, plane.third] = x.ravel(), y.ravel(), third
-        mean, sd = moments(rows)
+        mean, sd = process.moments(rows)
         return mean.reshape(x.shape), sd.reshape(x.shape)
 
+    def near(column: int, value: float) -> NDArray[np.bool_]:
+        return np.asarray(np.abs(F[:, column] - value) <= SLICE * value)
+
     with styled():
-        figure = Figure(figsize=(10.0, 6.6), layout="constrained")
+        figure = Figure(figsize=(10.0, 7.2), layout="constrained")
         axes = figure.subplots(2, 3)
         x, y = np.meshgrid(np.linspace(x_low, x_high, _GRID), np.linspace(y_low, y_high, _GRID))
-        for panel, third in zip(axes[0], thirds, strict=True):
+        for panel, third, line in zip(axes[0], plane.values, plane.lines, strict=True):
             mean, sd = at(x, y, third)
             probability = ndtr(mean / np.sqrt(1.0 + sd**2))
-            panel.contourf(x, y, probability, levels=np.linspace(0.0, 1.0, 11), cmap="cividis", alpha=0.35)
-            drawn = panel.contour(x, y, probability, levels=[0.1, 0.3, 0.5, 0.7, 0.9], colors=GREY, linewidths=0.9)
-            panel.clabel(drawn, fontsize=7)
-            near = np.abs(F[:, plane.third] - third) <= half_width
-            _points(panel, F[near, plane.x], F[near, plane.y], failed[near])
-            panel.set_title(f"{LABELS[plane.third]} = {third:.2f} (points: ± {half_width:.2f})")
-            panel.set_xlabel(LABELS[plane.x])
-            panel.set_ylabel(LABELS[plane.y])
-            panel.set_xlim(x_low, x_high)
-            panel.set_ylim(y_low, y_high)
-        for line in lines:
-            axes[0][1].axvline(line, color="black", linestyle=":", linewidth=1.2)
-        line_width = 0.1 * (x_high - x_low)
+            shades = panel.contourf(x, y, probability, levels=np.linspace(0.0, 1.0, 11), cmap="cividis", alpha=0.5)
+            panel.contour(x, y, probability, levels=_LEVELS, colors=GREY, linewidths=[0.7, 0.7, 1.6, 0.7, 0.7])
+            shown = near(plane.third, third)
+            _points(panel, F[shown & inside, plane.x], F[shown & inside, plane.y], failed[shown & inside])
+            _beyond(panel, int(np.sum(shown & ~inside)))
+            panel.axvline(line, color="black", linestyle=":", linewidth=1.4)
+            panel.set_title(f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}")
+            panel.set(xlabel=LABELS[plane.x], ylabel=LABELS[plane.y], xlim=(x_low, x_high), ylim=(y_low, y_high))
+        bar = figure.colorbar(ScalarMappable(shades.norm, shades.cmap), ax=axes[0], ticks=_LEVELS, pad=0.01, alpha=0.5)
+        bar.set_label("P(failure)")
+        bar.ax.hlines(_LEVELS, 0.0, 1.0, colors=GREY, linewidths=[0.7, 0.7, 1.6, 0.7, 0.7])
         along = np.linspace(y_low, y_high, 200)
-        near_third = np.abs(F[:, plane.third] - thirds[1]) <= half_width
-        for panel, line in zip(axes[1], lines, strict=True):
-            mean, sd = at(np.full_like(along, line), along, thirds[1])
+        for panel, third, line in zip(axes[1], plane.values, plane.lines, strict=True):
+            mean, sd = at(np.full_like(along, line), along, third)
             low, high = (2.0 * ndtr(mean + sign * 1.96 * sd) - 1.0 for sign in (-1.0, 1.0))
-            panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0, label="95 % of the latent")
-            probability = ndtr(mean / np.sqrt(1.0 + sd**2))
-            panel.plot(along, 2.0 * probability - 1.0, color="black", label="2 P(failure) − 1")
-            near = near_third & (np.abs(F[:, plane.x] - line) <= line_width)
-            _points(panel, F[near, plane.y], np.where(failed[near], 1.0, -1.0), failed[near])
+            panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0)
+            panel.plot(along, 2.0 * ndtr(mean / np.sqrt(1.0 + sd**2)) - 1.0, color="black")
+            shown = near(plane.third, third) & near(plane.x, line)
+            kept = shown & (F[:, plane.y] <= y_high)
+            _points(panel, F[kept, plane.y], np.where(failed[kept], 1.0, -1.0), failed[kept])
+            _beyond(panel, int(np.sum(shown & ~kept)))
             panel.set_title(
-                f"{LABELS[plane.x]} = {line:.2f} ± {line_width:.2f}, {LABELS[plane.third]} = {thirds[1]:.2f}"
+                f"{LABELS[plane.x]} = {line:g} ± {SLICE * line:.2f}, "
+                f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}"
             )
-            panel.set_xlabel(LABELS[plane.y])
-            panel.set_ylabel("−1 no failure … 1 failure")
-            panel.set_xlim(y_low, y_high)
+            panel.set(xlabel=LABELS[plane.y], ylabel="−1 no failure … 1 failure", xlim=(y_low, y_high))
             panel.set_ylim(-1.15, 1.15)
-        axes[1][0].legend(loc="center right")
-        fixed = ", ".join(f"{LABELS[i]} = {medians[i]:.2f}" for i in _HELD_AT_MEDIAN)
-        figure.suptitle(
-            f"Contours of P(failure) at {fixed}; dotted: the lines of the panels below.  "
-            "● no failure   ▲ failure (training points)",
-            fontsize=9,
+        figure.legend(
+            handles=[
+                Line2D([], [], color=BLUE, marker="o", linestyle="", label="no failure (training point)"),
+                Line2D([], [], color=VERMILION, marker="^", linestyle="", label="failure (training point)"),
+                Line2D([], [], color="black", linestyle=":", label="where the panel below is"),
+                Line2D([], [], color="black", label="2 P(failure) − 1"),
+                Patch(color=GREY, alpha=0.25, label="95 % of the latent"),
+            ],
+            loc="outside lower center",
+            ncols=5,
         )
+        fixed = ", ".join(f"{LABELS[i]} = {medians[i]:.2f}" for i in _HELD_AT_MEDIAN)
+        figure.suptitle(f"P(failure) at the medians {fixed}", fontsize=9.5)
     return figure
 
 
-def plot_reliability(probabilities: dict[str, Array], failed: Array, bins: int = 10) -> Figure:
-    """Observed share of failures against predicted probability, one line a method; perfect is the diagonal.
+def plot_reliability(probabilities: dict[str, Array], failed: Array, samples: int, bins: int = 10) -> Figure:
+    """Observed share of failures against predicted probability, and how many designs are behind each point.
 
     Args:
         probabilities: (n,) of failure, by the method's title.
         failed: (n,) bool.
+        samples: that were pooled, each judged on the same designs: a band takes one sample's number of designs.
         bins: of equal width.
     """
     with styled():
-        figure = Figure(figsize=(5.4, 5.0), layout="constrained")
-        axes = figure.add_subplot()
+        figure = Figure(figsize=(6.4, 7.0), layout="constrained")
+        axes, counts_axes = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
         axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
         for (title, p), colour, marker in zip(
             probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=True
@@ -144,9 +158,13 @@ def plot_reliability(probabilities: dict[str, Array], failed: Array, bins: int =
             counts = np.bincount(place, minlength=bins)
             shown = counts > 0
             predicted = np.bincount(place, weights=p, minlength=bins)[shown] / counts[shown]
-            observed = np.bincount(place, weights=failed, minlength=bins)[shown] / counts[shown]
-            axes.plot(predicted, observed, color=colour, marker=marker, label=title)
-        axes.set_xlabel("predicted P(failure)")
+            failures = np.bincount(place, weights=failed, minlength=bins)[shown]
+            axes.plot(predicted, failures / counts[shown], color=colour, marker=marker, label=title)
+            low, high = proportion_confint(failures / samples, counts[shown] / samples, method="wilson")
+            axes.fill_between(predicted, low, high, color=colour, alpha=0.12, linewidth=0.0)
+            counts_axes.plot(predicted, counts[shown] / samples, color=colour, marker=marker)
         axes.set_ylabel("share of failures among fresh designs")
-        axes.legend(loc="upper left")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=2)
+        counts_axes.set_yscale("log")
+        counts_axes.set(xlabel="predicted P(failure)", ylabel="designs in a bin")
     return figure

@@ -2,36 +2,26 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from scipy.stats import t
+from scipy.integrate import cumulative_trapezoid
+from scipy.stats import binomtest
 
-from activefail.features import PAPER_FEATURES, paper_features
-from activefail.report.planes import PLANES, plot_plane, plot_reliability
+from activefail.bearing.design import GRAVITY, Model
+from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.features import PAPER_FEATURES
+from activefail.report import claims
+from activefail.report.claims import CONCLUSIONS, NOT_REPRODUCED, named, span, with_mean
+from activefail.report.planes import PLANES, SLICE, plot_plane, plot_reliability
 from activefail.report.style import styled
 from activefail.space import Array
-from activefail.study import paper
-from activefail.study.paper import METHODS, Study
-
-# What the paper prints (its Tables 1 and 2, and section 3), in the order of its six features.
-PAPER_TABLE_2 = (
-    ("0.0004 to 1.112", 0.14),
-    ("0.5 to 22", 1.50),
-    ("0.025 to 1.2", 0.12),
-    ("0.33 to 1.3", 0.68),
-    ("0.05 to 0.2", 0.13),
-    ("0.30 to 102.05", 6.32),
-)
-PAPER_P_VALUES = {
-    "impact": (0.012, 0.792, 0.028, 0.689, 0.204, 0.755),
-    "failure": (0.011, 0.004, 7e-7, 0.20, 0.52, 0.24),
-}
-PAPER_LOGISTIC = {"impact": 0.98, "failure": 0.92}
-PAPER_PROCESS = 0.97
+from activefail.study import paper, published
+from activefail.study.estimate import Estimate
+from activefail.study.paper import METHODS, Study, Variant
+from activefail.surrogate.reference import LENGTH_SCALE
 
 TITLES = {
     "laplace": "Laplace",
@@ -39,7 +29,6 @@ TITLES = {
     "variational": "variational, the paper's features",
     "variational_log": "variational, ratios by their logarithm (the campaign's)",
 }
-_SIGNIFICANT, _INSIGNIFICANT = [0, 1, 2], [3, 4, 5]
 _CAPTIONS = {
     "figure3": "The failure boundary in the plane of period ratio and pulse displacement, at three values of friction "
     "over the pulse's amplitude.",
@@ -48,188 +37,37 @@ _CAPTIONS = {
 }
 
 
-@dataclass(frozen=True)
-class Summary:
-    """One line of the page's first table."""
-
-    item: str
-    paper: str
-    ours: str
-    interval: str
-    verdict: str
-
-
-def interval(values: Array) -> tuple[float, float]:
-    """The 95 % prediction interval for the value of one more draw, as the paper's is one (Student's t)."""
-    n = len(values)
-    half = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) * np.sqrt(1.0 + 1.0 / n))
-    mean = float(np.mean(values))
-    return mean - half, mean + half
-
-
-def _range(values: Array, digits: int = 3) -> str:
-    low, high = interval(values)
-    return f"{low:.{digits}f} to {high:.{digits}f}"
-
-
-def _share_range(values: Array) -> str:
-    """The interval of a share, which ends at 1."""
-    low, high = interval(values)
-    return f"{low:.3f} to {min(high, 1.0):.3f}"
-
-
-def _with_range(values: Array, digits: int = 3) -> str:
-    if np.all((values >= 0.0) & (values <= 1.0)):
-        return f"{np.mean(values):.{digits}f} ({_share_range(values)})"
-    return f"{np.mean(values):.{digits}f} ({_range(values, digits)})"
-
-
 def _p(value: float) -> str:
     return "–" if np.isnan(value) else f"{value:.2g}" if value < 0.1 else f"{value:.2f}"
 
 
-def _named(columns: list[int]) -> str:
-    return ", ".join(PAPER_FEATURES[i] for i in columns) or "none"
+def _percent(share: float, digits: int = 0) -> str:
+    return f"{100 * share:.{digits}f} %"
 
 
-def _significant(p_values: Array) -> list[int]:
-    return [i for i, p in enumerate(p_values) if p < paper.SIGNIFICANCE]
+def _significant(value: float) -> str:
+    """Three significant digits, never as a power of ten."""
+    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
-def _majority(study: Study, boundary: str) -> list[int]:
-    return [i for i, share in enumerate(paper.significant_share(study.draws, boundary)) if share > 0.5]
-
-
-def _reproduced(yes: bool) -> str:
-    return "reproduced" if yes else "**not reproduced**"
-
-
-def _values(study: Study, method: str, name: str) -> Array:
-    return np.array([getattr(draw.processes[method], name) for draw in study.draws])
-
-
-def _logistic(study: Study, boundary: str, name: str) -> Array:
-    return np.array([getattr(draw.logistic[boundary], name) for draw in study.draws])
-
-
-def _length_ratios(study: Study, method: str) -> Array:
-    """Median length scale of the insignificant features over that of the significant ones, (draws,)."""
-    lengths = _values(study, method, "length_scales")
-    return np.asarray(np.median(lengths[:, _INSIGNIFICANT], axis=1) / np.median(lengths[:, _SIGNIFICANT], axis=1))
-
-
-def summary(study: Study) -> list[Summary]:
-    """The page's first table: every claim of the paper, ours, and whether it is reproduced."""
-    lines = []
-    for boundary, theirs in PAPER_LOGISTIC.items():
-        ours = _logistic(study, boundary, "in_sample")
-        low, high = interval(ours)
-        lines.append(
-            Summary(
-                f"logistic regression, {boundary}, accuracy in sample",
-                f"{theirs:.2f}",
-                f"{ours.mean():.3f}",
-                _share_range(ours),
-                # The paper rounds to whole per cents.
-                _reproduced(low - 0.005 <= theirs <= high + 0.005),
-            )
-        )
-    for boundary in PAPER_P_VALUES:
-        theirs_set, ours_set = _significant(np.array(PAPER_P_VALUES[boundary])), _majority(study, boundary)
-        shares = paper.significant_share(study.draws, boundary)[theirs_set]
-        lines.append(
-            Summary(
-                f"significant features, {boundary}",
-                _named(theirs_set),
-                _named(ours_set),
-                "in " + ", ".join(f"{100 * share:.0f} %" for share in shares) + " of the samples",
-                _reproduced(theirs_set == ours_set),
-            )
-        )
-    held_out = _values(study, "laplace", "held_out")
-    low, high = interval(held_out)
-    lines.append(
-        Summary(
-            "Gaussian process (Laplace), failure, held-out 25 %",
-            f"{PAPER_PROCESS:.2f}",
-            f"{held_out.mean():.3f}",
-            _share_range(held_out),
-            _reproduced(low - 0.005 <= PAPER_PROCESS <= high + 0.005),
-        )
-    )
-    fresh = _values(study, "laplace", "fresh")
-    lines.append(
-        Summary("the same on fresh designs", "", f"{fresh.mean():.3f}", _share_range(fresh), "not in the paper")
-    )
-    gain = 100 * (fresh - _logistic(study, "failure", "fresh"))
-    lines.append(
-        Summary(
-            "gain over logistic regression, fresh designs",
-            "5 points",
-            f"{gain.mean():.1f} points",
-            _range(gain, 1),
-            # Whole points, too.
-            _reproduced(interval(gain)[0] - 0.5 <= 5.0 <= interval(gain)[1] + 0.5),
-        )
-    )
-    difference = 100 * (_values(study, "ep", "fresh") - fresh)
-    lines.append(
-        Summary(
-            "expectation propagation against Laplace",
-            "same accuracy",
-            f"{difference.mean():+.2f} points",
-            _range(difference, 2),
-            # Half a point on fresh designs is a third of a held-out design: the paper could not have seen it.
-            _reproduced(abs(difference.mean()) < 0.5),
-        )
-    )
-    share = float(np.mean(_length_ratios(study, "laplace") >= 10.0))
-    lines.append(
-        Summary(
-            "length scales, insignificant over significant features",
-            "an order of magnitude",
-            f"10 × or more in {100 * share:.0f} % of the samples",
-            "",
-            _reproduced(share > 0.5),
-        )
-    )
-    outside = _medians_outside(study)
-    lines.append(
-        Summary(
-            "Table 2, medians of the features",
-            "its own",
-            f"outside our interval: {_named(outside)}",
-            "",
-            _reproduced(not outside),
-        )
-    )
-    return lines
-
-
-def _medians_outside(study: Study) -> list[int]:
-    """Features whose median in the paper is not within ours, in the units that the paper seems to have used."""
-    rows = paper.table_2(study.data.X)
-    outside = []
-    for i, (row, (_, theirs)) in enumerate(zip(rows, PAPER_TABLE_2, strict=True)):
-        low, high = interval(row.medians_in_papers_units)
-        # The paper prints two decimals.
-        if not low - 0.005 <= theirs <= high + 0.005:
-            outside.append(i)
-    return outside
-
-
-def _table_2(study: Study) -> list[dict[str, str]]:
+def table_2(X: Array) -> list[dict[str, str]]:
+    """The rows of the page's Table 2 from the designs of the draws, (draws, 250, 9)."""
     rows = []
-    for (paper_range, paper_median), row in zip(PAPER_TABLE_2, paper.table_2(study.data.X), strict=True):
-        theirs = row.medians_in_papers_units
+    for (paper_range, paper_median), row in zip(published.TABLE_2, published.table_2(X), strict=True):
+        median = Estimate.over(row.median)
+        low, high = median.of_one
         rows.append(
             {
                 "name": row.name,
                 "paper_range": paper_range,
+                "attainable": f"{_significant(row.attainable[0])} to {_significant(row.attainable[1])}",
+                "range": f"{_significant(np.median(row.low))} to {_significant(np.median(row.high))}",
+                "ranges": f"{_significant(row.low.min())}…{_significant(row.low.max())} to "
+                f"{_significant(row.high.min())}…{_significant(row.high.max())}",
                 "paper_median": f"{paper_median:g}",
-                "range": f"{row.low:.2g} to {row.high:.4g}",
-                "median": f"{row.median:.3g} ({interval(row.medians)[0]:.3g} to {interval(row.medians)[1]:.3g})",
-                "theirs": f"{np.mean(theirs):.3g} ({interval(theirs)[0]:.3g} to {interval(theirs)[1]:.3g})",
+                "si": _significant(median.mean / row.factor),
+                "median": f"{_significant(median.mean)} ({_significant(low)} to {_significant(high)})",
+                "tilted": _significant(row.tilted),
             }
         )
     return rows
@@ -237,105 +75,187 @@ def _table_2(study: Study) -> list[dict[str, str]]:
 
 def _p_values(study: Study) -> list[dict[str, str]]:
     rows: list[dict[str, str]] = [{"name": name} for name in PAPER_FEATURES]
-    for boundary, theirs in PAPER_P_VALUES.items():
+    for boundary, theirs in published.P_VALUES.items():
         medians = paper.median_p_values(study.draws, boundary)
         shares = paper.significant_share(study.draws, boundary)
         for i, row in enumerate(rows):
             row[f"{boundary}_paper"] = _p(theirs[i])
             row[boundary] = _p(medians[i])
-            row[f"{boundary}_share"] = f"{100 * shares[i]:.0f} %"
+            row[f"{boundary}_share"] = _percent(shares[i])
     return rows
 
 
-def _variants(study: Study) -> list[dict[str, str]]:
+def _caution(method: str, study: Study) -> str:
+    """What the calibration slope says of a method's probabilities."""
+    low, high = Estimate.over(claims.process(study.draws, method, "calibration_slope")).of_mean
+    return "too cautious" if low > 1.0 else "too sure" if high < 1.0 else "neither too sure nor too cautious"
+
+
+def _processes(study: Study) -> list[dict[str, str]]:
+    draws = study.draws
     return [
         {
-            "name": variant.name,
-            "moved": f"{100 * variant.moved:.1f} %",
-            "shares": " / ".join(f"{100 * share:.0f} %" for share in variant.shares),
-            "impact": f"{variant.logistic['impact']:.3f}",
-            "failure": f"{variant.logistic['failure']:.3f}",
-            "process": f"{variant.process:.3f}",
-            "significant": _named(_significant(variant.p_values["failure"])),
+            "title": TITLES[method],
+            "held_out": with_mean(claims.process(draws, method, "held_out"), share=True),
+            "fresh": with_mean(claims.process(draws, method, "fresh"), share=True),
+            "gain": with_mean(100 * claims.fresh_gain(draws, method), 1),
+            "log_score": with_mean(claims.process(draws, method, "log_score")),
+            "error": with_mean(claims.process(draws, method, "calibration_error"), share=True),
+            "slope": with_mean(claims.process(draws, method, "calibration_slope"), 2),
+            "caution": _caution(method, study),
+            "unconverged": str(int(np.sum(claims.process(draws, method, "converged") == 0))),
         }
-        for variant in study.variants
+        for method in METHODS
     ]
 
 
+def _length_scales(study: Study) -> list[dict[str, Any]]:
+    def cell(method: str, i: int) -> str:
+        lengths = claims.process(study.draws, method, "length_scales")[:, i]
+        off = claims.process(study.draws, method, "switched_off")[:, i]
+        # A median among the length scales at the bound says only that it is at least that.
+        mark = "> " if np.mean(off) >= 0.5 else ""
+        return f"{mark}{_significant(float(np.median(lengths)))}" + (f" ({int(off.sum())})" if off.any() else "")
+
+    return [{"name": name, "lengths": [cell(method, i) for method in METHODS]} for i, name in enumerate(PAPER_FEATURES)]
+
+
+def _length_ratios(study: Study) -> str:
+    texts = []
+    for method in METHODS:
+        ratios = claims.length_ratio(study.draws, method)
+        middle = f"{_significant(np.quantile(ratios, 0.25))} to {_significant(np.quantile(ratios, 0.75))}"
+        texts.append(
+            f"{TITLES[method]} {_significant(float(np.median(ratios)))} (half of the samples: {middle}), "
+            f"10 or more in {_percent(float(np.mean(ratios >= 10.0)))}"
+        )
+    return "; ".join(texts)
+
+
+def _variant(variant: Variant) -> dict[str, Any]:
+    draws = variant.draws
+    # One split of each draw, the same in every variant.
+    first_split = claims.held_out(draws)[:, 0]
+    return {
+        "name": variant.name,
+        "moved": "–" if variant.moved is None else _percent(variant.moved, 1),
+        "shares": " / ".join(f"{100 * share:.0f}" for share in variant.data.shares) + " %",
+        "impact": with_mean(claims.logistic(draws, "impact", "in_sample"), share=True),
+        "failure": with_mean(claims.logistic(draws, "failure", "in_sample"), share=True),
+        "held_out": with_mean(first_split, share=True),
+        "fresh": with_mean(claims.process(draws, "laplace", "fresh"), share=True),
+        "gain": with_mean(100 * claims.fresh_gain(draws), 1),
+        "papers_gain": with_mean(100 * (first_split - claims.logistic(draws, "failure", "in_sample")), 1),
+        "impact_features": named(claims.majority(draws, "impact"), paper.significant_share(draws, "impact")),
+        "failure_features": named(claims.majority(draws, "failure"), paper.significant_share(draws, "failure")),
+        "hold": ["yes" if holds(draws) else "**no**" for holds in CONCLUSIONS.values()],
+    }
+
+
+def _moving(study: Study) -> list[str]:
+    """A sentence for each conclusion: which choices overturn it."""
+    sentences = []
+    for conclusion, holds in CONCLUSIONS.items():
+        against = [variant.name for variant in study.variants if not holds(variant.draws)]
+        sentences.append(f"{conclusion}: " + (f"not under {'; '.join(against)}." if against else "under every choice."))
+    return sentences
+
+
+def _peak_displacement() -> float:
+    """Peak displacement of the pulse over A_p·(T_p/2π)², by integrating it twice."""
+    # Twice a run's span: nothing of the pulse is left at its ends.
+    t = np.linspace(-2.0 * HALF_DURATION, 2.0 * HALF_DURATION, 20_001)
+    acceleration = np.array([ground_acceleration(instant, (2.0 * np.pi) ** 2, 1.0) for instant in t])
+    velocity = cumulative_trapezoid(acceleration, t, initial=0.0)
+    return float(np.abs(cumulative_trapezoid(velocity, t, initial=0.0)).max())
+
+
 def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
-    lines = summary(study)
-    table2 = paper.table_2(study.data.X)
-    answered = study.data.label[study.data.label >= 0]
-    shares = np.bincount(answered, minlength=3) / len(answered)
-    fresh_laplace = _values(study, "laplace", "fresh")
-    gain = 100 * (fresh_laplace - _logistic(study, "failure", "fresh"))
-    same = all(_majority(study, b) == _significant(np.array(PAPER_P_VALUES[b])) for b in PAPER_P_VALUES)
+    draws = study.draws
+    lines = claims.claims(study)
+    table2 = published.table_2(study.data.X)
+    held_out = claims.held_out(draws)
+    quarter = study.data.X.shape[1] - round(paper.TRAINING_SHARE * study.data.X.shape[1])
+    papers_interval = binomtest(round(published.HELD_OUT * quarter), quarter).proportion_ci(method="exact")
+    ep, laplace = (claims.process(draws, method, "log_score") for method in ("ep", "laplace"))
+    gain, papers_gain = 100 * claims.fresh_gain(draws), 100 * claims.papers_gain(draws)
     return {
         **command,
         "size": paper.SIZE,
+        "splits": held_out.shape[1],
+        "quarter": quarter,
+        "training_share": _percent(paper.TRAINING_SHARE),
+        "significance": _percent(paper.SIGNIFICANCE),
+        "gravity": GRAVITY,
+        "slider_diameter": f"{Model().slider_diameter:.2f}",
+        "peak_displacement": f"{_peak_displacement():.4f}",
+        "simulations": study.data.simulations,
         "answered_fresh": int(np.sum(study.data.label_fresh >= 0)),
-        "simulations": study.data.label.size + study.data.label_fresh.size,
-        "numerical_failures": int(np.sum(study.data.label < 0) + np.sum(study.data.label_fresh < 0)),
-        "summary": [vars(line) for line in lines],
-        "shares": f"{100 * shares[0]:.1f} % no impact, {100 * shares[1]:.1f} % impact, {100 * shares[2]:.1f} % failure",
-        "table2": _table_2(study),
-        "low_mu": int(np.sum(table2[2].medians <= PAPER_TABLE_2[2][1])),
-        "low_h": int(np.sum(table2[3].medians <= PAPER_TABLE_2[3][1])),
-        "paper_mu": PAPER_TABLE_2[2][1],
-        "paper_h": PAPER_TABLE_2[3][1],
+        "numerical_failures": study.data.numerical_failures,
+        "claims": [vars(line) for line in lines],
+        "not_reproduced": [line.item for line in lines if line.verdict == NOT_REPRODUCED],
+        "by_chance": [line.item for line in lines if line.verdict == claims.BY_CHANCE],
+        "shares": "{:.1f} % no impact, {:.1f} % impact, {:.1f} % failure".format(*(100 * study.data.shares)),
+        "table2": table_2(study.data.X),
+        "low_mu": int(np.sum(table2[2].median <= published.TABLE_2[2][1])),
+        "low_h": int(np.sum(table2[3].median <= published.TABLE_2[3][1])),
+        "paper_mu": published.TABLE_2[2][1],
+        "paper_h": published.TABLE_2[3][1],
+        "medians_outside": named(claims.medians_outside(study)),
+        "tilted": paper.TILTED,
         "logistic": [
             {
                 "boundary": boundary,
                 "paper": f"{theirs:.2f}",
-                "in_sample": _with_range(_logistic(study, boundary, "in_sample")),
-                "fresh": _with_range(_logistic(study, boundary, "fresh")),
-                "separated": int(np.sum(_logistic(study, boundary, "separated"))),
+                "in_sample": with_mean(claims.logistic(draws, boundary, "in_sample"), share=True),
+                "one": span(Estimate.over(claims.logistic(draws, boundary, "in_sample")).of_one, share=True),
+                "fresh": with_mean(claims.logistic(draws, boundary, "fresh"), share=True),
+                "separated": int(np.sum(claims.logistic(draws, boundary, "separated"))),
+                "without": int(np.sum(np.isnan(claims.logistic(draws, boundary, "p_values")).any(axis=1))),
             }
-            for boundary, theirs in PAPER_LOGISTIC.items()
+            for boundary, theirs in published.LOGISTIC.items()
         ],
         "p_values": _p_values(study),
-        "impact_significant": _named(_majority(study, "impact")),
-        "failure_significant": _named(_majority(study, "failure")),
-        "impact_paper_significant": _named(_significant(np.array(PAPER_P_VALUES["impact"]))),
-        "failure_paper_significant": _named(_significant(np.array(PAPER_P_VALUES["failure"]))),
-        "significance_verdict": "They are the same." if same else "They are not the same.",
-        "processes": [
-            {
-                "title": TITLES[method],
-                "held_out": _with_range(_values(study, method, "held_out")),
-                "fresh": _with_range(_values(study, method, "fresh")),
-                "log_score": _with_range(_values(study, method, "log_score")),
+        "significant": {
+            boundary: {
+                "ours": named(claims.majority(draws, boundary)),
+                "paper": named(claims.papers_significant(boundary)),
+                "same": claims.majority(draws, boundary) == claims.papers_significant(boundary),
             }
-            for method in METHODS
-        ],
-        "laplace_ep": f"{100 * np.mean(np.abs(_values(study, 'ep', 'fresh') - fresh_laplace)):.2f}",
-        "gain": f"{gain.mean():.1f}",
-        "gain_interval": _range(gain, 1),
+            for boundary in published.P_VALUES
+        },
+        "held_out_paper": f"{published.HELD_OUT:.2f}",
+        "held_out_paper_interval": span((papers_interval.low, papers_interval.high), 2),
+        "held_out": with_mean(held_out, share=True),
+        "held_out_one": span(Estimate.over(held_out).of_one, share=True),
+        "held_out_as_high": int(np.sum(held_out >= published.HELD_OUT - claims.PERCENT)),
+        "held_out_number": held_out.size,
+        "processes": _processes(study),
+        "gain": with_mean(gain, 1),
+        "gain_one": span(Estimate.over(gain).of_one, 1),
+        "papers_gain": with_mean(papers_gain, 1),
+        "papers_gain_one": span(Estimate.over(papers_gain).of_one, 1),
+        "paper_gain": f"{100 * published.GAIN:.0f}",
+        "gain_as_high": int(np.sum(gain >= 100 * published.GAIN - 0.5)),
+        "ep_log_score": with_mean(ep - laplace),
         "length_titles": [TITLES[method] for method in METHODS],
-        "length_scales": [
-            {
-                "name": name,
-                "lengths": [f"{np.median(_values(study, method, 'length_scales')[:, i]):.2g}" for method in METHODS],
-            }
-            for i, name in enumerate(PAPER_FEATURES)
-        ],
-        "length_ratio": "; ".join(
-            f"{TITLES[method]} {100 * np.mean(_length_ratios(study, method) >= 10.0):.0f} %" for method in METHODS
-        ),
-        "medians_outside": _named(_medians_outside(study)),
-        "variant_draws": study.variant_draws,
-        "variant_failures": sum(variant.numerical_failures for variant in study.variants),
+        "length_scales": _length_scales(study),
+        "length_ratios": _length_ratios(study),
+        "length_bound": f"{LENGTH_SCALE[1]:g}",
+        "slice": _percent(SLICE),
         "planes": [
             {"name": plane.name, "title": f"Figure {plane.name[-1]}", "caption": _CAPTIONS[plane.name]}
             for plane in PLANES
         ],
-        "variants": _variants(study),
-        "not_reproduced": [
-            f"{line.item}: the paper has {line.paper}, ours is {line.ours}"
-            + (f" ({line.interval})." if line.interval else ".")
-            for line in lines
-            if "not reproduced" in line.verdict
-        ],
+        "variants": [_variant(variant) for variant in study.variants],
+        "variant_failures": sum(variant.data.numerical_failures for variant in study.variants),
+        "conclusions": list(CONCLUSIONS),
+        "moving": _moving(study),
+        "first_sample": {
+            "logistic": {name: fitted.in_sample for name, fitted in draws[0].logistic.items()},
+            "p_values": {name: fitted.p_values.tolist() for name, fitted in draws[0].logistic.items()},
+            "held_out": draws[0].held_out.tolist(),
+        },
     }
 
 
@@ -348,17 +268,19 @@ def render(numbers: dict[str, Any]) -> str:
 
 
 def write_reproduction(study: Study, out: Path, command: dict[str, int], stage: Callable[[str], None]) -> Path:
-    """Write the page `out/reproduction.md`, its figures and its numbers below `out/reproduction`; the page's path."""
+    """Write the page `out/reproduction.md`, its figures and its numbers below `out/reproduction`; the page's path.
+
+    Args:
+        command: draws, fresh and seed of the study, and the minutes and cores that it took.
+    """
     folder = out / "reproduction"
     folder.mkdir(parents=True, exist_ok=True)
     stage("drawing")
-    X, label = study.data.X[0], study.data.label[0]
-    F, failed = paper_features(X[label >= 0]), label[label >= 0] == 2
-    moments = paper.failure_moments(X[label >= 0], failed)
-    figures = {plane.name: plot_plane(plane, moments, F, failed) for plane in PLANES}
+    trained = paper.typical_process(study, command["seed"])
+    figures = {plane.name: plot_plane(plane, trained) for plane in PLANES}
     y_fresh = np.tile(study.data.label_fresh[study.data.label_fresh >= 0] == 2, len(study.draws))
-    pooled = {TITLES[method]: _values(study, method, "probability").ravel() for method in METHODS}
-    figures["reliability"] = plot_reliability(pooled, y_fresh)
+    pooled = {TITLES[method]: claims.process(study.draws, method, "probability").ravel() for method in METHODS}
+    figures["reliability"] = plot_reliability(pooled, y_fresh, len(study.draws))
     with styled():
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.svg", metadata={"Date": None})

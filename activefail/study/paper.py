@@ -13,18 +13,27 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import logit
 from threadpoolctl import threadpool_limits
 
-from activefail.bearing.design import GRAVITY, TABLE_1, Model
+from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
-from activefail.features import PAPER_FEATURES, feature_map, paper_features
+from activefail.features import feature_map, paper_features
 from activefail.space import Array
+from activefail.study.published import tilted
+from activefail.study.score import expected_calibration_error
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.fitting import fit
-from activefail.surrogate.reference import expectation_propagation, laplace, logistic_regression
+from activefail.surrogate.reference import LENGTH_SCALE, expectation_propagation, laplace, logistic_regression
 
 SIZE = 250
 """Simulations of one draw, as in the paper."""
+
+TRAINING_SHARE = 0.75
+"""Of a draw's points, those that a process is trained on; it is judged on the others, as in the paper."""
+
+SPLITS = 5
+"""Random splits of each draw on which the Laplace process is held out: a quarter is only about 62 points."""
 
 BOUNDARIES = {"impact": 1, "failure": 2}
 """The paper's two questions, and the least label that answers yes."""
@@ -42,7 +51,7 @@ class Logistic:
 
     in_sample: float
     fresh: float
-    p_values: Array  # (6,); NaN when the classes separate
+    p_values: Array  # (6,); NaN when there is no maximum
     separated: bool
 
 
@@ -53,16 +62,29 @@ class Process:
     held_out: float  # accuracy on the other quarter
     fresh: float  # accuracy on fresh designs
     log_score: float  # mean log probability of the true class on fresh designs [nat]
+    calibration_error: float  # mean distance of predicted from observed shares on fresh designs, over ten bins
+    calibration_slope: float  # of the log odds of failure on the predicted ones: above 1 too cautious, below too sure
     length_scales: Array  # (6,) over the features' ranges
+    switched_off: NDArray[np.bool_]  # (6,) whether a length scale ran to the bound of its search
+    converged: bool
     probability: Array  # (n_fresh,) of failure
 
 
 @dataclass(frozen=True)
 class Draw:
-    """Everything computed from one draw."""
+    """Everything computed from one draw.
+
+    Attributes:
+        logistic: of the whole draw, by boundary.
+        three_quarters: fresh accuracy for failure of a logistic regression on the points the processes were trained on.
+        processes: by method, on the first split.
+        held_out: (splits,) accuracy of the Laplace process on the quarter left out, the first split first.
+    """
 
     logistic: dict[str, Logistic]
+    three_quarters: float
     processes: dict[str, Process]
+    held_out: Array
 
 
 @dataclass(frozen=True)
@@ -74,28 +96,38 @@ class Data:
     X_fresh: Array
     label_fresh: NDArray[np.int8]
 
+    @property
+    def simulations(self) -> int:
+        """How many designs were simulated."""
+        return self.label.size + self.label_fresh.size
+
+    @property
+    def numerical_failures(self) -> int:
+        """How many of them have no answer."""
+        return int(np.sum(self.label < 0) + np.sum(self.label_fresh < 0))
+
+    @property
+    def shares(self) -> Array:
+        """Shares of the three outcomes in the draws, (3,)."""
+        answered = self.label[self.label >= 0]
+        return np.asarray(np.bincount(answered, minlength=3) / len(answered))
+
 
 @dataclass(frozen=True)
 class Variant:
-    """What one choice of the bearing model moves.
+    """The study again under one other choice.
 
     Attributes:
         name: of the choice.
-        moved: share of labels that differ from the default model's.
-        shares: (3,) of the labels.
-        logistic: accuracy in sample, mean over draws, by boundary.
-        p_values: (6,) medians over draws, by boundary.
-        process: fresh accuracy of the Laplace GP, mean over its draws.
-        numerical_failures: among all simulations of the variant.
+        moved: share of the draws' labels that differ from the default model's; None where the designs are others.
+        data: its designs and labels.
+        draws: of the Laplace process alone, on one split.
     """
 
     name: str
-    moved: float
-    shares: Array
-    logistic: dict[str, float]
-    p_values: dict[str, Array]
-    process: float
-    numerical_failures: int
+    moved: float | None
+    data: Data
+    draws: list[Draw]
 
 
 VARIANTS: dict[str, Model] = {
@@ -106,7 +138,10 @@ VARIANTS: dict[str, Model] = {
     "v_r = 0.01 m/s": Model(friction_velocity=0.01),
     "failure without loss of confinement": Model(loss_of_confinement=False),
 }
-"""The choices whose influence is measured, the default first."""
+"""The choices of the model whose influence is measured, the default first."""
+
+TILTED = "the sample tilted to the medians of Table 2"
+"""The variant of `tilted` designs under the default model."""
 
 
 def designs(draws: int, fresh: int, seed: int) -> tuple[Array, Array]:
@@ -146,6 +181,42 @@ def _scaled_features(logarithmic: bool) -> Callable[[Array], Array]:
     return lambda X: (paper_features(X) - center) / spread
 
 
+def split(rng: np.random.Generator, n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Random rows to train on and to hold out, of n."""
+    train, held_out = np.split(rng.permutation(n), [round(TRAINING_SHARE * n)])
+    return train, held_out
+
+
+def calibration_slope(p: Array, y: NDArray[np.bool_]) -> float:
+    """Cox's (1958) slope: the coefficient of the predicted log odds, (n,), in a logistic regression of what came."""
+    log_odds = logit(np.clip(p, 1e-12, 1.0 - 1e-12))
+    return float(logistic_regression(log_odds[:, None], y).coefficients[0])
+
+
+@dataclass(frozen=True)
+class _Trained:
+    """A classifier of failure, as the study asks it."""
+
+    probability: Callable[[Array], Array]  # of failure at scaled features
+    length_scales: Array  # (6,)
+    switched_off: NDArray[np.bool_]  # (6,)
+    converged: bool
+
+
+def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
+    match method:
+        case "laplace" | "ep":
+            process = (laplace if method == "laplace" else expectation_propagation)(F, failed)
+            scales = process.hyperparameters.length_scales
+            return _Trained(process.probability, scales, scales > 0.99 * LENGTH_SCALE[1], process.converged)
+        case _:
+            fitted = fit(torch.from_numpy(F), torch.from_numpy(np.where(failed, 1.0, -1.0)), "rbf")
+            scales = np.exp(fitted.hyperparameters.log_lengthscale.numpy())
+            latent = Latent(fitted)
+            # Its weak prior keeps every length scale finite, and its search ends at a minimum by construction.
+            return _Trained(lambda G: latent.moments(G).probability, scales, np.zeros(len(scales), dtype=bool), True)
+
+
 def process_of_draw(
     method: str,
     X: Array,
@@ -155,30 +226,31 @@ def process_of_draw(
     y_fresh: NDArray[np.bool_],
 ) -> Process:
     """A GP classifier trained on a random three quarters of a draw and judged on the rest and on fresh designs."""
-    order = rng.permutation(len(X))
-    train, held_out = np.split(order, [round(0.75 * len(X))])
+    train, held_out = split(rng, len(X))
     features = _scaled_features(method == "variational_log")
     F, F_fresh = features(X), features(X_fresh)
-    match method:
-        case "laplace" | "ep":
-            infer = laplace if method == "laplace" else expectation_propagation
-            trained = infer(F[train], failed[train])
-            probability, at_fresh = trained.probability(F[held_out]), trained.probability(F_fresh)
-            length_scales = trained.hyperparameters.length_scales
-        case _:
-            labels = torch.from_numpy(np.where(failed[train], 1.0, -1.0))
-            latent = Latent(fit(torch.from_numpy(F[train]), labels, "rbf"))
-            probability = latent.moments(F[held_out]).probability
-            at_fresh = latent.moments(F_fresh).probability
-            length_scales = np.exp(latent.trained.hyperparameters.log_lengthscale.numpy())
-    sure = np.clip(np.where(y_fresh, at_fresh, 1.0 - at_fresh), 1e-12, None)
+    trained = _trained(method, F[train], failed[train])
+    p = trained.probability(F_fresh)
+    sure = np.clip(np.where(y_fresh, p, 1.0 - p), 1e-12, None)
     return Process(
-        held_out=float(np.mean((probability > 0.5) == failed[held_out])),
-        fresh=float(np.mean((at_fresh > 0.5) == y_fresh)),
+        held_out=float(np.mean((trained.probability(F[held_out]) > 0.5) == failed[held_out])),
+        fresh=float(np.mean((p > 0.5) == y_fresh)),
         log_score=float(np.mean(np.log(sure))),
-        length_scales=length_scales / np.ptp(F_fresh, axis=0),
-        probability=at_fresh,
+        calibration_error=expected_calibration_error(p, y_fresh),
+        calibration_slope=calibration_slope(p, y_fresh),
+        length_scales=trained.length_scales / np.ptp(F_fresh, axis=0),
+        switched_off=trained.switched_off,
+        converged=trained.converged,
+        probability=p,
     )
+
+
+def held_out_accuracy(X: Array, failed: NDArray[np.bool_], rng: np.random.Generator) -> float:
+    """Accuracy of the Laplace process on a random quarter of a draw, trained on the rest."""
+    train, held_out = split(rng, len(X))
+    F = _scaled_features(False)(X)
+    p = laplace(F[train], failed[train]).probability(F[held_out])
+    return float(np.mean((p > 0.5) == failed[held_out]))
 
 
 def study_draw(
@@ -189,107 +261,67 @@ def study_draw(
     seed: int,
     draw: int,
     methods: tuple[str, ...],
+    splits: int,
 ) -> Draw:
-    """All that the paper computed, for one draw; runs in a worker process."""
+    """All that the paper computed, for one draw; runs in a worker process.
+
+    Args:
+        methods: of `METHODS`, all on the first split; "laplace" among them.
+        splits: on which the Laplace process is held out.
+    """
+
+    def of_split(number: int) -> np.random.Generator:
+        return np.random.default_rng([seed, 2, draw, number])
+
     torch.set_num_threads(1)
     with threadpool_limits(1):
         X, label = _answered(X, label)
         X_fresh, label_fresh = _answered(X_fresh, label_fresh)
-        F_fresh = paper_features(X_fresh)
-        logistic = {
-            name: logistic_of_draw(X, label >= least, F_fresh, label_fresh >= least)
-            for name, least in BOUNDARIES.items()
-        }
+        F, F_fresh = paper_features(X), paper_features(X_fresh)
+        failed, failed_fresh = label == 2, label_fresh == 2
+        train, _ = split(of_split(0), len(X))
         processes = {
-            method: process_of_draw(
-                # The same split for every method.
-                method,
-                X,
-                label == 2,
-                np.random.default_rng([seed, 2, draw]),
-                X_fresh,
-                label_fresh == 2,
-            )
-            for method in methods
+            method: process_of_draw(method, X, failed, of_split(0), X_fresh, failed_fresh) for method in methods
         }
-        return Draw(logistic, processes)
+        others = [held_out_accuracy(X, failed, of_split(number)) for number in range(1, splits)]
+        return Draw(
+            logistic={
+                name: logistic_of_draw(X, label >= least, F_fresh, label_fresh >= least)
+                for name, least in BOUNDARIES.items()
+            },
+            three_quarters=logistic_regression(F[train], failed[train]).accuracy(F_fresh, failed_fresh),
+            processes=processes,
+            held_out=np.array([processes["laplace"].held_out, *others]),
+        )
 
 
-def study_draws(pool: Executor, data: Data, seed: int, methods: tuple[str, ...]) -> list[Draw]:
+def study_draws(pool: Executor, data: Data, seed: int, methods: tuple[str, ...], splits: int) -> list[Draw]:
     """`study_draw` of every draw, side by side; the results do not depend on the pool's size."""
     futures = [
-        pool.submit(study_draw, X, label, data.X_fresh, data.label_fresh, seed, draw, methods)
+        pool.submit(study_draw, X, label, data.X_fresh, data.label_fresh, seed, draw, methods, splits)
         for draw, (X, label) in enumerate(zip(data.X, data.label, strict=True))
     ]
     return [future.result() for future in futures]
 
 
 def median_p_values(draws: list[Draw], boundary: str) -> Array:
-    """Median Wald p-values over the draws whose classes did not separate, (6,)."""
+    """Median Wald p-values over the draws that have them, (6,)."""
     return np.nanmedian([draw.logistic[boundary].p_values for draw in draws], axis=0)
 
 
 def significant_share(draws: list[Draw], boundary: str) -> Array:
-    """Share of draws in which each feature is significant at 5 %, (6,); a separated draw counts as not."""
+    """Share of draws in which each feature is significant at 5 %, (6,); a draw without a p-value counts as not."""
     p = np.array([draw.logistic[boundary].p_values for draw in draws])
     return np.asarray(np.mean(np.where(np.isnan(p), 1.0, p) < SIGNIFICANCE, axis=0))
 
 
-def study_variant(pool: Executor, name: str, base: Data, seed: int) -> Variant:
-    """What a variant of the model moves, on the designs of the base data."""
-    data = simulated(base.X, base.X_fresh, VARIANTS[name])
-    both = (data.label >= 0) & (base.label >= 0)
-    answered = data.label[data.label >= 0]
-    draws = study_draws(pool, data, seed, ("laplace",))
-    return Variant(
-        name,
-        moved=float(np.mean(data.label[both] != base.label[both])),
-        shares=np.bincount(answered, minlength=3) / len(answered),
-        logistic={boundary: float(np.mean([d.logistic[boundary].in_sample for d in draws])) for boundary in BOUNDARIES},
-        p_values={boundary: median_p_values(draws, boundary) for boundary in BOUNDARIES},
-        process=float(np.mean([draw.processes["laplace"].fresh for draw in draws])),
-        numerical_failures=int(np.sum(data.label < 0) + np.sum(data.label_fresh < 0)),
-    )
-
-
-@dataclass(frozen=True)
-class Table2Row:
-    """Range and median of one feature: as the formulas give it, and as the paper seems to have computed it."""
-
-    name: str
-    low: float
-    high: float
-    median: float
-    medians: Array  # (draws,)
-    medians_in_papers_units: Array  # (draws,), the same where the formula alone gives the size of Table 2
-
-
-def table_2(X: Array) -> list[Table2Row]:
-    """Ours of the paper's Table 2 over draws, (draws, 250, 9).
-
-    The paper's D_ratio fits a pulse displacement of A_p·(T_p/2π)² with A_p in g but without g's 9.81, and its k_norm
-    that displacement in millimetres: constant factors, which no classifier notices.
-    """
-    F = paper_features(X.reshape(-1, TABLE_1.dimension))
-    medians = np.median(F.reshape(*X.shape[:2], -1), axis=1)
-    # k_norm goes with the inverse root of the displacement.
-    factor = np.array([1.0 / GRAVITY, 1.0, 1.0, 1.0, 1.0, np.sqrt(GRAVITY / 1000.0)])
-    return [
-        Table2Row(
-            name, F[:, i].min(), F[:, i].max(), float(np.median(F[:, i])), medians[:, i], factor[i] * medians[:, i]
-        )
-        for i, name in enumerate(PAPER_FEATURES)
-    ]
-
-
 @dataclass(frozen=True)
 class Study:
-    """All that the reproduction reports."""
+    """All that the reproduction reports; the first variant is the study itself."""
 
     data: Data
     draws: list[Draw]
     variants: list[Variant]
-    variant_draws: int  # of the draws, how many each variant was given
 
 
 def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = lambda _: None) -> Study:
@@ -297,21 +329,45 @@ def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = 
     X, X_fresh = designs(draws, fresh, seed)
     stage(f"simulating {draws} draws of {SIZE} and {fresh} fresh designs")
     data = simulated(X, X_fresh, Model())
-    # A quarter of the draws for each variant: enough to see which conclusions move, within minutes.
-    few = max(2, draws // 4)
-    base = Data(data.X[:few], data.label[:few], X_fresh, data.label_fresh)
-    variants = []
     with ProcessPoolExecutor(os.cpu_count(), mp_context=multiprocessing.get_context("spawn")) as pool:
         stage(f"regressions and Gaussian processes of {draws} draws")
-        studied = study_draws(pool, data, seed, METHODS)
-        for name in VARIANTS:
-            stage(f"what depends on the model: {name}")
-            variants.append(study_variant(pool, name, base, seed))
-    return Study(data, studied, variants, few)
+        studied = study_draws(pool, data, seed, METHODS, SPLITS)
+        default, *others = VARIANTS
+        variants = [Variant(default, 0.0, data, studied)]
+        for name in (*others, TILTED):
+            stage(f"what depends on the choices: {name}")
+            if name == TILTED:
+                varied, moved = simulated(tilted(X), tilted(X_fresh), Model()), None
+            else:
+                varied = simulated(X, X_fresh, VARIANTS[name])
+                both = (varied.label >= 0) & (data.label >= 0)
+                moved = float(np.mean(varied.label[both] != data.label[both]))
+            variants.append(Variant(name, moved, varied, study_draws(pool, varied, seed, ("laplace",), 1)))
+    return Study(data, studied, variants)
 
 
-def failure_moments(X: Array, failed: NDArray[np.bool_]) -> Callable[[Array], tuple[Array, Array]]:
-    """Latent mean and standard deviation of the paper's process, as a function of the paper's features, (n, 6)."""
+@dataclass(frozen=True)
+class PaperProcess:
+    """The paper's process on one draw's training points.
+
+    Attributes:
+        F: (n, 6) the paper's features of the training points.
+        failed: (n,) bool.
+        moments: latent mean and standard deviation at the paper's features, (n, 6).
+    """
+
+    F: Array
+    failed: NDArray[np.bool_]
+    moments: Callable[[Array], tuple[Array, Array]]
+
+
+def typical_process(study: Study, seed: int) -> PaperProcess:
+    """The Laplace process whose fresh accuracy is the median one of the draws' first splits: Figures 3 to 5 show it."""
+    fresh = [draw.processes["laplace"].fresh for draw in study.draws]
+    draw = int(np.argsort(fresh, kind="stable")[len(fresh) // 2])
+    X, label = _answered(study.data.X[draw], study.data.label[draw])
+    train, _ = split(np.random.default_rng([seed, 2, draw, 0]), len(X))
+    F, failed = paper_features(X[train]), label[train] == 2
     center, spread = _paper_scaling()
-    trained = laplace((paper_features(X) - center) / spread, failed)
-    return lambda F: trained.moments((F - center) / spread)
+    trained = laplace((F - center) / spread, failed)
+    return PaperProcess(F, failed, lambda G: trained.moments((G - center) / spread))

@@ -25,7 +25,7 @@ the more the likelihood is a step, and the evidence tends to a constant. At a la
 is within 0.1 nat of it; Laplace's goes on to rise beyond, above the evidence itself, to predictions that are too sure.
 """
 
-_LENGTH_SCALE = (1e-2, 1e3)
+LENGTH_SCALE = (1e-2, 1e3)
 """Searched length scales, in the features' units: at 1000 standard ones a feature alters no covariance by 1e-4."""
 
 _PRIOR_PROBIT = (-8.0, 8.0)
@@ -254,7 +254,7 @@ def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
     if y.all() or not y.any():
         raise InputError(f"Both classes must be in the training set, got {len(y)} labels of one.")
     signs, m = _signs(y), F.shape[1]
-    bounds = [_PRIOR_PROBIT] + [tuple(np.log(limits)) for limits in [_SIGNAL_VARIANCE] + [_LENGTH_SCALE] * m]
+    bounds = [_PRIOR_PROBIT] + [tuple(np.log(limits)) for limits in [_SIGNAL_VARIANCE] + [LENGTH_SCALE] * m]
 
     def climb(signal_variance: float, scale: float) -> OptimizeResult:
         sites: Sites | None = None

@@ -425,7 +425,7 @@ def test_no_step_along_a_hyperparameter_betters_the_trained_evidence(method):
     best = reference.pack(fit.hyperparameters)
     signs = np.where(y, 1.0, -1.0)
     bounds = np.array(
-        [reference._PRIOR_PROBIT, np.log(reference._SIGNAL_VARIANCE)] + [np.log(reference._LENGTH_SCALE)] * 3
+        [reference._PRIOR_PROBIT, np.log(reference._SIGNAL_VARIANCE)] + [np.log(reference.LENGTH_SCALE)] * 3
     )
     moved = 0
     for step in (1e-2, 0.3):
