@@ -1,6 +1,7 @@
 """A campaign's settings: TOML in, checked and frozen."""
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -123,11 +124,22 @@ class CampaignSettings(_Section):
         Raises:
             InputError: if one breaks a rule.
         """
+        given = {"seed": seed, "sampling.budget": budget}
+        return self.changed({key: value for key, value in given.items() if value is not None})
+
+    def changed(self, changes: Mapping[str, Any]) -> "CampaignSettings":
+        """The settings with other values at some keys, like "sampling.budget".
+
+        Raises:
+            InputError: if one breaks a rule.
+        """
         values = self.model_dump(mode="json")
-        if seed is not None:
-            values["seed"] = seed
-        if budget is not None:
-            values["sampling"]["budget"] = budget
+        for key, value in changes.items():
+            *sections, name = key.split(".")
+            section = values
+            for part in sections:
+                section = section[part]
+            section[name] = value
         return _checked(values, "command line")
 
 

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from activefail.report.style import BLUE, VERMILION, styled
+from activefail.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILION, YELLOW, styled
 from activefail.study.compare import Score
+from activefail.study.seeds import STATIC, Point
 
 
 def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int) -> Figure:
@@ -28,4 +29,43 @@ def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int)
             f"Band: 95 % interval over test sets of {test_size} designs (one set, shared by both)", fontsize=9
         )
         axes.legend(loc="lower right")
+    return figure
+
+
+_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK, YELLOW)
+_MARKERS = "osD^vP*X"
+
+
+def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str, title: str) -> Figure:
+    """A measure against simulations over seeds, one line for each pair of features and sampling.
+
+    Args:
+        curves: as `activefail.study.seeds.curves` gives them: solid lines are campaigns, dashed ones static designs.
+        label: of the measure, with its unit.
+        title: says what the bands and lines are.
+    """
+    with styled():
+        figure = Figure(figsize=(7.6, 5.0), layout="constrained")
+        axes = figure.add_subplot()
+        features = list(dict.fromkeys(key[0] for key in curves))
+        samplings = list(dict.fromkeys(key[1] for key in curves))
+        for (feature, sampling), points in curves.items():
+            colour = _COLOURS[features.index(feature) % len(_COLOURS)]
+            marker = _MARKERS[samplings.index(sampling) % len(_MARKERS)]
+            n = np.array([point.simulations for point in points])
+            values = np.array([point.values for point in points])
+            axes.fill_between(n, values.min(axis=1), values.max(axis=1), color=colour, alpha=0.12, linewidth=0.0)
+            line = "--" if sampling == STATIC else "-"
+            name = f"{'static Latin hypercube' if sampling == STATIC else sampling}, {feature} features"
+            axes.plot(n, np.median(values, axis=1), color=colour, marker=marker, linestyle=line, label=name)
+        axes.set_xscale("log")
+        static = {point.simulations for key, points in curves.items() if key[1] == STATIC for point in points}
+        ends = {points[place].simulations for points in curves.values() for place in (0, -1)}
+        ticks = sorted(static | ends)
+        axes.set_xticks(ticks, [str(tick) for tick in ticks], rotation=45)
+        axes.minorticks_off()
+        axes.set_xlabel("simulations trained on")
+        axes.set_ylabel(label)
+        axes.set_title(title, fontsize=9)
+        axes.legend(loc="best")
     return figure

@@ -1,0 +1,357 @@
+"""Samplings compared over seeds: campaigns by criterion and features, and static Latin hypercubes, on one test set.
+
+A comparison lives in a folder. Each arm, one campaign or one static design, is scored once and its scores are kept: a
+comparison that was interrupted goes on where it stopped.
+"""
+
+import json
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.campaign import Campaign, stream
+from activefail.campaign.config import CampaignSettings, parse_settings
+from activefail.campaign.executor import ThreadExecutor, local_executor
+from activefail.campaign.folder import create_run, open_campaign
+from activefail.campaign.loop import Observer, one_thread, run, simulated_set
+from activefail.campaign.record import Batch
+from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.errors import InputError, SimulationError
+from activefail.space import Array
+from activefail.study.estimate import Estimate
+from activefail.study.score import NEIGHBOURS, TestSet, displaced, measures
+from activefail.surrogate.classifier import train
+
+STATIC = "static"
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way to spend simulations, with one seed.
+
+    Attributes:
+        features: what the classifier sees.
+        sampling: a criterion's name, or "static".
+        size: simulations.
+        seed: of the campaign, or of the Latin hypercube.
+    """
+
+    features: str
+    sampling: str
+    size: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Unique in a comparison, fit for a file."""
+        return f"{self.features}-{self.sampling}-{self.size}-seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is compared.
+
+    Attributes:
+        settings: of the campaign; its seed is the first of the seeds, its budget that of every campaign.
+        seeds: how many.
+        criteria, features: of the campaigns; every pair is one.
+        static: sizes of the static Latin hypercubes, one of its own for each.
+        test: fresh designs to judge by.
+    """
+
+    settings: CampaignSettings
+    seeds: int
+    criteria: tuple[str, ...]
+    features: tuple[str, ...]
+    static: tuple[int, ...]
+    test: int
+
+    def arms(self) -> list[Arm]:
+        """All arms, seed after seed."""
+        first, budget = self.settings.seed, self.settings.sampling.budget
+        return [
+            Arm(features, sampling, size, seed)
+            for seed in range(first, first + self.seeds)
+            for features in self.features
+            for sampling, size in (
+                *((criterion, budget) for criterion in self.criteria),
+                *((STATIC, size) for size in self.static),
+            )
+        ]
+
+    def campaign(self, arm: Arm) -> Campaign:
+        """The campaign of an arm, or the one whose static design it is."""
+        changes = {"seed": arm.seed, "classifier.features": arm.features, "validation.size": 0}
+        if arm.sampling != STATIC:
+            changes["acquisition.criterion"] = arm.sampling
+        return Campaign.of(self.settings.changed(changes))
+
+    def checkpoints(self) -> list[int]:
+        """Numbers of simulations at which a campaign is scored: five steps and the first fifth."""
+        initial, budget = self.settings.sampling.initial, self.settings.sampling.budget
+        step = (budget - initial) / 5
+        return sorted({initial, *(round(initial + step * part) for part in (0.2, 1, 2, 3, 4, 5))})
+
+
+@dataclass(frozen=True)
+class Score:
+    """An arm's measures after some of its simulations."""
+
+    arm: Arm
+    simulations: int
+    measures: dict[str, float]
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What a worker process is told of one arm."""
+
+    arm: Arm
+    settings: str
+    checkpoints: tuple[int, ...]
+    folder: Path
+    test: TestSet
+    static: tuple[Array, NDArray[np.int8]] | None
+
+
+_stop: Event | None = None
+
+
+def _begin_worker(stop: Event) -> None:
+    global _stop
+    _stop = stop
+    # A terminal sends Ctrl-C to the whole process group; the parent says when to stop.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _stopping() -> bool:
+    return _stop is not None and _stop.is_set()
+
+
+def _first(batches: tuple[Batch, ...], n: int) -> tuple[Array, NDArray[np.int8]]:
+    """The first n simulations, without those that failed numerically."""
+    X = np.concatenate([batch.designs for batch in batches])[:n]
+    outcome = np.concatenate([batch.results.outcome for batch in batches])[:n]
+    answered = outcome != NUMERICAL_FAILURE
+    return X[answered], outcome[answered]
+
+
+def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, NDArray[np.int8]]]:
+    """Take an arm's campaign to its budget; what it had at each checkpoint. Nothing when asked to stop."""
+    folder = job.folder / "runs" / job.arm.name
+    if not (folder / "campaign.toml").exists():
+        create_run(folder, campaign).close()
+    with open_campaign(folder, write=True) as (recorded, store), ThreadExecutor(1) as executor:
+        if not run(recorded, store, executor, job.arm.size, Observer(stop=_stopping)):
+            return
+        for n in job.checkpoints:
+            yield (n, *_first(store.batches, n))
+
+
+def _score_arm(job: _Job) -> list[Score] | None:
+    """The scores of an arm, in a worker process; None when it was asked to stop before."""
+    campaign = Campaign.of(parse_settings(job.settings, job.arm.name))
+    with one_thread():
+        if job.static is None:
+            rows = _campaign_rows(job, campaign)
+        else:
+            rows = iter([(job.arm.size, *job.static)])
+        scores = []
+        for n, X, outcome in rows:
+            if _stopping():
+                return None
+            classifier = train(
+                X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel
+            )
+            scores.append(Score(job.arm, n, measures(classifier, campaign.severity, job.test)))
+    return scores or None
+
+
+def _write(path: Path, text: str) -> None:
+    """Under its final name only once it is whole."""
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def _saved(path: Path) -> list[Score] | None:
+    # A file that cannot be read is scored again.
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        return [Score(Arm(**row["arm"]), row["simulations"], row["measures"]) for row in rows]
+    return None
+
+
+def prepare(folder: Path, plan: Plan) -> None:
+    """Make the folder of a comparison, or check that it is one of the same campaign and test set.
+
+    Raises:
+        InputError: if it holds another comparison.
+    """
+    frozen = plan.settings.text() + f"\n# fresh designs to judge by: {plan.test}\n"
+    path = folder / "comparison.toml"
+    for part in ("scores", "runs"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        if path.read_text(encoding="utf-8") != frozen:
+            raise InputError(f"{folder}: holds the comparison of another campaign or test set; give another folder.")
+    else:
+        _write(path, frozen)
+
+
+def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[TestSet, dict[Arm, Any]]:
+    """The test set and the static designs with their outcomes, simulated once and kept in the folder `designs`."""
+    campaign = Campaign.of(plan.settings.changed({"validation.size": 0}))
+    space, first = campaign.space, plan.settings.seed
+    designs = folder / "designs"
+    if not (designs / "campaign.toml").exists():
+        create_run(designs, campaign).close()
+    with open_campaign(designs, write=True) as (_, store), local_executor(campaign.simulator) as executor:
+
+        def answers(name: str, X: Array) -> tuple[Array, NDArray[np.int8]]:
+            found = simulated_set(campaign, store, executor, name, X)
+            assert found is not None  # it was not asked to stop
+            return found
+
+        stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
+        X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
+        kept, outcome = answers(f"test-{plan.test}", X)
+        moved = displaced(X, space, stream(first, "test", 1))
+        around = np.full(len(moved), NUMERICAL_FAILURE, dtype=np.int8)
+        moved_kept, moved_outcome = answers(f"around-{plan.test}", moved)
+        around[_rows_of(moved_kept, moved)] = moved_outcome
+        test = TestSet(kept, outcome, around.reshape(len(X), -1)[_rows_of(kept, X)])
+        static = {}
+        for seed in range(first, first + plan.seeds):
+            for size in plan.static:
+                stage(f"simulating a static design of {size}, seed {seed}")
+                hypercube = space.latin_hypercube(size, stream(seed, "static", size))
+                static[seed, size] = answers(f"static-{size}-seed{seed}", hypercube)
+    arms = [arm for arm in plan.arms() if arm.sampling == STATIC]
+    return test, {arm: static[arm.seed, arm.size] for arm in arms}
+
+
+def _rows_of(kept: Array, X: Array) -> NDArray[np.intp]:
+    """Rows of X, (n, d), that were kept, in order."""
+    if len(kept) == len(X):
+        return np.arange(len(X))
+    rows, found = [], 0
+    for row, design in enumerate(X):
+        if found < len(kept) and np.array_equal(design, kept[found]):
+            rows.append(row)
+            found += 1
+    return np.array(rows, dtype=np.intp)
+
+
+def compare_seeds(
+    plan: Plan,
+    folder: Path,
+    jobs: int,
+    stage: Callable[[str], None] = lambda _: None,
+    done: Callable[[int, int], None] = lambda _done, _all: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> list[Score] | None:
+    """Scores of all arms, `jobs` side by side; None when it was asked to stop, what was scored is kept.
+
+    Raises:
+        InputError: if the folder holds another comparison, or settings and features do not fit each other.
+        SimulationError: if a worker process dies.
+    """
+    arms = plan.arms()
+    campaigns = {arm: plan.campaign(arm) for arm in arms}
+    prepare(folder, plan)
+    scores = {arm: _saved(folder / "scores" / f"{arm.name}.json") for arm in arms}
+    left = [arm for arm in arms if scores[arm] is None]
+    if left:
+        test, static = _simulated(plan, folder, stage)
+        stage("campaigns and classifiers")
+        context = multiprocessing.get_context("spawn")
+        asked = context.Event()
+        with ProcessPoolExecutor(jobs, context, _begin_worker, (asked,)) as pool:
+            futures = {
+                pool.submit(
+                    _score_arm,
+                    _Job(
+                        arm,
+                        campaigns[arm].settings.text(),
+                        tuple(plan.checkpoints()),
+                        folder,
+                        test,
+                        static.get(arm),
+                    ),
+                ): arm
+                for arm in left
+            }
+            pending = set(futures)
+            try:
+                while pending and not asked.is_set():
+                    finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        arm, found = futures[future], future.result()
+                        if found is not None:
+                            rows = [asdict(score) for score in found]
+                            _write(folder / "scores" / f"{arm.name}.json", json.dumps(rows, indent=1))
+                            scores[arm] = found
+                            done(sum(saved is not None for saved in scores.values()), len(arms))
+                    if stop():
+                        asked.set()
+            except BrokenProcessPool:
+                raise SimulationError(
+                    "A worker process died (killed, or out of memory); what was scored is kept."
+                ) from None
+            finally:
+                asked.set()
+                pool.shutdown(wait=True, cancel_futures=True)
+    if any(found is None for found in scores.values()):
+        return None
+    return [score for arm in arms for score in scores[arm] or []]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A measure of one sampling after some simulations, over the seeds."""
+
+    simulations: int
+    values: Array  # (seeds,)
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Mean and intervals; None of a single seed."""
+        return Estimate.over(self.values) if len(self.values) > 1 else None
+
+
+def curves(scores: list[Score], measure: str) -> dict[tuple[str, str], list[Point]]:
+    """Points in the order of simulations, by features and sampling."""
+    found: dict[tuple[str, str], dict[int, list[float]]] = {}
+    for score in scores:
+        by_size = found.setdefault((score.arm.features, score.arm.sampling), {})
+        by_size.setdefault(score.simulations, []).append(score.measures[measure])
+    return {
+        key: [Point(n, np.array(values)) for n, values in sorted(by_size.items())] for key, by_size in found.items()
+    }
+
+
+def simulations_to_reach(points: list[Point], level: float) -> float | None:
+    """Simulations at which a curve of medians first reaches a level, interpolated in their logarithm; None if never."""
+    n = np.array([point.simulations for point in points], dtype=float)
+    medians = np.array([np.median(point.values) for point in points])
+    reached = np.nonzero(medians >= level)[0]
+    if not len(reached):
+        return None
+    after = int(reached[0])
+    if after == 0:
+        return float(n[0])
+    share = (level - medians[after - 1]) / (medians[after] - medians[after - 1])
+    return float(np.exp(np.log(n[after - 1]) + share * np.log(n[after] / n[after - 1])))
