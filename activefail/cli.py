@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from activefail.campaign.campaign import Campaign
     from activefail.campaign.loop import Observer, Progress
     from activefail.campaign.record import Store
+    from activefail.campaign.verification import ErrorEstimate
 
 app = typer.Typer(
     help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",
@@ -289,6 +290,7 @@ def resume(
             help="Share of them to stop above, instead of the campaign's.", min=0.0, max=1.0, show_default=False
         ),
     ] = None,
+    ignore_stop: Annotated[bool, typer.Option("--ignore-stop", help="Go on although it is good enough.")] = False,
 ) -> None:
     """Go on with a campaign that was interrupted, or beyond its budget."""
     from activefail.campaign.folder import open_campaign
@@ -301,7 +303,8 @@ def resume(
         extra = "" if budget is None else f" --budget {budget}"
         if numerical_failures is not None:
             extra += f" --numerical-failures {numerical_failures:g}"
-        _take_to_budget(assembled, store, folder, target, workers, extra, numerical_failures)
+        extra += " --ignore-stop" if ignore_stop else ""
+        _take_to_budget(assembled, store, folder, target, workers, extra, numerical_failures, not ignore_stop)
 
 
 def _take_to_budget(
@@ -312,6 +315,7 @@ def _take_to_budget(
     workers: int | None,
     resume_options: str = "",
     failure_limit: float | None = None,
+    good_enough: bool = True,
 ) -> None:
     from activefail.campaign.executor import local_executor
     from activefail.campaign.loop import run as run_loop
@@ -323,7 +327,7 @@ def _take_to_budget(
             local_executor(campaign.simulator, workers) as executor,
             _campaign_display(campaign, stop) as observer,
         ):
-            finished = run_loop(campaign, store, executor, budget, observer, failure_limit)
+            finished = run_loop(campaign, store, executor, budget, observer, failure_limit, good_enough)
     except KeyboardInterrupt:
         print(f"stopped; batches that were recorded are safe. Go on with: {again}", file=sys.stderr)
         raise typer.Exit(130) from None
@@ -408,6 +412,8 @@ def _counts(campaign: "Campaign", progress: "Progress") -> str:
 def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False) -> str:
     parts = [] if bar else [f"{progress.done}/{progress.budget} simulations"]
     parts += [f"iteration {progress.iteration}", _counts(campaign, progress)]
+    if progress.error is not None:
+        parts.append(f"error {_error_text(progress.error)}")
     if progress.accuracy is not None:
         parts.append(f"accuracy {100.0 * progress.accuracy:.1f} %")
     if progress.seconds_left is not None and progress.done < progress.budget:
@@ -470,6 +476,45 @@ def predict(
     if outside:
         print(f"warning: outside the campaign's ranges, where it extrapolates: {outside} designs", file=sys.stderr)
     print(f"written to {out}")
+
+
+@app.command()
+def verify(
+    folder: RunFolder,
+    simulations: Annotated[int, typer.Option(help="Fresh ones, outside the budget.", min=10, max=1_000_000)] = 200,
+    confidence: Annotated[float, typer.Option(help="Of the interval.", min=0.5, max=0.999)] = 0.9,
+) -> None:
+    """Estimate how much of the design space a campaign's classifier gets wrong, with an interval."""
+    from activefail.campaign.executor import local_executor
+    from activefail.campaign.folder import open_campaign
+    from activefail.campaign.learning import current_classifier
+    from activefail.campaign.loop import one_thread, standing
+    from activefail.campaign.verification import verify as verify_classifier
+
+    with (
+        open_campaign(folder, write=True) as (campaign, store),
+        local_executor(campaign.simulator) as executor,
+        one_thread(),
+    ):
+        _show_warnings(store.warnings)
+        progress = standing(campaign, store.batches, 0)
+        if progress.done < campaign.settings.sampling.initial:
+            raise InputError(f"{folder}: has not finished its initial design; there is nothing to verify yet.")
+        classifier = current_classifier(campaign, store, write=True)
+        error = verify_classifier(campaign, store, executor, classifier, progress.iteration, simulations, confidence)
+    assert error is not None  # it was not asked to stop
+    boundary = campaign.settings.acquisition.boundary
+    print(f"campaign   {progress.done} simulations, iteration {progress.iteration}")
+    print(f"error      {_error_text(error)} of the design space on the wrong side of {boundary}")
+    print(
+        f"           {100 * confidence:g} % interval: {error.simulations} fresh simulations, {error.wrong} of them "
+        "misclassified, in parts of unequal weight; and the initial design, each point left out in turn"
+    )
+    print(f"expected   {100 * error.expected:.2f} % by the classifier's own probabilities")
+
+
+def _error_text(error: "ErrorEstimate") -> str:
+    return f"{100 * error.error:.2f} % ({100 * error.low:.2f} to {100 * error.high:.2f} %)"
 
 
 @app.command()

@@ -15,7 +15,7 @@ from activefail.features import FeatureMap, feature_map
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 
-STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5}
+STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5, "verification": 6}
 """Independent streams of random numbers; a number never changes its meaning, so that old campaigns replay."""
 
 

@@ -94,6 +94,19 @@ class Limits(_Section):
     numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
 
 
+class Stop(_Section):
+    """When a campaign is good enough: its error is verified to be at most a value, with a confidence.
+
+    Verification simulations are extra, outside the budget, and asked for every so many batches, once the classifier
+    itself expects no larger error.
+    """
+
+    error: float = Field(gt=0.0, lt=0.5)
+    confidence: float = Field(0.9, ge=0.5, lt=1.0)
+    simulations: int = Field(100, ge=10, le=10_000)
+    every: int = Field(5, ge=1, le=1000)
+
+
 class CampaignSettings(_Section):
     """All that defines a campaign; with the same versions and threads it gives the same bits."""
 
@@ -109,6 +122,7 @@ class CampaignSettings(_Section):
     acquisition: AcquisitionSettings = AcquisitionSettings()
     validation: Validation = Validation()
     limits: Limits = Limits()
+    stop: Stop | None = None
 
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
@@ -116,7 +130,7 @@ class CampaignSettings(_Section):
 
     def text(self) -> str:
         """The settings as TOML, defaults written out: the frozen copy of a run folder."""
-        return tomli_w.dumps(self.model_dump(mode="json"))
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
     def with_overrides(self, seed: int | None = None, budget: int | None = None) -> "CampaignSettings":
         """The settings with a command line's seed and budget.

@@ -14,12 +14,12 @@ from activefail.campaign.campaign import Campaign, initial_designs, next_batch, 
 from activefail.campaign.executor import Executor
 from activefail.campaign.learning import accuracy, classifier_state, current_classifier, learn
 from activefail.campaign.record import ACTIVE, SEED, Batch, Store
+from activefail.campaign.sets import simulated_set
 from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.verification import ErrorEstimate, expected_error, verify
 from activefail.errors import SimulationError
 from activefail.space import Array
-
-_PART = 500
-"""Designs of a side set that are simulated and saved together."""
+from activefail.surrogate.classifier import Classifier
 
 _LEAST_FOR_RATE = 20
 """Simulations below which the share of numerical failures is not judged."""
@@ -37,6 +37,7 @@ class Progress:
         numerical_failures: recorded simulations without an answer.
         accuracy: share of the validation set on the right side of the sought boundary; None without a set.
         seconds_left: estimate for the rest; None before there is a batch to judge by.
+        error: verified misclassified volume; None where it was not verified.
     """
 
     iteration: int
@@ -46,6 +47,7 @@ class Progress:
     numerical_failures: int
     accuracy: float | None = None
     seconds_left: float | None = None
+    error: ErrorEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -82,28 +84,6 @@ def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Pro
     )
 
 
-def simulated_set(
-    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array, stop: Callable[[], bool] = lambda: False
-) -> tuple[Array, NDArray[np.int8]] | None:
-    """Designs of a side set and their outcomes, simulated once and then read; numerical failures left out.
-
-    The set is kept in parts, so that an interruption loses one part at most. None when it was asked to stop.
-    """
-    outcomes = []
-    for part, first in enumerate(range(0, len(X), _PART)):
-        rows, key = X[first : first + _PART], f"{name}-{part}"
-        saved = store.read_set(key)
-        if saved is None or not np.array_equal(saved[0], rows):
-            if stop():
-                return None
-            saved = (rows, executor.run(campaign.simulator, rows))
-            store.write_set(key, *saved)
-        outcomes.append(saved[1].outcome)
-    outcome = np.concatenate(outcomes)
-    answered = outcome != NUMERICAL_FAILURE
-    return X[answered], outcome[answered]
-
-
 def _simulate_and_record(
     campaign: Campaign, store: Store, executor: Executor, iteration: int, origin: int, designs: Array
 ) -> None:
@@ -127,10 +107,14 @@ def run(
     budget: int,
     observer: Observer | None = None,
     failure_limit: float | None = None,
+    good_enough: bool = True,
 ) -> bool:
-    """Take a campaign from where its record stands to its budget; False when it was asked to stop before.
+    """Take a campaign from where its record stands to its budget, or until it is verified to be good enough.
+
+    False when it was asked to stop before.
 
     Args:
+        good_enough: whether the campaign's rule about its error may end it before its budget.
         failure_limit: share of numerical failures to stop above, instead of the campaign's.
 
     Raises:
@@ -161,15 +145,19 @@ def run(
         while True:
             progress = standing(campaign, store.batches, budget)
             left = max(0, budget - progress.done)
+            error = None
+            if good_enough:
+                error = _verified(campaign, store, executor, classifier, progress.iteration, observer)
             observer.progress(
                 replace(
                     progress,
                     accuracy=None if validation is None else accuracy(classifier, campaign.severity, *validation),
                     seconds_left=None if seconds is None else seconds * -(-left // batch),
+                    error=error,
                 )
             )
             _check_numerical_failures(progress, limit)
-            if left == 0:
+            if left == 0 or _is_good_enough(campaign, error):
                 return True
             if observer.stop():
                 return False
@@ -194,3 +182,21 @@ def _validation_set(
     observer.stage("simulating the validation set")
     X = campaign.space.from_unit(stream(campaign.settings.seed, "validation").random((size, campaign.space.dimension)))
     return simulated_set(campaign, store, executor, "validation", X, observer.stop)
+
+
+def _verified(
+    campaign: Campaign, store: Store, executor: Executor, classifier: Classifier, iteration: int, observer: Observer
+) -> ErrorEstimate | None:
+    """The verified error, where the campaign's rule asks for it now and the classifier itself believes it may do."""
+    rule = campaign.settings.stop
+    if rule is None or iteration % rule.every or expected_error(campaign, classifier) > rule.error:
+        return None
+    observer.stage("verifying")
+    return verify(
+        campaign, store, executor, classifier, iteration, rule.simulations, rule.confidence, stop=observer.stop
+    )
+
+
+def _is_good_enough(campaign: Campaign, error: ErrorEstimate | None) -> bool:
+    rule = campaign.settings.stop
+    return rule is not None and error is not None and error.confidence_below(rule.error) >= rule.confidence

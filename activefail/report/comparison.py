@@ -23,7 +23,9 @@ MEASURES = {
 
 def _range(point: Point) -> str:
     """Median and, of several seeds, least and largest."""
-    values = point.values
+    values = point.values[~np.isnan(point.values)]
+    if not len(values):
+        return "–"
     text = f"{np.median(values):.4f}"
     return text if len(values) == 1 else f"{text} ({values.min():.4f} to {values.max():.4f})"
 

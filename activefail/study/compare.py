@@ -9,8 +9,9 @@ from scipy.stats import binomtest
 
 from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.executor import Executor
-from activefail.campaign.loop import one_thread, simulated_set, standing
+from activefail.campaign.loop import one_thread, standing
 from activefail.campaign.record import Batch, Store
+from activefail.campaign.sets import simulated_set
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.errors import InputError
 from activefail.space import Array

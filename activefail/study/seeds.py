@@ -24,8 +24,9 @@ from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.config import CampaignSettings, parse_settings
 from activefail.campaign.executor import ThreadExecutor, local_executor
 from activefail.campaign.folder import create_run, open_campaign
-from activefail.campaign.loop import Observer, one_thread, run, simulated_set
+from activefail.campaign.loop import Observer, one_thread, run
 from activefail.campaign.record import Batch
+from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.errors import InputError, SimulationError
 from activefail.space import Array
@@ -190,8 +191,23 @@ def _saved(path: Path) -> list[Score] | None:
     # A file that cannot be read is scored again.
     with suppress(OSError, ValueError, TypeError, KeyError):
         rows = json.loads(path.read_text(encoding="utf-8"))
-        return [Score(Arm(**row["arm"]), row["simulations"], row["measures"]) for row in rows]
+        return [
+            Score(
+                Arm(**row["arm"]),
+                row["simulations"],
+                {name: float("nan") if value is None else value for name, value in row["measures"].items()},
+            )
+            for row in rows
+        ]
     return None
+
+
+def _text(scores: list[Score]) -> str:
+    """Scores as JSON, which has no number for what is not defined."""
+    rows = [asdict(score) for score in scores]
+    for row in rows:
+        row["measures"] = {name: None if np.isnan(value) else value for name, value in row["measures"].items()}
+    return json.dumps(rows, indent=1, allow_nan=False)
 
 
 def prepare(folder: Path, plan: Plan) -> None:
@@ -220,39 +236,27 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
         create_run(designs, campaign).close()
     with open_campaign(designs, write=True) as (_, store), local_executor(campaign.simulator) as executor:
 
-        def answers(name: str, X: Array) -> tuple[Array, NDArray[np.int8]]:
-            found = simulated_set(campaign, store, executor, name, X)
+        def outcomes(name: str, X: Array) -> NDArray[np.int8]:
+            found = simulated_outcomes(campaign, store, executor, name, X)
             assert found is not None  # it was not asked to stop
             return found
 
         stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
         X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
-        kept, outcome = answers(f"test-{plan.test}", X)
+        outcome = outcomes(f"test-{plan.test}", X)
         moved = displaced(X, space, stream(first, "test", 1))
-        around = np.full(len(moved), NUMERICAL_FAILURE, dtype=np.int8)
-        moved_kept, moved_outcome = answers(f"around-{plan.test}", moved)
-        around[_rows_of(moved_kept, moved)] = moved_outcome
-        test = TestSet(kept, outcome, around.reshape(len(X), -1)[_rows_of(kept, X)])
+        around = outcomes(f"around-{plan.test}", moved).reshape(len(X), -1)
+        answered = outcome != NUMERICAL_FAILURE
+        test = TestSet(X[answered], outcome[answered], around[answered])
         static = {}
         for seed in range(first, first + plan.seeds):
             for size in plan.static:
                 stage(f"simulating a static design of {size}, seed {seed}")
                 hypercube = space.latin_hypercube(size, stream(seed, "static", size))
-                static[seed, size] = answers(f"static-{size}-seed{seed}", hypercube)
+                found = outcomes(f"static-{size}-seed{seed}", hypercube)
+                static[seed, size] = hypercube[found != NUMERICAL_FAILURE], found[found != NUMERICAL_FAILURE]
     arms = [arm for arm in plan.arms() if arm.sampling == STATIC]
     return test, {arm: static[arm.seed, arm.size] for arm in arms}
-
-
-def _rows_of(kept: Array, X: Array) -> NDArray[np.intp]:
-    """Rows of X, (n, d), that were kept, in order."""
-    if len(kept) == len(X):
-        return np.arange(len(X))
-    rows, found = [], 0
-    for row, design in enumerate(X):
-        if found < len(kept) and np.array_equal(design, kept[found]):
-            rows.append(row)
-            found += 1
-    return np.array(rows, dtype=np.intp)
 
 
 def compare_seeds(
@@ -301,8 +305,7 @@ def compare_seeds(
                     for future in finished:
                         arm, found = futures[future], future.result()
                         if found is not None:
-                            rows = [asdict(score) for score in found]
-                            _write(folder / "scores" / f"{arm.name}.json", json.dumps(rows, indent=1))
+                            _write(folder / "scores" / f"{arm.name}.json", _text(found))
                             scores[arm] = found
                             done(sum(saved is not None for saved in scores.values()), len(arms))
                     if stop():

@@ -18,6 +18,9 @@ from torch import Tensor
 JITTER = 1e-6
 """Added to the diagonal of K; the GPyTorch model that the result is loaded into adds the same."""
 
+LEARNED_ON = 1500
+"""Most points that hyperparameters are learned on: each of a hundred evaluations costs the cube of their number."""
+
 _FIRST_SHARE, _LEAST_SHARE = 0.6, 0.02
 """Share of a natural-gradient step that is taken at first, and at least; undamped steps oscillate."""
 
@@ -263,6 +266,9 @@ def unpack(packed: np.ndarray) -> Hyperparameters:
 def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, tolerance: float = 1e-3) -> Fit:
     """Train a latent by maximising the bound plus the hyperparameters' log prior.
 
+    The hyperparameters are learned on at most `LEARNED_ON` points, evenly spread over the rows; the posterior is that
+    of all points, solved without inducing points.
+
     Args:
         features: (n, m) in standard units, float64.
         labels: (n,) of -1 and 1, float64.
@@ -270,11 +276,24 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
         warm: an earlier fit, whose points are the first of these, to start from.
         tolerance: of the objective [nats]; sites are solved ten times finer.
     """
-    covariance = covariance_module(kernel, features.shape[1])
     if warm is None:
         start, sites = _default_start(features, labels)
     else:
         start, sites = warm.hyperparameters, _extend_sites(warm.sites, labels)
+    n = len(labels)
+    rows = torch.arange(n) if n <= LEARNED_ON else torch.linspace(0, n - 1, LEARNED_ON).round().long()
+    learned, found, evaluations = _learn_hyperparameters(
+        features[rows], labels[rows], kernel, start, Sites(*(site[rows] for site in sites)), tolerance
+    )
+    sites = found if n <= LEARNED_ON else sites
+    return condition(features, labels, kernel, learned, sites, 0.01 * tolerance, evaluations)
+
+
+def _learn_hyperparameters(
+    features: Tensor, labels: Tensor, kernel: str, start: Hyperparameters, sites: Sites, tolerance: float
+) -> tuple[Hyperparameters, Sites, int]:
+    """The best hyperparameters by L-BFGS, the sites that belong to them, and how often the objective was evaluated."""
+    covariance = covariance_module(kernel, features.shape[1])
     evaluations = 0
 
     def objective(packed: np.ndarray) -> tuple[float, np.ndarray]:
@@ -291,4 +310,4 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
         bounds=[(-50.0, 50.0), (-5.0, 12.0)] + [(-5.0, 8.0)] * features.shape[1],
         options={"ftol": 1e-2 * tolerance, "gtol": 10.0 * tolerance, "maxiter": 100},
     )
-    return condition(features, labels, kernel, unpack(found.x), sites, 0.01 * tolerance, evaluations)
+    return unpack(found.x), sites, evaluations

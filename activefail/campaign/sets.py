@@ -1,0 +1,46 @@
+"""Designs simulated beside a campaign, kept in its run folder: validation, tests, verification."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.executor import Executor
+from activefail.campaign.record import Store
+from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.space import Array
+
+_PART = 500
+"""Designs of a set that are simulated and saved together."""
+
+
+def simulated_outcomes(
+    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array, stop: Callable[[], bool] = lambda: False
+) -> NDArray[np.int8] | None:
+    """Outcomes, (n,), of the designs of a set, (n, d), simulated once and then read; -1 without an answer.
+
+    The set is kept in parts, so that an interruption loses one part at most. None when it was asked to stop.
+    """
+    outcomes = [np.empty(0, dtype=np.int8)]
+    for part, first in enumerate(range(0, len(X), _PART)):
+        rows, key = X[first : first + _PART], f"{name}-{part}"
+        saved = store.read_set(key)
+        if saved is None or not np.array_equal(saved[0], rows):
+            if stop():
+                return None
+            saved = (rows, executor.run(campaign.simulator, rows))
+            store.write_set(key, *saved)
+        outcomes.append(saved[1].outcome)
+    return np.concatenate(outcomes)
+
+
+def simulated_set(
+    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array, stop: Callable[[], bool] = lambda: False
+) -> tuple[Array, NDArray[np.int8]] | None:
+    """Designs of a set and their outcomes, those without an answer left out; None when it was asked to stop."""
+    outcome = simulated_outcomes(campaign, store, executor, name, X, stop)
+    if outcome is None:
+        return None
+    answered = outcome != NUMERICAL_FAILURE
+    return X[answered], outcome[answered]

@@ -1,0 +1,223 @@
+"""How good a classifier is, estimated without a truth set: the volume of the design space that it gets wrong.
+
+Fresh designs are simulated where they say most: the design space is divided by the classifier's own probability of
+being wrong, each part gets simulations in proportion to its volume times its spread (Neyman 1934), and the answers are
+weighted back to the design measure. The initial hypercube, each point left out in turn, adds what it knows for free.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from activefail.campaign.campaign import Campaign, stream
+from activefail.campaign.executor import Executor
+from activefail.campaign.record import Store
+from activefail.campaign.sets import simulated_outcomes
+from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.features import FeatureMap
+from activefail.space import Array, DesignSpace
+from activefail.surrogate.classifier import Classifier, Latent, Moments
+from activefail.surrogate.fitting import Fit, posterior, prior_covariance
+
+EDGES = (0.005, 0.02, 0.08, 0.25)
+"""Probabilities of being wrong that divide the design space into five parts."""
+
+POOL = 2**14
+"""Designs by which the parts' volumes are measured."""
+
+_PRIOR_WEIGHT, _PRIOR_WRONG, _PRIOR_RIGHT = 1.0, 0.1, 0.5
+"""Prior of a part's share, as if seen before: one design that goes as the classifier expects, and a tenth of a
+misclassified one that it does not. With five parts, Jeffreys' half and half would add two such designs to the error.
+"""
+
+_DRAWS = 20_000
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """What is known of the misclassified volume.
+
+    Attributes:
+        error: posterior mean, a share of the design space.
+        low, high: equal-tailed interval of the confidence that was asked for.
+        draws: of the posterior, sorted.
+        simulations: fresh ones behind it.
+        wrong: of these misclassified.
+        expected: error by the classifier's own probabilities alone.
+    """
+
+    error: float
+    low: float
+    high: float
+    draws: Array
+    simulations: int
+    wrong: int
+    expected: float
+
+    def confidence_below(self, level: float) -> float:
+        """Posterior probability that the error is at most a level."""
+        return float(np.searchsorted(self.draws, level, side="right") / len(self.draws))
+
+
+def probability_wrong(moments: Moments) -> Array:
+    """min(p, 1 − p): the classifier's own probability of being wrong, (n,)."""
+    return np.asarray(np.minimum(moments.probability, 1.0 - moments.probability))
+
+
+def part_of(wrong: Array) -> NDArray[np.intp]:
+    """The part, 0 (surest) to 4, of designs with these probabilities of being wrong, (n,)."""
+    return np.searchsorted(EDGES, wrong, side="right")
+
+
+def leave_one_out(trained: Fit) -> Moments:
+    """Latent moments at each training point without its own label, hyperparameters kept, (n,).
+
+    The posterior's site of the point is divided out: 1/v = 1/S_ii − W_ii (the cavity of Rasmussen and Williams 2006,
+    eq. 3.56).
+    """
+    K = prior_covariance(trained.features, trained.kernel, trained.hyperparameters)
+    with torch.no_grad():
+        state = posterior(K, trained.hyperparameters.mean, trained.labels, trained.sites)
+        precision = (1.0 / state.variance - trained.sites.precision).clamp_min(1e-12)
+        mean = (state.mean / state.variance - trained.sites.linear) / precision
+    return Moments(mean.numpy(), precision.rsqrt().numpy())
+
+
+@dataclass(frozen=True)
+class Verification:
+    """A plan of fresh simulations for one latent.
+
+    Attributes:
+        designs: (n, d), part after part.
+        part: (n,) of each.
+        predicted: (n,) bool, beyond the boundary.
+        volumes: (5,) of the parts.
+        expected: (5,) the classifier's mean probability of being wrong in each.
+    """
+
+    designs: Array
+    part: NDArray[np.intp]
+    predicted: NDArray[np.bool_]
+    volumes: Array
+    expected: Array
+
+
+def plan_verification(
+    latent: Latent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
+) -> Verification:
+    """n fresh designs, uniform within each part."""
+    pool = space.from_unit(rng.random((POOL, space.dimension)))
+    moments = latent.moments(features(pool))
+    wrong = probability_wrong(moments)
+    part = part_of(wrong)
+    parts = len(EDGES) + 1
+    counts = np.bincount(part, minlength=parts)
+    volumes = counts / POOL
+    expected = np.bincount(part, weights=wrong, minlength=parts) / np.maximum(counts, 1)
+    # The surest part as if one in a hundred were wrong there: the classifier alone may not say that none is.
+    share = np.maximum(expected, 0.01)
+    weights = volumes * np.sqrt(share * (1.0 - share))
+    allotted = np.minimum(_whole(n * weights / weights.sum()), counts)
+    rows = np.concatenate([np.nonzero(part == k)[0][: allotted[k]] for k in range(parts)])
+    return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected)
+
+
+def _whole(shares: Array) -> NDArray[np.intp]:
+    """Whole numbers with the sum of the shares, each next to its share (largest remainders)."""
+    whole = np.floor(shares).astype(np.intp)
+    missing = round(float(shares.sum())) - int(whole.sum())
+    whole[np.argsort(whole - shares, kind="stable")[:missing]] += 1
+    return whole
+
+
+def estimate_error(
+    plan: Verification,
+    beyond: NDArray[np.bool_],
+    answered: NDArray[np.bool_],
+    left_out: tuple[NDArray[np.intp], NDArray[np.bool_]],
+    confidence: float,
+    rng: np.random.Generator,
+) -> ErrorEstimate:
+    """The misclassified volume from fresh answers and from left-out points of the design measure.
+
+    Left-out points count in the surest part alone, which is large and in which fresh ones say least. Elsewhere they
+    would mislead: in a hypercube a point left out leaves a hole, and the classifier without it is worse than the one
+    that is judged.
+
+    Args:
+        beyond: (n,) whether each planned design is beyond the boundary.
+        answered: (n,) whether it has an answer at all.
+        left_out: part, (m,), and whether misclassified, (m,), of points that were each left out of the training.
+        confidence: of the interval.
+    """
+    parts = len(EDGES) + 1
+    wrong = (plan.predicted != beyond)[answered]
+    seen = np.bincount(plan.part[answered], minlength=parts)
+    failed = np.bincount(plan.part[answered], weights=wrong, minlength=parts)
+    surest = left_out[0] == 0
+    seen[0] += np.count_nonzero(surest)
+    failed[0] += np.count_nonzero(left_out[1][surest])
+    prior_wrong = _PRIOR_WRONG + _PRIOR_WEIGHT * plan.expected
+    prior_right = _PRIOR_RIGHT + _PRIOR_WEIGHT * (1.0 - plan.expected)
+    shares = rng.beta(prior_wrong + failed, prior_right + seen - failed, size=(_DRAWS, parts))
+    draws = np.sort(shares @ plan.volumes)
+    low, high = np.quantile(draws, [0.5 - confidence / 2, 0.5 + confidence / 2])
+    return ErrorEstimate(
+        float(draws.mean()),
+        float(low),
+        float(high),
+        draws,
+        int(answered.sum()),
+        int(wrong.sum()),
+        float(plan.volumes @ plan.expected),
+    )
+
+
+def expected_error(campaign: Campaign, classifier: Classifier) -> float:
+    """The classifier's own mean probability of being wrong about the sought boundary, over the design space."""
+    pool = campaign.space.sobol(POOL // 4, np.random.default_rng(0))
+    latent = classifier.latents[campaign.severity - 1]
+    return float(probability_wrong(latent.moments(campaign.features(pool))).mean())
+
+
+def verify(
+    campaign: Campaign,
+    store: Store,
+    executor: Executor,
+    classifier: Classifier,
+    iteration: int,
+    simulations: int,
+    confidence: float,
+    stop: Callable[[], bool] = lambda: False,
+) -> ErrorEstimate | None:
+    """The misclassified volume of a campaign's classifier at an iteration, from fresh simulations kept beside it.
+
+    None when it was asked to stop.
+    """
+    seed, severity = campaign.settings.seed, campaign.severity
+    latent = classifier.latents[severity - 1]
+    plan = plan_verification(
+        latent, campaign.features, campaign.space, simulations, stream(seed, "verification", iteration)
+    )
+    outcome = simulated_outcomes(
+        campaign, store, executor, f"verification-{iteration}-{simulations}", plan.designs, stop
+    )
+    if outcome is None:
+        return None
+    # The first rows are the initial hypercube's: a sample of the design space, which chosen designs are not.
+    initial = sum(
+        int(np.sum(batch.results.outcome != NUMERICAL_FAILURE)) for batch in store.batches if batch.iteration == 0
+    )
+    left_out = leave_one_out(latent.trained)
+    wrong = (left_out.mean > 0.0) != (latent.trained.labels.numpy() > 0.0)
+    return estimate_error(
+        plan,
+        outcome >= severity,
+        outcome != NUMERICAL_FAILURE,
+        (part_of(probability_wrong(left_out))[:initial], wrong[:initial]),
+        confidence,
+        stream(seed, "verification", 1_000_000 + iteration),
+    )

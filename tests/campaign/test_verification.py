@@ -1,0 +1,188 @@
+"""The misclassified volume: left-out points, where fresh simulations go, and how often the interval is right."""
+
+import numpy as np
+import pytest
+import torch
+from campaign.stub import Counting, Disc, disc
+from scipy.stats import norm
+
+from activefail.campaign.config import parse_settings
+from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.learning import current_classifier
+from activefail.campaign.loop import Observer, one_thread, run, standing
+from activefail.campaign.record import MemoryStore
+from activefail.campaign.verification import (
+    EDGES,
+    Verification,
+    estimate_error,
+    expected_error,
+    leave_one_out,
+    part_of,
+    plan_verification,
+    verify,
+)
+from activefail.errors import InputError
+from activefail.surrogate import fitting
+
+
+def learned(seed=1, budget=40, **settings):
+    campaign = disc(seed=seed, initial=20, budget=budget, batch=10, **settings)
+    store = MemoryStore(campaign.schema)
+    with ThreadExecutor(2) as executor:
+        run(campaign, store, executor, budget)
+    with one_thread():
+        return campaign, store, current_classifier(campaign, store, write=False)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return learned()
+
+
+def true_error(campaign, classifier, n=40_000):
+    X = campaign.space.from_unit(np.random.default_rng(99).random((n, 2)))
+    predicted = classifier.latents[0].moments(campaign.features(X)).mean > 0.0
+    return np.mean(predicted != (Disc().run(X).outcome == 1))
+
+
+def test_a_left_out_point_is_predicted_as_by_a_posterior_of_the_others_sites():
+    rng = np.random.default_rng(0)
+    X = torch.from_numpy(rng.standard_normal((25, 2)))
+    y = torch.where(X[:, 0] > 0.2, 1.0, -1.0).double()
+    trained = fitting.fit(X, y, "rbf")
+    left_out = leave_one_out(trained)
+    K = fitting.prior_covariance(X, "rbf", trained.hyperparameters).numpy()
+    m, W, b = trained.hyperparameters.mean, trained.sites.precision.numpy(), trained.sites.linear.numpy()
+    for i in (0, 7, 24):
+        others = np.arange(25) != i
+        # Regression on the pseudo-observations b/W with noise 1/W.
+        noisy = K[np.ix_(others, others)] + np.diag(1.0 / W[others])
+        gain = np.linalg.solve(noisy, K[others, i])
+        assert left_out.mean[i] == pytest.approx(m + gain @ (b[others] / W[others] - m), rel=1e-5, abs=1e-6)
+        assert left_out.sd[i] ** 2 == pytest.approx(K[i, i] - gain @ K[others, i], rel=1e-4)
+
+
+def test_fresh_simulations_are_uniform_within_each_part_and_mostly_where_the_classifier_is_unsure(trained):
+    campaign, _, classifier = trained
+    plan = plan_verification(classifier.latents[0], campaign.features, campaign.space, 400, np.random.default_rng(3))
+    assert plan.designs.shape == (400, 2)
+    assert plan.volumes.sum() == pytest.approx(1.0)
+    moments = classifier.latents[0].moments(campaign.features(plan.designs))
+    assert np.array_equal(plan.part, part_of(np.minimum(moments.probability, 1.0 - moments.probability)))
+    assert np.array_equal(plan.predicted, moments.mean > 0.0)
+    density = np.bincount(plan.part, minlength=len(EDGES) + 1) / np.maximum(plan.volumes, 1e-9)
+    assert density[4] > density[3] > 1.5 * max(density[:2])
+    assert campaign.space.contains(plan.designs).all()
+
+
+@pytest.mark.parametrize("shares", [(0.0, 0.01, 0.05, 0.2, 0.4), (0.02, 0.05, 0.1, 0.3, 0.5)])
+def test_the_interval_of_parts_with_known_shares_covers_their_error_as_often_as_it_says(shares):
+    rng = np.random.default_rng(5)
+    volumes, shares = np.array([0.7, 0.1, 0.1, 0.06, 0.04]), np.array(shares)
+    expected = np.array([0.001, 0.01, 0.04, 0.15, 0.37])
+    part = np.repeat(np.arange(5), [50, 20, 40, 45, 45])
+    nothing = np.zeros(len(part), dtype=bool)
+    covered = 0
+    for _ in range(400):
+        plan = Verification(np.zeros((len(part), 1)), part, nothing, volumes, expected)
+        initial = rng.choice(5, 250, p=volumes)
+        error = estimate_error(
+            plan,
+            rng.random(len(part)) < shares[part],
+            ~nothing,
+            (initial, rng.random(250) < shares[initial]),
+            0.9,
+            rng,
+        )
+        covered += error.low <= volumes @ shares <= error.high
+    # 400 x 0.9 with a standard deviation of 6.
+    assert 340 <= covered <= 390
+
+
+def test_a_design_without_an_answer_counts_neither_as_right_nor_as_wrong():
+    part = np.repeat(np.arange(5), 10)
+    plan = Verification(np.zeros((50, 1)), part, np.zeros(50, dtype=bool), np.full(5, 0.2), np.full(5, 0.1))
+    answered = np.arange(50) % 2 == 0
+    beyond = np.where(answered, False, True)
+    none = (np.empty(0, dtype=np.intp), np.empty(0, dtype=bool))
+    error = estimate_error(plan, beyond, answered, none, 0.9, np.random.default_rng(1))
+    assert (error.simulations, error.wrong) == (25, 0)
+
+
+def test_the_interval_covers_the_true_error_of_most_campaigns():
+    covered = 0
+    for seed in range(12):
+        campaign, store, classifier = learned(seed=seed)
+        with ThreadExecutor(2) as executor, one_thread():
+            error = verify(campaign, store, executor, classifier, 2, 100, 0.9)
+        covered += error.low <= true_error(campaign, classifier) <= error.high
+        assert error.confidence_below(error.low) == pytest.approx(0.05, abs=0.005)
+    assert covered >= 9
+
+
+def test_verifying_again_simulates_nothing_and_says_the_same():
+    counting = Counting()
+    campaign, store, classifier = learned(simulator=counting)
+    before = counting.rows
+    with ThreadExecutor(2) as executor, one_thread():
+        first = verify(campaign, store, executor, classifier, 2, 60, 0.9)
+        assert counting.rows - before == 60
+        again = verify(campaign, store, executor, classifier, 2, 60, 0.9)
+    assert counting.rows - before == 60
+    assert (first.low, first.high, first.wrong) == (again.low, again.high, again.wrong)
+
+
+STOP = "stop = { error = 0.05, simulations = 40, every = 1 }"
+
+
+def test_a_campaign_that_is_good_enough_ends_before_its_budget_and_stays_ended():
+    campaign, seen = disc(initial=20, budget=200, batch=10, more=STOP), []
+    store = MemoryStore(campaign.schema)
+    with ThreadExecutor(2) as executor:
+        assert run(campaign, store, executor, 200, Observer(progress=seen.append))
+        done = standing(campaign, store.batches, 200).done
+        assert 20 <= done < 200
+        error = seen[-1].error
+        assert error.confidence_below(0.05) >= 0.9
+        assert all(p.error is None or p.error.confidence_below(0.05) < 0.9 for p in seen[:-1])
+        assert run(campaign, store, executor, 200)
+        assert standing(campaign, store.batches, 200).done == done
+        assert run(campaign, store, executor, done + 10, good_enough=False)
+    assert standing(campaign, store.batches, 200).done == done + 10
+    with one_thread():
+        assert true_error(campaign, current_classifier(campaign, store, write=False)) < 0.05
+
+
+def test_an_error_out_of_reach_is_not_verified_again_and_again():
+    counting = Counting()
+    campaign = disc(counting, initial=20, budget=40, batch=10, more=STOP.replace("0.05", "0.0001"))
+    with ThreadExecutor(2) as executor:
+        run(campaign, MemoryStore(campaign.schema), executor, 40)
+    assert counting.rows == 40
+
+
+def test_the_classifiers_own_error_is_the_mean_probability_of_being_wrong(trained):
+    campaign, _, classifier = trained
+    X = campaign.space.from_unit(np.random.default_rng(1).random((50_000, 2)))
+    moments = classifier.latents[0].moments(campaign.features(X))
+    mean = norm.cdf(-np.abs(moments.mean) / np.sqrt(1.0 + moments.sd**2)).mean()
+    assert expected_error(campaign, classifier) == pytest.approx(mean, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("error = 0.6", "stop.error"),
+        ("confidence = 0.9", "stop.error"),
+        ("error = 0.1\nconfidence = 1.0", "confidence"),
+    ],
+)
+def test_a_rule_that_cannot_be_is_refused(text, rule):
+    with pytest.raises(InputError, match=rule):
+        parse_settings(f"[stop]\n{text}\n", "made.toml")
+
+
+def test_settings_without_a_rule_can_be_written_and_read_again():
+    for text in ("", "[stop]\nerror = 0.03\n"):
+        settings = parse_settings(text, "made.toml")
+        assert parse_settings(settings.text(), "again.toml") == settings
