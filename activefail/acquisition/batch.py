@@ -1,5 +1,6 @@
 """A batch of designs to simulate next: a criterion maximised over the physical variables, point after point."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,10 @@ from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from activefail.acquisition.criteria import LookAhead, Pointwise, entropy
+from activefail.acquisition.criteria import LookAhead, Pointwise, bald
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Latent
+from activefail.surrogate.classifier import Classifier, Latent
 from activefail.surrogate.fitting import Sites
 
 POOL = 4096
@@ -20,11 +21,11 @@ POOL = 4096
 SHORTLIST = 512
 """Designs whose joint posterior the batch is chosen from."""
 
-REFERENCES = 512
+REFERENCES = 1024
 """Designs of the Sobol' sample that stands for the design measure in a look-ahead criterion; a power of two."""
 
-_BY_ENTROPY, _AT_RANDOM = 768, 256
-"""Designs of the pool that a look-ahead criterion is evaluated at: the best by entropy, and some of the others."""
+_BY_BALD, _AT_RANDOM = 768, 256
+"""Designs of the pool that a look-ahead criterion is evaluated at: the best by BALD, and some of the others."""
 
 _LAZY_BLOCK = 64
 """Candidates whose look-ahead value is brought up to date together."""
@@ -78,9 +79,7 @@ def fantasised(latent: Latent, F: Array) -> Latent:
             trained,
             features=torch.cat([trained.features, torch.from_numpy(F)]),
             labels=torch.cat([trained.labels, torch.where(at > 0.0, 1.0, -1.0).double()]),
-            sites=Sites(
-                torch.cat([trained.sites.linear, added * at]), torch.cat([trained.sites.precision, added])
-            ),
+            sites=Sites(torch.cat([trained.sites.linear, added * at]), torch.cat([trained.sites.precision, added])),
             elbo=float("nan"),
         )
     )
@@ -195,10 +194,64 @@ def _propose_ahead(
     latent: Latent, features: FeatureMap, space: DesignSpace, criterion: LookAhead, q: int, rng: np.random.Generator
 ) -> Array:
     pool = space.sobol(POOL, rng)
-    order = np.argsort(-entropy(*latent.moments(features(pool))), kind="stable")
-    others = rng.choice(order[_BY_ENTROPY:], _AT_RANDOM, replace=False)
-    candidates = pool[np.concatenate([order[:_BY_ENTROPY], others])]
+    # Not by entropy, which passes over the wide latents that the look-ahead criteria like best.
+    order = np.argsort(-bald(*latent.moments(features(pool))), kind="stable")
+    others = rng.choice(order[_BY_BALD:], _AT_RANDOM, replace=False)
+    candidates = pool[np.concatenate([order[:_BY_BALD], others])]
     references = space.sobol(REFERENCES, rng)
     mean, covariance = latent.joint(features(np.concatenate([candidates, references])))
     n = len(candidates)
     return np.asarray(candidates[greedy_look_ahead(mean, covariance, n, min(q, n), criterion)])
+
+
+def apportion(shares: Sequence[float], first: int, q: int) -> list[int]:
+    """How many of the designs number `first` to `first` + q − 1 fall to each claimant.
+
+    Each design goes to the claimant whose share is furthest behind, the earlier one of equals: what a batch is too
+    small to divide is carried over to the next, and the same designs always fall to the same claimants.
+
+    Args:
+        shares: not negative, of sum 1.
+        first: designs given out before.
+    """
+    given = np.zeros(len(shares))
+    claimants = np.empty(first + q, dtype=np.intp)
+    for number in range(first + q):
+        # Rounded: equal claims must tie, whatever the last bits of their sums.
+        claimants[number] = np.argmax(np.round(np.multiply(shares, number + 1) - given, 9))
+        given[claimants[number]] += 1.0
+    return [int(n) for n in np.bincount(claimants[first:], minlength=len(shares))]
+
+
+def propose_shared(
+    classifier: Classifier,
+    space: DesignSpace,
+    criterion: Pointwise | LookAhead,
+    boundaries: Mapping[str, float],
+    exploration: float,
+    first: int,
+    q: int,
+    rng: np.random.Generator,
+    pending: Array | None = None,
+) -> Array:
+    """q designs, (q, d), shared out between exploration and the boundaries.
+
+    First those for exploration, a Latin hypercube of the design space, then those for one boundary after the other. A
+    simulation teaches all boundaries: the designs chosen before are pending for those that follow.
+
+    Args:
+        boundaries: outcome -> its share of what is not exploration; of sum 1.
+        exploration: share of the designs that no classifier has a say in, 0 to 1.
+        first: designs that were proposed in batches before this one.
+        pending: as for `propose`.
+    """
+    shares = [exploration, *((1.0 - exploration) * share for share in boundaries.values())]
+    explored, *counts = apportion(shares, first, q)
+    chosen = space.latin_hypercube(explored, rng) if explored else np.empty((0, space.dimension))
+    for outcome, count in zip(boundaries, counts, strict=True):
+        if count:
+            known = chosen if pending is None else np.concatenate([pending, chosen])
+            latent = classifier.latent(outcome)
+            more = propose(latent, classifier.features, space, criterion, count, rng, known)
+            chosen = np.concatenate([chosen, more])
+    return chosen

@@ -33,7 +33,7 @@ def _density_integral(a: Array, b: Array, rho: Array, number: int) -> Array:
 
 
 def _nearly_dependent(a: Array, b: Array, rho: Array) -> Array:
-    """BVN(a, b; ρ) for |ρ| near 1: the limit |ρ| = 1 less an integral whose singular part is known (Genz 2004, eq. 6)."""
+    """BVN(a, b; ρ) for |ρ| near 1: the limit less an integral whose singular part is known (Genz 2004, section 2)."""
     # As upper tails of (h, k) with a positive correlation.
     h, k = -a, np.where(rho > 0.0, -b, b)
     hk = h * k
@@ -53,7 +53,7 @@ def _nearly_dependent(a: Array, b: Array, rho: Array) -> Array:
         smooth = np.exp(-0.5 * hk * (1.0 - r) / (1.0 + r)) / r - (1.0 + c * x * (1.0 + d * x))
         value += weight * root * np.exp(np.maximum(-0.5 * (square / x + hk), -700.0)) * smooth
     value = -value / (2.0 * np.pi)
-    return np.where(rho > 0.0, value + ndtr(-np.maximum(h, k)), np.maximum(ndtr(k) - ndtr(h), 0.0) - value)
+    return np.asarray(np.where(rho > 0.0, value + ndtr(-np.maximum(h, k)), np.maximum(ndtr(k) - ndtr(h), 0.0) - value))
 
 
 def label_covariance(a: Array, b: Array, rho: Array) -> Array:

@@ -183,6 +183,4 @@ def criterion(name: Criterion) -> Pointwise | LookAhead:
         case "sur":
             return LookAhead(sur)
         case _:
-            raise ValueError(
-                f"The criterion must be entropy, u, straddle, bald, eavc, globalmi or sur, got {name!r}."
-            )
+            raise ValueError(f"The criterion must be entropy, u, straddle, bald, eavc, globalmi or sur, got {name!r}.")
