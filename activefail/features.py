@@ -31,7 +31,7 @@ def _paper_formula(columns: Sequence[Any]) -> list[Any]:
 
 def paper_features(X: Array) -> Array:
     """The paper's six features (section 3.1) of designs in Table 1's order and units, (n, 9) -> (n, 6), SI units."""
-    return np.column_stack(_paper_formula(np.asarray(X).T))
+    return np.column_stack(_paper_formula(list(np.asarray(X).T)))
 
 
 @dataclass(frozen=True)
@@ -84,16 +84,16 @@ def feature_map(name: FeatureSet, space: DesignSpace) -> FeatureMap:
                 return list(columns)
 
         case "paper":
-            columns = space.select(TABLE_1.names)
-            if np.any(space.low[columns] <= 0.0):
+            own = space.select(TABLE_1.names)
+            if np.any(space.low[own] <= 0.0):
                 raise InputError("The paper's features need positive variables; a lower bound of the space is not.")
             names, logarithmic = PAPER_FEATURES, np.array([True, True, True, False, False, True])
 
             def raw(X: Array) -> Array:
-                return paper_features(np.asarray(X)[:, columns])
+                return paper_features(np.asarray(X)[:, own])
 
-            def formula(variables: Sequence[Any]) -> list[Any]:
-                return _paper_formula([variables[column] for column in columns])
+            def formula(columns: Sequence[Any]) -> list[Any]:
+                return _paper_formula([columns[i] for i in own])
 
         case _:
             raise InputError(f"`features` must be paper or design, got {name!r}.")

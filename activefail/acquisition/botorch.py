@@ -119,7 +119,7 @@ class DesignAcquisition(AcquisitionFunction):
         self.model = latent.model
         self._condition(latent)
 
-    def _condition(self, latent: Latent) -> None:  # noqa: B027 — only some have anything to prepare
+    def _condition(self, latent: Latent) -> None:
         """Prepare for a latent with the pending designs in it."""
 
     @t_batch_mode_transform(expected_q=1)
@@ -153,15 +153,16 @@ class Pointwise(DesignAcquisition):
         sd = variance.sqrt()
         match self._name:
             case "entropy":
-                return -mean.abs() / (1.0 + variance).sqrt()
+                value: Tensor = -mean.abs() / (1.0 + variance).sqrt()
             case "u":
-                return -mean.abs() / sd.clamp_min(_LEAST)
+                value = -mean.abs() / sd.clamp_min(_LEAST)
             case "straddle":
-                return 1.96 * sd - mean.abs()
+                value = 1.96 * sd - mean.abs()
             case _:
                 p = torch.special.ndtr(mean / (1.0 + variance).sqrt())
                 wide = variance + _C2
-                return _binary_entropy(p) - (_C2 / wide).sqrt() * torch.exp(-(mean**2) / (2.0 * wide))
+                value = _binary_entropy(p) - (_C2 / wide).sqrt() * torch.exp(-(mean**2) / (2.0 * wide))
+        return value
 
 
 class LookAhead(DesignAcquisition):
@@ -202,23 +203,25 @@ class LookAhead(DesignAcquisition):
     def _covariance(self, F: Tensor) -> Tensor:
         """Σ between scaled features, (b, m), and the references, (b, R)."""
         kernel = self.model.model.covar_module
-        prior: Tensor = kernel(F, self._reference_features).to_dense()
-        return prior - kernel(F, self._training_features).to_dense() @ self._explained
+        covariance: Tensor = kernel(F, self._reference_features).to_dense()
+        return covariance - kernel(F, self._training_features).to_dense() @ self._explained
 
     def _value(self, F: Tensor) -> Tensor:
         distribution = self.model.posterior(F).distribution
         label_sd = (1.0 + distribution.variance).sqrt()
         a = distribution.mean / label_sd
         rho = -self._covariance(F) / (label_sd.unsqueeze(-1) * self._reference_sd)
-        D = _LabelCovariance.apply(a.unsqueeze(-1), self._b, rho)  # b x R
+        D: Tensor = _LabelCovariance.apply(a.unsqueeze(-1), self._b, rho)  # b x R
         if self._name == "eavc":
-            return 2.0 * D.mean(-1).abs()
+            change: Tensor = 2.0 * D.mean(-1).abs()
+            return change
         uncertainty = _binary_entropy if self._name == "globalmi" else _misclassification
         probability, safe = torch.special.ndtr(a).clamp(_LEAST, 1.0 - _LEAST).unsqueeze(-1), torch.special.ndtr(self._b)
         one = (safe + D / probability).clamp(0.0, 1.0)
         zero = (safe - D / (1.0 - probability)).clamp(0.0, 1.0)
-        expected = probability * uncertainty(one) + (1.0 - probability) * uncertainty(zero)
-        return (uncertainty(safe) - expected).mean(-1)
+        expected: Tensor = probability * uncertainty(one) + (1.0 - probability) * uncertainty(zero)
+        fall: Tensor = (uncertainty(safe) - expected).mean(-1)
+        return fall
 
 
 def acquisition_function(
