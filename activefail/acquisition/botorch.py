@@ -203,8 +203,9 @@ class LookAhead(DesignAcquisition):
     def _covariance(self, F: Tensor) -> Tensor:
         """Σ between scaled features, (b, m), and the references, (b, R)."""
         kernel = self.model.model.covar_module
-        covariance: Tensor = kernel(F, self._reference_features).to_dense()
-        return covariance - kernel(F, self._training_features).to_dense() @ self._explained
+        covariance = kernel(F, self._reference_features).to_dense()
+        covariance = covariance - kernel(F, self._training_features).to_dense() @ self._explained
+        return torch.as_tensor(covariance)
 
     def _value(self, F: Tensor) -> Tensor:
         distribution = self.model.posterior(F).distribution
