@@ -106,7 +106,7 @@ class DesignAcquisition(AcquisitionFunction):
         self, latent: Latent, features: FeatureMap, space: DesignSpace, X_pending: Tensor | None = None
     ) -> None:
         super().__init__(latent.model)
-        self._latent, self._features, self._space = latent, features, space
+        self._latent = latent
         self._torch_features = TorchFeatures(features, space)
         self.set_X_pending(X_pending)
 
@@ -132,7 +132,7 @@ class DesignAcquisition(AcquisitionFunction):
         """The criterion at scaled features, (b, m) -> (b,)."""
 
 
-class Pointwise(DesignAcquisition):
+class _Pointwise(DesignAcquisition):
     """Entropy, U, straddle or BALD, as in `criteria`."""
 
     def __init__(
@@ -165,7 +165,7 @@ class Pointwise(DesignAcquisition):
         return value
 
 
-class LookAhead(DesignAcquisition):
+class _LookAhead(DesignAcquisition):
     """EAVC, GlobalMI or SUR, as in `criteria`.
 
     Args:
@@ -245,8 +245,8 @@ def acquisition_function(
     """
     match name:
         case "entropy" | "u" | "straddle" | "bald":
-            return Pointwise(name, latent, features, space, X_pending)
+            return _Pointwise(name, latent, features, space, X_pending)
         case "eavc" | "globalmi" | "sur":
-            return LookAhead(name, latent, features, space, space.sobol(REFERENCES, rng), X_pending)
+            return _LookAhead(name, latent, features, space, space.sobol(REFERENCES, rng), X_pending)
         case _:
             raise ValueError(f"The criterion must be entropy, u, straddle, bald, eavc, globalmi or sur, got {name!r}.")
