@@ -438,9 +438,13 @@ def status(folder: RunFolder) -> None:
         progress = standing(campaign, store.batches, settings.sampling.budget)
         print(f"campaign   {settings.description or folder.name}")
         print(f"simulator  {settings.simulator}, {campaign.space.dimension} variables, seed {settings.seed}")
+        sought = " and ".join(
+            f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
+            for name, share in settings.acquisition.boundaries.items()
+        )
         print(
             f"learner    {settings.classifier.kernel} on {settings.classifier.features} features, "
-            f"{settings.acquisition.criterion} at the {settings.acquisition.boundary} boundary"
+            f"{settings.acquisition.criterion} at {sought}"
         )
         planned = f"{progress.done} of {progress.budget} simulations"
         if progress.done > progress.budget:
@@ -590,7 +594,7 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int) -> None:
         scores = compare_samplings(
             campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
         )
-    boundary = campaign.settings.acquisition.boundary
+    boundary = campaign.settings.acquisition.main_boundary
     print(
         f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
         f"  {'outcome accuracy':>16}  {'log score':>9}"

@@ -1,8 +1,8 @@
 """What the classifier sees of a design: the paper's six features or the variables themselves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,20 +16,22 @@ PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_
 """Names of the paper's features, in the order of its section 3.1."""
 
 
+def _paper_formula(columns: Sequence[Any]) -> list[Any]:
+    T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p = columns
+    pulse_displacement = A_p * GRAVITY * (T_p / (2.0 * np.pi)) ** 2
+    return [
+        pulse_displacement / D_tot,
+        T_b / T_p,
+        mu / A_p,
+        h_sl_ratio,
+        h_rim_ratio,
+        k / (p * 1e6 * pulse_displacement**0.5),
+    ]
+
+
 def paper_features(X: Array) -> Array:
     """The paper's six features (section 3.1) of designs in Table 1's order and units, (n, 9) -> (n, 6), SI units."""
-    T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p = np.asarray(X).T
-    pulse_displacement = A_p * GRAVITY * (T_p / (2.0 * np.pi)) ** 2
-    return np.column_stack(
-        [
-            pulse_displacement / D_tot,
-            T_b / T_p,
-            mu / A_p,
-            h_sl_ratio,
-            h_rim_ratio,
-            k / (p * 1e6 * np.sqrt(pulse_displacement)),
-        ]
-    )
+    return np.column_stack(_paper_formula(list(np.asarray(X).T)))
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class FeatureMap:
         logarithmic: (m,) whether a feature enters by its logarithm.
         center: (m,) subtracted from the (logarithms of) features.
         spread: (m,) then divided by.
+        formula: `raw` as arithmetic on the columns of a design array of any library, list of d -> list of m, which
+            automatic differentiation follows; None where there is no such formula.
     """
 
     names: tuple[str, ...]
@@ -49,6 +53,7 @@ class FeatureMap:
     logarithmic: np.ndarray
     center: Array
     spread: Array
+    formula: Callable[[Sequence[Any]], list[Any]] | None = None
 
     def __call__(self, X: Array) -> Array:
         """Scaled features of designs, (n, d) -> (n, m)."""
@@ -75,14 +80,20 @@ def feature_map(name: FeatureSet, space: DesignSpace) -> FeatureMap:
             def raw(X: Array) -> Array:
                 return np.asarray(X)
 
+            def formula(columns: Sequence[Any]) -> list[Any]:
+                return list(columns)
+
         case "paper":
-            columns = space.select(TABLE_1.names)
-            if np.any(space.low[columns] <= 0.0):
+            own = space.select(TABLE_1.names)
+            if np.any(space.low[own] <= 0.0):
                 raise InputError("The paper's features need positive variables; a lower bound of the space is not.")
             names, logarithmic = PAPER_FEATURES, np.array([True, True, True, False, False, True])
 
             def raw(X: Array) -> Array:
-                return paper_features(np.asarray(X)[:, columns])
+                return paper_features(np.asarray(X)[:, own])
+
+            def formula(columns: Sequence[Any]) -> list[Any]:
+                return _paper_formula([columns[i] for i in own])
 
         case _:
             raise InputError(f"`features` must be paper or design, got {name!r}.")
@@ -90,4 +101,4 @@ def feature_map(name: FeatureSet, space: DesignSpace) -> FeatureMap:
     unscaled = FeatureMap(names, raw, logarithmic, np.zeros(len(names)), np.ones(len(names)))
     # A fixed sample: the scaling is part of the feature set's definition, not a random choice of a campaign.
     F = unscaled(space.sobol(4096, np.random.default_rng(0)))
-    return FeatureMap(names, raw, logarithmic, F.mean(axis=0), F.std(axis=0))
+    return FeatureMap(names, raw, logarithmic, F.mean(axis=0), F.std(axis=0), formula)

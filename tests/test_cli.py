@@ -469,6 +469,13 @@ def test_a_folder_that_another_process_writes_to_can_be_read_and_not_written_to(
 # --- status, predict, export -------------------------------------------------------------------------------------
 
 
+def test_the_status_names_every_boundary_that_is_sought_with_its_share(tiny: Path, tmp_path: Path) -> None:
+    text = tiny.read_text() + "\n[acquisition]\nboundary = { failure = 3, impact = 1 }\n"
+    (tmp_path / "both.toml").write_text(text)
+    said = activefail("status", halted(tmp_path / "both.toml", tmp_path / "both", 0))
+    assert "entropy at the failure boundary (75 %) and the impact boundary (25 %)" in said.out
+
+
 def test_the_status_of_a_finished_campaign_tells_its_pieces_and_counts(ran: tuple[Path, Said]) -> None:
     said = activefail("status", ran[0])
     assert (said.code, said.err) == (0, "")

@@ -1,21 +1,34 @@
 """A batch of designs to simulate next: a criterion maximised over the physical variables, point after point."""
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+import torch
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from activefail.acquisition.criteria import LookAhead, Pointwise, bald
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Latent
+from activefail.surrogate.classifier import Classifier, Latent
+from activefail.surrogate.fitting import Sites
 
 POOL = 4096
 """Designs of the Sobol' pool that is screened first; a power of two."""
 
 SHORTLIST = 512
 """Designs whose joint posterior the batch is chosen from."""
+
+REFERENCES = 1024
+"""Designs of the Sobol' sample that stands for the design measure in a look-ahead criterion; a power of two."""
+
+_BY_BALD, _AT_RANDOM = 768, 256
+"""Designs of the pool that a look-ahead criterion is evaluated at: the best by BALD, and some of the others."""
+
+_LAZY_BLOCK = 64
+"""Candidates whose look-ahead value is brought up to date together."""
 
 _REFINEMENTS = (0.05, 0.02, 0.008)
 """Standard deviations of the local searches around the best designs so far, in units of the variables' ranges."""
@@ -39,9 +52,40 @@ def expected_site_precision(mean: float, sd: float) -> float:
     return total
 
 
-def greedy_batch(
-    mean: Array, covariance: Array, q: int, criterion: Callable[[Array, Array], Array]
-) -> NDArray[np.intp]:
+def _fantasise(mean: Array, covariance: Array, chosen: int) -> float:
+    """Take a label of yet unknown value at `chosen` into the covariance, in place; returns its site's precision.
+
+    The mean stays; Σ loses Σ_·* Σ_*·/(Σ_** + 1/λ*).
+    """
+    variance = float(covariance[chosen, chosen])
+    precision = expected_site_precision(float(mean[chosen]), float(np.sqrt(max(variance, 0.0))))
+    column = covariance[:, chosen].copy()
+    covariance -= np.outer(column, column) / (variance + 1.0 / max(precision, 1e-300))
+    return precision
+
+
+def fantasised(latent: Latent, F: Array) -> Latent:
+    """The latent as if labels of yet unknown values had been seen at scaled features F, (k, m), one after another.
+
+    Each becomes a site of its own with the present mean as its pseudo-observation: all means stay, covariances shrink.
+    """
+    mean, covariance = latent.joint(F)
+    covariance = covariance.copy()
+    added = torch.tensor([_fantasise(mean, covariance, i) for i in range(len(F))], dtype=torch.float64)
+    at = torch.from_numpy(mean)
+    trained = latent.trained
+    return Latent(
+        replace(
+            trained,
+            features=torch.cat([trained.features, torch.from_numpy(F)]),
+            labels=torch.cat([trained.labels, torch.where(at > 0.0, 1.0, -1.0).double()]),
+            sites=Sites(torch.cat([trained.sites.linear, added * at]), torch.cat([trained.sites.precision, added])),
+            elbo=float("nan"),
+        )
+    )
+
+
+def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -> NDArray[np.intp]:
     """Rows of q candidates, each the criterion's best given those before it.
 
     A chosen point is fantasised by its site: the mean stays, the covariance loses
@@ -61,10 +105,42 @@ def greedy_batch(
         value[chosen] = -np.inf
         best = int(np.argmax(value))
         chosen.append(best)
-        variance = float(covariance[best, best])
-        precision = expected_site_precision(float(mean[best]), float(np.sqrt(max(variance, 0.0))))
-        column = covariance[:, best].copy()
-        covariance -= np.outer(column, column) / (variance + 1.0 / max(precision, 1e-300))
+        _fantasise(mean, covariance, best)
+    return np.array(chosen, dtype=np.intp)
+
+
+def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion: LookAhead) -> NDArray[np.intp]:
+    """Rows of q of the first n points, each the criterion's best given those before it; the others are references.
+
+    Chosen points are fantasised as in `greedy_batch`. Values are brought up to date lazily (Minoux 1978): what a
+    candidate was worth before a choice is taken for a bound of what it is worth after. Where few references depend on
+    each other it is one; elsewhere a batch loses a per cent or so.
+
+    Args:
+        mean: (n + R,) latent means of candidates and references.
+        covariance: (n + R, n + R) their joint covariance.
+        n: how many of them are candidates.
+        q: how many to choose, at most n.
+        criterion: a look-ahead criterion.
+    """
+    covariance = covariance.copy()
+
+    def evaluate(rows: NDArray[np.intp]) -> Array:
+        sd = np.sqrt(np.clip(covariance.diagonal(), 0.0, None))
+        return criterion.gain(mean[rows], sd[rows], mean[n:], sd[n:], covariance[rows, n:])
+
+    value, current = evaluate(np.arange(n)), np.ones(n, dtype=bool)
+    chosen: list[int] = []
+    for _ in range(q):
+        while not current[best := int(np.argmax(value))]:
+            stale = np.where(current, -np.inf, value)
+            block = np.argsort(-stale, kind="stable")[: min(_LAZY_BLOCK, n - int(current.sum()))]
+            value[block] = evaluate(block)
+            current[block] = True
+        chosen.append(best)
+        _fantasise(mean, covariance, best)
+        current[:] = False
+        value[chosen], current[chosen] = -np.inf, True
     return np.array(chosen, dtype=np.intp)
 
 
@@ -72,15 +148,34 @@ def propose(
     latent: Latent,
     features: FeatureMap,
     space: DesignSpace,
-    criterion: Callable[[Array, Array], Array],
+    criterion: Pointwise | LookAhead,
     q: int,
     rng: np.random.Generator,
+    pending: Array | None = None,
 ) -> Array:
     """q designs, (q, d), where one more label is worth most for the latent's boundary.
 
     A Sobol' pool over the design space is screened; the best of it are improved by local random searches, which need
     neither gradients nor smooth features; the batch is chosen greedily from the best of all.
+
+    Args:
+        pending: (k, d) designs in flight, whose labels are not known yet: fantasised by their sites before.
     """
+    if pending is not None and len(pending) > 0:
+        latent = fantasised(latent, features(pending))
+    if isinstance(criterion, LookAhead):
+        return _propose_ahead(latent, features, space, criterion, q, rng)
+    return _propose_pointwise(latent, features, space, criterion, q, rng)
+
+
+def _propose_pointwise(
+    latent: Latent,
+    features: FeatureMap,
+    space: DesignSpace,
+    criterion: Pointwise,
+    q: int,
+    rng: np.random.Generator,
+) -> Array:
     pool = space.sobol(POOL, rng)
     values = criterion(*latent.moments(features(pool)))
     for spread in _REFINEMENTS:
@@ -94,3 +189,70 @@ def propose(
         values = np.where(improved, moved_values, values[best])
     mean, covariance = latent.joint(features(pool))
     return np.asarray(pool[greedy_batch(mean, covariance, min(q, len(pool)), criterion)])
+
+
+def _propose_ahead(
+    latent: Latent, features: FeatureMap, space: DesignSpace, criterion: LookAhead, q: int, rng: np.random.Generator
+) -> Array:
+    pool = space.sobol(POOL, rng)
+    # Not by entropy, which passes over the wide latents that the look-ahead criteria like best.
+    order = np.argsort(-bald(*latent.moments(features(pool))), kind="stable")
+    others = rng.choice(order[_BY_BALD:], _AT_RANDOM, replace=False)
+    candidates = pool[np.concatenate([order[:_BY_BALD], others])]
+    references = space.sobol(REFERENCES, rng)
+    mean, covariance = latent.joint(features(np.concatenate([candidates, references])))
+    n = len(candidates)
+    return np.asarray(candidates[greedy_look_ahead(mean, covariance, n, min(q, n), criterion)])
+
+
+def apportion(shares: Sequence[float], first: int, q: int) -> list[int]:
+    """How many of the designs number `first` to `first` + q − 1 fall to each claimant.
+
+    Each design goes to the claimant whose share is furthest behind, the earlier one of equals: what a batch is too
+    small to divide is carried over to the next, and the same designs always fall to the same claimants.
+
+    Args:
+        shares: not negative, of sum 1.
+        first: designs given out before.
+    """
+    given = np.zeros(len(shares))
+    claimants = np.empty(first + q, dtype=np.intp)
+    for number in range(first + q):
+        # Rounded: equal claims must tie, whatever the last bits of their sums.
+        claimants[number] = np.argmax(np.round(np.multiply(shares, number + 1) - given, 9))
+        given[claimants[number]] += 1.0
+    return [int(n) for n in np.bincount(claimants[first:], minlength=len(shares))]
+
+
+def propose_shared(
+    classifier: Classifier,
+    space: DesignSpace,
+    criterion: Pointwise | LookAhead,
+    boundaries: Mapping[str, float],
+    exploration: float,
+    first: int,
+    q: int,
+    rng: np.random.Generator,
+    pending: Array | None = None,
+) -> Array:
+    """q designs, (q, d), shared out between exploration and the boundaries.
+
+    First those for exploration, a Latin hypercube of the design space, then those for one boundary after the other. A
+    simulation teaches all boundaries: the designs chosen before are pending for those that follow.
+
+    Args:
+        boundaries: outcome -> its share of what is not exploration; of sum 1.
+        exploration: share of the designs that no classifier has a say in, 0 to 1.
+        first: designs that were proposed in batches before this one.
+        pending: as for `propose`.
+    """
+    shares = [exploration, *((1.0 - exploration) * share for share in boundaries.values())]
+    explored, *counts = apportion(shares, first, q)
+    chosen = space.latin_hypercube(explored, rng) if explored else np.empty((0, space.dimension))
+    for outcome, count in zip(boundaries, counts, strict=True):
+        if count:
+            known = chosen if pending is None else np.concatenate([pending, chosen])
+            latent = classifier.latent(outcome)
+            more = propose(latent, classifier.features, space, criterion, count, rng, known)
+            chosen = np.concatenate([chosen, more])
+    return chosen

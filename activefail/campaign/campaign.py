@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activefail.acquisition.batch import propose
+from activefail.acquisition.batch import propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.campaign.config import CampaignSettings
 from activefail.campaign.dfp import DfpSimulator
@@ -55,11 +55,11 @@ class Campaign:
             InputError: as `of` does.
         """
         space = settings.design_space()
-        boundary = settings.acquisition.boundary
-        if boundary not in simulator.outcomes[1:]:
-            raise InputError(
-                f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
-            )
+        for boundary in settings.acquisition.boundaries:
+            if boundary not in simulator.outcomes[1:]:
+                raise InputError(
+                    f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
+                )
         return cls(settings, space, simulator, feature_map(settings.classifier.features, space))
 
     @property
@@ -69,8 +69,8 @@ class Campaign:
 
     @property
     def severity(self) -> int:
-        """The label at and above which an outcome counts as beyond the boundary that is sought."""
-        return self.simulator.outcomes.index(self.settings.acquisition.boundary)
+        """The label at and above which an outcome counts as beyond the boundary that is sought (mainly)."""
+        return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
 
 
 def initial_designs(campaign: Campaign) -> Array:
@@ -79,13 +79,23 @@ def initial_designs(campaign: Campaign) -> Array:
     return campaign.space.latin_hypercube(settings.sampling.initial, stream(settings.seed, "initial"))
 
 
-def next_batch(campaign: Campaign, classifier: Classifier, iteration: int, q: int) -> Array:
-    """The designs, (q, d), of an iteration: those that the classifier so far asks for."""
-    return propose(
-        classifier.latent(campaign.settings.acquisition.boundary),
-        campaign.features,
+def next_batch(
+    campaign: Campaign, classifier: Classifier, iteration: int, q: int, pending: Array | None = None
+) -> Array:
+    """The designs, (q, d), of an iteration: those that the classifier so far asks for.
+
+    Args:
+        pending: (k, d) designs in flight, whose outcomes the classifier does not know yet.
+    """
+    settings = campaign.settings
+    return propose_shared(
+        classifier,
         campaign.space,
-        criterion(campaign.settings.acquisition.criterion),
+        criterion(settings.acquisition.criterion),
+        settings.acquisition.boundaries,
+        settings.acquisition.exploration,
+        (iteration - 1) * settings.sampling.batch,
         q,
-        stream(campaign.settings.seed, "propose", iteration),
+        stream(settings.seed, "propose", iteration),
+        pending,
     )

@@ -1,12 +1,13 @@
 """A campaign's settings: TOML in, checked and frozen."""
 
+import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from activefail.acquisition.criteria import Criterion
 from activefail.bearing.design import TABLE_1, Model, Tolerance
@@ -79,7 +80,36 @@ class AcquisitionSettings(_Section):
     """Where the next simulations go."""
 
     criterion: Criterion = "entropy"
-    boundary: str = "failure"
+    boundary: str | dict[str, float] = "failure"
+    exploration: float = Field(0.0, ge=0.0, le=1.0)
+
+    @field_validator("boundary", mode="before")
+    @classmethod
+    def _one_outcome_or_weights(cls, boundary: object) -> object:
+        if isinstance(boundary, dict):
+            if not boundary:
+                raise ValueError("must name at least one outcome")
+            for name, weight in boundary.items():
+                number = isinstance(weight, int | float) and not isinstance(weight, bool)
+                if not (number and 0.0 < weight < math.inf):
+                    raise ValueError(f"the weight of {name!r} must be a positive finite number, got {weight!r}")
+        elif not isinstance(boundary, str):
+            raise ValueError(f"must be an outcome, or a table of outcomes and weights, got {boundary!r}")
+        return boundary
+
+    @property
+    def boundaries(self) -> dict[str, float]:
+        """The outcomes whose boundaries are sought, and each one's share of the chosen designs; their sum is 1."""
+        weights = {self.boundary: 1.0} if isinstance(self.boundary, str) else self.boundary
+        # By the largest first: the sum of huge weights must not overflow.
+        largest = max(weights.values())
+        scaled = {name: weight / largest for name, weight in weights.items()}
+        return {name: weight / sum(scaled.values()) for name, weight in scaled.items()}
+
+    @property
+    def main_boundary(self) -> str:
+        """The outcome with the largest share, the first of equals: by its boundary a campaign is judged."""
+        return max(self.boundaries, key=self.boundaries.__getitem__)
 
 
 class Validation(_Section):

@@ -86,7 +86,7 @@ def predict_table(
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
-    space, boundary = campaign.space, campaign.settings.acquisition.boundary
+    space, boundary = campaign.space, campaign.settings.acquisition.main_boundary
     added = (*(f"p_{name}" for name in classifier.outcomes), "latent_mean", "latent_sd")
 
     def check(design: Array) -> str | None:

@@ -1,14 +1,31 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import norm
 
-from activefail.acquisition.batch import expected_site_precision, greedy_batch, propose
-from activefail.acquisition.criteria import bald, entropy
+from activefail.acquisition import batch
+from activefail.acquisition.batch import (
+    apportion,
+    expected_site_precision,
+    fantasised,
+    greedy_batch,
+    greedy_look_ahead,
+    propose,
+    propose_shared,
+)
+from activefail.acquisition.criteria import LookAhead, bald, criterion, entropy, globalmi
 from activefail.features import feature_map
 from activefail.space import DesignSpace, Parameter
 from activefail.surrogate.classifier import train
 
 SPACE = DesignSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
+
+
+@pytest.fixture(autouse=True)
+def few_references(monkeypatch):
+    """In two variables fewer will do."""
+    monkeypatch.setattr(batch, "REFERENCES", 256)
 
 
 def beyond(X):
@@ -64,23 +81,23 @@ def nearest(X):
 
 def test_a_batch_does_not_pile_up(learned):
     latent, features = learned.latent("in"), learned.features
-    batch = propose(latent, features, SPACE, bald, 8, np.random.default_rng(3))
+    designs = propose(latent, features, SPACE, bald, 8, np.random.default_rng(3))
     pool = SPACE.sobol(4096, np.random.default_rng(4))
     greediest = pool[np.argsort(-bald(*latent.moments(features(pool))))[:8]]
-    assert np.median(nearest(batch)) > 3.0 * np.median(nearest(greediest))
+    assert np.median(nearest(designs)) > 3.0 * np.median(nearest(greediest))
 
 
 def test_a_batch_by_entropy_is_spread_along_the_boundary(learned):
-    batch = propose(learned.latent("in"), learned.features, SPACE, entropy, 8, np.random.default_rng(3))
+    designs = propose(learned.latent("in"), learned.features, SPACE, entropy, 8, np.random.default_rng(3))
     # Eight random points of a curve of length L have their nearest neighbour at about L/16; a pile has it at once.
-    assert np.mean(nearest(batch)) > 0.3 * (2.0 * np.pi * 0.35 / 16.0)
+    assert np.mean(nearest(designs)) > 0.3 * (2.0 * np.pi * 0.35 / 16.0)
 
 
 def test_proposals_lie_in_the_space_and_near_the_learned_boundary(learned):
-    batch = propose(learned.latent("in"), learned.features, SPACE, entropy, 10, np.random.default_rng(5))
-    assert batch.shape == (10, 2)
-    assert SPACE.contains(batch).all()
-    moments = learned.latent("in").moments(learned.features(batch))
+    designs = propose(learned.latent("in"), learned.features, SPACE, entropy, 10, np.random.default_rng(5))
+    assert designs.shape == (10, 2)
+    assert SPACE.contains(designs).all()
+    moments = learned.latent("in").moments(learned.features(designs))
     fresh = learned.latent("in").moments(learned.features(SPACE.sobol(4096, np.random.default_rng(6))))
     assert np.abs(moments.mean).max() < np.quantile(np.abs(fresh.mean), 0.05)
 
@@ -98,3 +115,212 @@ def test_the_same_generator_gives_the_same_batch(learned):
         propose(learned.latent("in"), learned.features, SPACE, entropy, 5, np.random.default_rng(8)) for _ in range(2)
     )
     assert np.array_equal(first, again)
+
+
+# --- looking ahead -----------------------------------------------------------------------------------------------
+
+
+def joint(n, references, seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n + references, 8))
+    return 0.7 * rng.standard_normal(n + references), A @ A.T / 4.0 + 0.02 * np.eye(n + references)
+
+
+def gains(mean, covariance, n, name):
+    sd = np.sqrt(covariance.diagonal())
+    return criterion(name).gain(mean[:n], sd[:n], mean[n:], sd[n:], covariance[:n, n:])
+
+
+@pytest.mark.parametrize("name", ["eavc", "globalmi", "sur"])
+def test_the_second_choice_that_looks_ahead_is_best_under_exact_conditioning_on_the_first(name):
+    n = 40
+    mean, covariance = joint(n, 30, seed=3)
+    first, second = greedy_look_ahead(mean, covariance, n, 2, criterion(name))
+    assert first == np.argmax(gains(mean, covariance, n, name))
+    precision = np.linalg.inv(covariance)
+    precision[first, first] += expected_site_precision(mean[first], np.sqrt(covariance[first, first]))
+    value = gains(mean, np.linalg.inv(precision), n, name)
+    value[first] = -np.inf
+    assert second == np.argmax(value)
+
+
+@pytest.mark.parametrize("name", ["eavc", "globalmi", "sur"])
+def test_bringing_values_up_to_date_lazily_loses_next_to_nothing(name, monkeypatch):
+    n = 300
+    mean, covariance = joint(n, 100, seed=4)
+
+    def worth(chosen):
+        after, total = covariance.copy(), 0.0
+        for row in chosen:
+            total += gains(mean, after, n, name)[row]
+            batch._fantasise(mean, after, row)
+        return total
+
+    monkeypatch.setattr(batch, "_LAZY_BLOCK", 20)
+    lazy = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
+    monkeypatch.setattr(batch, "_LAZY_BLOCK", n)
+    always = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
+    # Eight factors drive all 400 points here: after a choice many a candidate is worth more than before.
+    assert worth(lazy) > 0.97 * worth(always)
+    assert len(set(lazy.tolist())) == 12
+
+
+def test_looking_ahead_can_choose_all_candidates_once_each():
+    mean, covariance = joint(9, 20, seed=5)
+    assert sorted(greedy_look_ahead(mean, covariance, 9, 9, criterion("globalmi"))) == list(range(9))
+
+
+def expected_information(latent, features, designs, references):
+    """GlobalMI of designs as a batch, each after those before it."""
+    total = 0.0
+    for i in range(len(designs)):
+        given = latent if i == 0 else fantasised(latent, features(designs[:i]))
+        mean, covariance = given.joint(features(np.concatenate([designs[i : i + 1], references])))
+        total += gains(mean, covariance, 1, "globalmi")[0]
+    return total
+
+
+def test_a_batch_by_global_information_tells_more_of_the_whole_space_than_one_by_entropy(learned):
+    latent, features = learned.latent("in"), learned.features
+    references = SPACE.sobol(512, np.random.default_rng(11))
+    ahead, greedy = (
+        expected_information(
+            latent, features, propose(latent, features, SPACE, c, 4, np.random.default_rng(12)), references
+        )
+        for c in (LookAhead(globalmi), entropy)
+    )
+    assert ahead > 1.2 * greedy
+
+
+@pytest.mark.parametrize("name", ["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"])
+def test_every_criterion_proposes_distinct_designs_of_the_space_and_the_same_ones_again(learned, name):
+    first, again = (
+        propose(learned.latent("in"), learned.features, SPACE, criterion(name), 5, np.random.default_rng(8))
+        for _ in range(2)
+    )
+    assert np.array_equal(first, again)
+    assert first.shape == (5, 2)
+    assert SPACE.contains(first).all()
+    assert len(np.unique(first, axis=0)) == 5
+
+
+# --- designs in flight -------------------------------------------------------------------------------------------
+
+
+def test_a_fantasy_keeps_the_mean_and_conditions_the_covariance_on_noisy_observations(learned):
+    latent, features = learned.latent("in"), learned.features
+    rng = np.random.default_rng(13)
+    pending, elsewhere = features(rng.random((6, 2))), features(rng.random((20, 2)))
+    mean, covariance = latent.joint(np.concatenate([pending, elsewhere]))
+    after_mean, after = fantasised(latent, pending).joint(np.concatenate([pending, elsewhere]))
+    assert after_mean == pytest.approx(mean, abs=1e-6)
+    # Textbook conditioning, with the noise of each site: the precision that its label adds after those before it.
+    exact, noise = covariance, []
+    for i in range(6):
+        noise.append(1.0 / expected_site_precision(mean[i], np.sqrt(exact[i, i])))
+        gain = np.linalg.solve(covariance[: i + 1, : i + 1] + np.diag(noise), covariance[: i + 1])
+        exact = covariance - covariance[:, : i + 1] @ gain
+    assert after == pytest.approx(exact, abs=1e-4)
+    assert (np.diag(after)[:6] < 0.9 * np.diag(covariance)[:6]).any()
+
+
+def test_fantasies_one_after_the_other_are_the_fantasies_at_once(learned):
+    latent, features = learned.latent("in"), learned.features
+    F = features(np.random.default_rng(14).random((5, 2)))
+    at_once, in_turn = fantasised(latent, F), fantasised(fantasised(latent, F[:2]), F[2:])
+    elsewhere = features(SPACE.sobol(64, np.random.default_rng(15)))
+    assert at_once.moments(elsewhere).sd == pytest.approx(in_turn.moments(elsewhere).sd, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["bald", "straddle", "eavc", "globalmi"])
+def test_designs_in_flight_are_not_proposed_again(learned, name):
+    latent, features = learned.latent("in"), learned.features
+
+    def ask(pending):
+        return propose(latent, features, SPACE, criterion(name), 4, np.random.default_rng(16), pending)
+
+    def gap(X, Y):
+        return np.linalg.norm(X[:, None] - Y[None], axis=2).min(axis=1).mean()
+
+    first = ask(None)
+    assert gap(ask(None), first) == 0.0
+    assert gap(ask(first), first) > 0.05
+
+
+def test_no_design_in_flight_is_as_if_none_had_been_named(learned):
+    def ask(pending):
+        return propose(learned.latent("in"), learned.features, SPACE, entropy, 3, np.random.default_rng(18), pending)
+
+    assert np.array_equal(ask(None), ask(np.empty((0, 2))))
+
+
+# --- shares ------------------------------------------------------------------------------------------------------
+
+
+weights = st.lists(st.floats(0.01, 1.0), min_size=1, max_size=4).map(lambda w: [x / sum(w) for x in w])
+
+
+@given(shares=weights, sizes=st.lists(st.integers(1, 12), min_size=1, max_size=20))
+def test_batches_of_any_sizes_add_up_to_the_shares_to_within_a_design(shares, sizes):
+    given_out, first = np.zeros(len(shares)), 0
+    for q in sizes:
+        counts = apportion(shares, first, q)
+        assert sum(counts) == q
+        given_out, first = given_out + counts, first + q
+    assert given_out.tolist() == apportion(shares, 0, first)
+    assert np.abs(given_out - np.multiply(shares, first)).max() < len(shares) - 0.99 or len(shares) == 1
+
+
+def test_what_a_batch_is_too_small_to_divide_is_carried_over():
+    assert [apportion([0.7, 0.3], first, 1) for first in range(10)].count([0, 1]) == 3
+    assert apportion([0.0, 1.0], 4, 5) == [0, 5]
+    assert apportion([1 / 3, 1 / 3, 1 / 3], 0, 4) == [2, 1, 1]
+
+
+@pytest.fixture(scope="module")
+def nested():
+    """Two boundaries, far apart: the discs of radius 0.4 and 0.15."""
+    X = SPACE.latin_hypercube(120, np.random.default_rng(0))
+    distance = np.hypot(X[:, 0] - 0.5, X[:, 1] - 0.5)
+    outcome = (distance < 0.4).astype(np.int8) + (distance < 0.15).astype(np.int8)
+    return train(X, outcome, ("out", "ring", "core"), feature_map("design", SPACE), "rbf")
+
+
+@pytest.mark.parametrize("name", ["entropy", "globalmi"])
+def test_designs_are_shared_between_the_boundaries_by_their_weights(nested, name):
+    shares = {"core": 0.25, "ring": 0.75}
+    designs = propose_shared(nested, SPACE, criterion(name), shares, 0.0, 0, 12, np.random.default_rng(1))
+    distance = np.hypot(*(designs - 0.5).T)
+    assert np.count_nonzero(distance < 0.275) == 3
+    assert np.abs(distance[distance > 0.275] - 0.4).max() < 0.12
+
+
+def test_one_boundary_without_exploration_is_what_propose_gives(nested):
+    shared = propose_shared(nested, SPACE, entropy, {"core": 1.0}, 0.0, 30, 6, np.random.default_rng(2))
+    alone = propose(nested.latent("core"), nested.features, SPACE, entropy, 6, np.random.default_rng(2))
+    assert np.array_equal(shared, alone)
+
+
+def test_exploration_is_a_latin_hypercube_of_its_share(nested):
+    designs = propose_shared(nested, SPACE, entropy, {"core": 1.0}, 0.5, 0, 10, np.random.default_rng(3))
+    strata = np.sort(np.floor(5 * SPACE.to_unit(designs[:5])), axis=0)
+    assert np.array_equal(strata, np.column_stack([np.arange(5), np.arange(5)]))
+    assert np.abs(np.hypot(*(designs[5:] - 0.5).T) - 0.15).max() < 0.1
+
+
+def test_designs_for_one_boundary_are_in_flight_for_the_next(nested):
+    pending = np.array([[0.5, 0.9]])
+    asked = []
+
+    def spy(latent, features, space, criterion, q, rng, pending=None):
+        asked.append((q, pending))
+        return np.full((q, 2), 0.1 * len(asked))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "propose", spy)
+        designs = propose_shared(
+            nested, SPACE, entropy, {"core": 0.5, "ring": 0.5}, 0.0, 0, 4, np.random.default_rng(4), pending
+        )
+    assert [q for q, _ in asked] == [2, 2]
+    assert np.array_equal(asked[0][1], pending)
+    assert np.array_equal(asked[1][1], np.concatenate([pending, designs[:2]]))

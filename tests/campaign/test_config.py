@@ -135,7 +135,26 @@ BROKEN = {
     "unknown kernel": ('classifier.kernel = "linear"', ["classifier.kernel: must be 'rbf' or 'matern52'", "'linear'"]),
     "unknown criterion": (
         'acquisition.criterion = "luck"',
-        ["acquisition.criterion: must be 'entropy' or 'bald'", "'luck'"],
+        ["acquisition.criterion: must be 'entropy', 'u', 'straddle', 'bald', 'eavc', 'globalmi' or 'sur'", "'luck'"],
+    ),
+    "number for a boundary": ("acquisition.boundary = 2", ["acquisition.boundary: must be an outcome, or", "got 2"]),
+    "no boundary": ("acquisition.boundary = {}", ["acquisition.boundary: must name at least one outcome"]),
+    "weight of 0": (
+        "acquisition.boundary = {failure = 1, impact = 0}",
+        ["acquisition.boundary: the weight of 'impact' must be a positive finite number, got 0"],
+    ),
+    "negative weight": ("acquisition.boundary = {failure = -0.5}", ["acquisition.boundary: the weight", "got -0.5"]),
+    "nan weight": ("acquisition.boundary = {failure = nan}", ["acquisition.boundary: the weight", "got nan"]),
+    "infinite weight": ("acquisition.boundary = {failure = inf}", ["acquisition.boundary: the weight", "got inf"]),
+    "text for a weight": ('acquisition.boundary = {failure = "1"}', ["acquisition.boundary: the weight", "got '1'"]),
+    "truth for a weight": ("acquisition.boundary = {failure = true}", ["acquisition.boundary: the weight", "True"]),
+    "exploration above 1": (
+        "acquisition.exploration = 1.5",
+        ["acquisition.exploration: must be less than or equal to 1", "1.5"],
+    ),
+    "negative exploration": (
+        "acquisition.exploration = -0.1",
+        ["acquisition.exploration: must be greater than or equal to 0", "-0.1"],
     ),
     "negative validation": ("validation.size = -1", ["validation.size: must be greater than or equal to 0", "-1"]),
 }
@@ -211,6 +230,16 @@ def test_a_file_with_umlauts_and_windows_line_ends_is_read(tmp_path: Path) -> No
     assert (read_settings(path).description, read_settings(path).seed) == ("Brücke", 3)
 
 
+def test_weights_of_boundaries_are_shares_and_the_largest_is_the_main_one() -> None:
+    acquisition = parse_settings("acquisition.boundary = {impact = 1, failure = 3}", "mine.toml").acquisition
+    assert acquisition.boundaries == {"impact": 0.25, "failure": 0.75}
+    assert acquisition.main_boundary == "failure"
+    one = parse_settings('acquisition.boundary = "impact"', "mine.toml").acquisition
+    assert (one.boundaries, one.main_boundary) == ({"impact": 1.0}, "impact")
+    equal = parse_settings("acquisition.boundary = {impact = 1e308, failure = 1e308}", "mine.toml").acquisition
+    assert (equal.boundaries, equal.main_boundary) == ({"impact": 0.5, "failure": 0.5}, "impact")
+
+
 def test_settings_are_frozen() -> None:
     settings = parse_settings("", "empty")
     with pytest.raises(ValidationError, match="frozen"):
@@ -239,7 +268,12 @@ valid = st.fixed_dictionaries(
         ),
         "classifier": st.fixed_dictionaries({"kernel": st.sampled_from(["rbf", "matern52"])}),
         "acquisition": st.fixed_dictionaries(
-            {}, optional={"criterion": st.sampled_from(["entropy", "bald"]), "boundary": texts}
+            {},
+            optional={
+                "criterion": st.sampled_from(["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]),
+                "boundary": texts | st.dictionaries(texts, finite.filter(lambda w: w > 0.0), min_size=1, max_size=3),
+                "exploration": st.floats(0.0, 1.0),
+            },
         ),
         "limits": st.fixed_dictionaries({"numerical_failures": st.floats(0.0, 1.0)}),
         "validation": st.fixed_dictionaries({"size": st.integers(0, 10**5)}),
@@ -323,6 +357,10 @@ def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, i
     [
         ('acquisition.boundary = "collapse"', "acquisition.boundary: must be one of impact, failure, got 'collapse'"),
         ('acquisition.boundary = "no_impact"', "acquisition.boundary: must be one of impact, failure, got 'no_impact'"),
+        (
+            "acquisition.boundary = {failure = 1, collapse = 1}",
+            "acquisition.boundary: must be one of impact, failure, got 'collapse'",
+        ),
         ("space.mu = {low = 0.1, high = 0.2}", "space: lacks the variable 'T_b'; it has mu"),
     ],
 )
