@@ -507,7 +507,7 @@ def verify(
         classifier = current_classifier(campaign, store, write=True)
         error = verify_classifier(campaign, store, executor, classifier, progress.iteration, simulations, confidence)
     assert error is not None  # it was not asked to stop
-    boundary = campaign.settings.acquisition.boundary
+    boundary = campaign.settings.acquisition.main_boundary
     print(f"campaign   {progress.done} simulations, iteration {progress.iteration}")
     print(f"error      {_error_text(error)} of the design space on the wrong side of {boundary}")
     print(

@@ -41,7 +41,7 @@ def _row(cells: list[str]) -> str:
 
 def comparison_text(plan: Plan, scores: list[Score]) -> str:
     """The page as Markdown."""
-    boundary = plan.settings.acquisition.boundary
+    boundary = plan.settings.acquisition.main_boundary
     own = {*MEASURES, f"accuracy_{boundary}"}
     others = [name for name in scores[0].measures if name.startswith("accuracy_") and name not in own]
     titles = MEASURES | {name: f"accuracy, {name.removeprefix('accuracy_')} boundary" for name in others}
@@ -114,7 +114,7 @@ def write_comparison(plan: Plan, scores: list[Score], out: Path) -> Path:
                 for row in scores
             ]
         )
-    boundary = plan.settings.acquisition.boundary
+    boundary = plan.settings.acquisition.main_boundary
     about = f"Lines: medians over {plan.seeds} seeds; bands: least to largest; {plan.test} shared fresh designs"
     for measure, label in (
         ("accuracy", f"accuracy for {boundary} on fresh designs"),
