@@ -42,6 +42,7 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
             f"{name}/site_precision": trained.sites.precision.numpy(),
             f"{name}/elbo": np.float64(trained.elbo),
             f"{name}/evaluations": np.int64(trained.evaluations),
+            f"{name}/learned_on": np.int64(trained.learned_on),
         }
     return {name: np.asarray(array) for name, array in state.items()}
 
@@ -65,6 +66,7 @@ def classifier_from_state(
             Sites(torch.from_numpy(state[f"{name}/site_linear"]), torch.from_numpy(state[f"{name}/site_precision"])),
             float(state[f"{name}/elbo"]),
             int(state[f"{name}/evaluations"]),
+            int(state[f"{name}/learned_on"]),
         )
         latents.append(Latent(trained))
     return Classifier(campaign.simulator.outcomes, campaign.features, tuple(latents))
@@ -76,7 +78,10 @@ def restore(campaign: Campaign, store: Store, through: int) -> tuple[Classifier 
     if saved is None or saved[0] > through:
         return None, -1
     iteration, state = saved
-    return classifier_from_state(campaign, state, *training_rows(store.batches, iteration)), iteration
+    try:
+        return classifier_from_state(campaign, state, *training_rows(store.batches, iteration)), iteration
+    except KeyError:  # saved by a version that kept less: learned again from the record
+        return None, -1
 
 
 def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:
