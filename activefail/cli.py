@@ -430,10 +430,11 @@ def status(folder: RunFolder) -> None:
         settings = campaign.settings
         progress = standing(campaign, store.batches, settings.sampling.budget)
         print(f"campaign   {settings.description or folder.name}")
+        features = settings.classifier.features
         print(f"simulator  {settings.simulator}, {campaign.space.dimension} variables, seed {settings.seed}")
         print(
-            f"learner    {settings.classifier.kernel} on {settings.classifier.features} features, "
-            f"{settings.acquisition.criterion} at the {settings.acquisition.boundary} boundary"
+            f"learner    {settings.classifier.kernel} on {features if isinstance(features, str) else features.python} "
+            f"features, {settings.acquisition.criterion} at the {settings.acquisition.boundary} boundary"
         )
         planned = f"{progress.done} of {progress.budget} simulations"
         if progress.done > progress.budget:
