@@ -6,12 +6,13 @@ from typing import Literal
 
 import numpy as np
 
+from activefail.bearing.collision import COLLISION_FEATURES, collision_features
 from activefail.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError
 from activefail.space import Array, DesignSpace
 
-FeatureSet = Literal["paper", "design", "sliding"]
+FeatureSet = Literal["paper", "design", "sliding", "collision"]
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
 """Names of the paper's features, in the order of its section 3.1."""
@@ -104,13 +105,13 @@ def feature_map(features: FeatureSet | OwnFeatures, space: DesignSpace, model: M
     campaign. Ratios enter by their logarithm: over Table 1 they span up to three decades.
 
     Args:
-        features: "paper"; "design", the variables themselves; "sliding", these and what the sliding block says; or a
-            user's own.
+        features: "paper"; "design", the variables themselves; "sliding", these and what the sliding block says;
+            "collision", these and what the reduced model of the collision says; or a user's own.
         space: the design space.
-        model: settings of the bearing model that the sliding block shares.
+        model: settings of the bearing model that the sliding block and the reduced model share.
 
     Raises:
-        InputError: if the paper's or the sliding block's features are asked of a space without the paper's nine
+        InputError: if the paper's features or those of a bearing are asked of a space without the paper's nine
             variables, or if features are not finite, or constant, over the space.
     """
     match features:
@@ -133,11 +134,20 @@ def feature_map(features: FeatureSet | OwnFeatures, space: DesignSpace, model: M
                 space,
             )
 
+        case "collision":
+            columns = space.select(TABLE_1.names)
+
+            def with_collision(X: Array) -> Array:
+                table = np.asarray(X)[:, columns]
+                return np.column_stack([X, sliding_features(table, model), collision_features(table, model)])
+
+            return _scaled((*space.names, *SLIDING_FEATURES, *COLLISION_FEATURES), with_collision, space)
+
         case OwnFeatures():
             return _own(features, space)
 
         case _:
-            raise InputError(f"`features` must be paper, design or sliding, got {features!r}.")
+            raise InputError(f"`features` must be paper, design, sliding or collision, got {features!r}.")
 
 
 def _own(own: OwnFeatures, space: DesignSpace) -> FeatureMap:

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from activefail.bearing import TABLE_1, Model
+from activefail.bearing.collision import collision_features
 from activefail.bearing.sliding import sliding_features
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES, OwnFeatures, feature_map, paper_features
@@ -60,7 +61,7 @@ def test_ratios_over_decades_enter_by_their_logarithm() -> None:
     assert space.logarithmic.tolist() == [True, True, True, False, False, True]
 
 
-@pytest.mark.parametrize("name", ["paper", "design", "sliding"])
+@pytest.mark.parametrize("name", ["paper", "design", "sliding", "collision"])
 def test_features_have_mean_0_and_standard_deviation_1_over_the_design_measure(name: str) -> None:
     F = feature_map(name, TABLE_1)(TABLE_1.sobol(2**14, np.random.default_rng(99)))  # type: ignore[arg-type]
     assert_allclose(F.mean(axis=0), 0.0, atol=0.01)
@@ -131,7 +132,7 @@ def test_the_papers_features_of_a_space_that_reaches_to_zero_are_refused(low: fl
 
 
 def test_an_unknown_feature_set_is_refused_with_rule_and_value() -> None:
-    with pytest.raises(InputError, match=r"must be paper, design or sliding, got 'fourier'"):
+    with pytest.raises(InputError, match=r"must be paper, design, sliding or collision, got 'fourier'"):
         feature_map("fourier", TABLE_1)  # type: ignore[arg-type]
 
 
@@ -148,6 +149,17 @@ def test_the_sliding_block_has_the_campaigns_slider_and_restitution() -> None:
     model = Model(slider_diameter=0.2, restitution_coefficient=0.4)
     assert feature_map("sliding", TABLE_1, model).raw(X)[:, 9:].tolist() == sliding_features(X, model).tolist()
     assert not np.array_equal(sliding_features(X, model), sliding_features(X))
+
+
+def test_the_collisions_feature_comes_after_the_sliding_blocks() -> None:
+    X = TABLE_1.latin_hypercube(32, np.random.default_rng(0))
+    model = Model(slider_diameter=0.2)
+    features = feature_map("collision", TABLE_1, model)
+    assert features.names == (*TABLE_1.names, "v*", "a*", "m*")
+    assert (
+        features.raw(X)[:, 9:].tolist()
+        == np.column_stack([sliding_features(X, model), collision_features(X, model)]).tolist()
+    )
 
 
 SQUARE = DesignSpace((Parameter("x", -2.0, 3.0), Parameter("y", 10.0, 50.0)))

@@ -9,6 +9,7 @@ the two circles on which the vertices move: the small swing's length; 2R/L is th
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,9 +23,20 @@ STEPS = 400
 """Steps a pulse period, or a second where that is shorter; the error of v* is then 3·10⁻⁴ in the median of Table 1."""
 
 
+class Slide(NamedTuple):
+    """What a block met between its stops."""
+
+    speed: float  # largest speed at a stop [m/s]; 0 if none is reached
+    push: float  # acceleration −ü_g·sgn(x) by which the ground pushes the block outwards at that instant [m/s²]
+    peak: float  # largest |x|, at most the stop's [m]
+    first_speed: float  # at the first touch [m/s]; 0 without one
+    first_time: float  # of the first touch, after the pulse's centre [s]
+    first_side: float  # of the first touch, -1 or 1
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
-    """Largest speed at a stop, the push at that instant, and the peak displacement, of a block from rest.
+    """What a block that starts from rest meets between its stops, a `Slide`.
 
     Leapfrog: displacements at whole steps, velocities between them; Coulomb friction is an impulse that at most stops
     the block. After the pulse the rest of the motion is known in closed form, from its energy.
@@ -37,11 +49,6 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
         amplitude: A_p of the pulse [m/s²].
         period: T_p of the pulse [s].
         steps: steps a period, or a second where that is shorter.
-
-    Returns:
-        speed: largest speed at a stop [m/s]; 0 if none is reached.
-        push: acceleration −ü_g·sgn(x) by which the ground pushes the block outwards at that instant [m/s²].
-        peak: largest |x|, at most `stop` [m].
     """
     # The natural period bounds the step too, for bearings far stiffer than Table 1's.
     shortest = min(period, 1.0, 2.0 * math.pi / math.sqrt(stiffness))
@@ -49,6 +56,7 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
     dt = 2.0 * HALF_DURATION * period / count
     x, v, change = 0.0, 0.0, 0.0
     speed, push, peak = 0.0, 0.0, 0.0
+    first_speed, first_time, first_side = 0.0, 0.0, 1.0
     for n in range(count):
         ground = ground_acceleration(-HALF_DURATION * period + n * dt, amplitude, period)
         before = v
@@ -62,8 +70,10 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
             share = (side * stop - start) / (x - start)
             # `v` is the velocity in the middle of the step, at the stop it is this:
             arrival = abs(v + (share - 0.5) * change)
+            at_stop = (n + share) * dt - HALF_DURATION * period
+            if first_speed == 0.0:
+                first_speed, first_time, first_side = arrival, at_stop, side
             if arrival > speed:
-                at_stop = (n + share) * dt - HALF_DURATION * period
                 speed, push = arrival, -side * ground_acceleration(at_stop, amplitude, period)
             departure = -side * restitution * arrival
             x = side * stop + (1.0 - share) * dt * departure
@@ -77,12 +87,15 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
     square = total - stiffness * stop * stop - 2.0 * friction * stop if stop < math.inf else -1.0
     if square > 0.0:
         peak = stop
+        if first_speed == 0.0:
+            # Some time after the pulse, when does not matter: nothing pushes any more.
+            first_speed, first_time, first_side = math.sqrt(square), HALF_DURATION * period, math.copysign(1.0, v)
         if square > speed * speed:
             speed, push = math.sqrt(square), 0.0
     elif v != 0.0:
         next_peak = (math.sqrt(friction * friction + stiffness * total) - friction) / stiffness
         peak = max(peak, next_peak)
-    return speed, push, peak
+    return Slide(speed, push, peak, first_speed, first_time, first_side)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -95,13 +108,12 @@ def _features(X, slider_diameter, restitution, steps, out):
         if not (length > 0.0 and mu >= 0.0 and D_tot > 0.0 and h_rim_ratio > 0.0 and 0.0 < T_p < math.inf):
             continue
         stiffness = GRAVITY / length
-        speed, push, peak = slide(
-            stiffness, mu * 2.0 * radius * stiffness, D_tot, restitution, A_p * GRAVITY, T_p, steps
-        )
+        block = slide(stiffness, mu * 2.0 * radius * stiffness, D_tot, restitution, A_p * GRAVITY, T_p, steps)
+        speed = block.speed
         if speed == 0.0:
-            speed = -math.sqrt(stiffness * max(D_tot * D_tot - peak * peak, 0.0))
+            speed = -math.sqrt(stiffness * max(D_tot * D_tot - block.peak * block.peak, 0.0))
         out[row, 0] = speed / math.sqrt(2.0 * GRAVITY * h_rim_ratio * slider_diameter)
-        out[row, 1] = push / GRAVITY
+        out[row, 1] = block.push / GRAVITY
 
 
 SLIDING_FEATURES = ("v*", "a*")

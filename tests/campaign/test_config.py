@@ -136,7 +136,7 @@ BROKEN = {
     "unknown simulator": ('simulator = "fem"', ["simulator: must be 'dfp'", "'fem'"]),
     "unknown features": (
         'classifier.features = "all"',
-        ["classifier.features: must be 'paper', 'design' or 'sliding'", "'all'"],
+        ["classifier.features: must be 'paper', 'design', 'sliding' or 'collision'", "'all'"],
     ),
     "number for features": ("classifier.features = 9", ["classifier.features: must be", "'sliding'", "9"]),
     "features without a function": (
