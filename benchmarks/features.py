@@ -1,6 +1,6 @@
 """What features are worth: accuracy at the failure boundary by feature set and number of simulations.
 
-    python benchmarks/features.py --static 500 --active 500 --seeds 2000 2001 paper sliding collision
+    python benchmarks/features.py --static 500 --active 500 --seeds 3000 3001 paper sliding collision
 
 For each seed a Latin hypercube is simulated and learned from (static), or one of 250 that entropy sampling extends in
 batches of 10 (active). Every classifier is a Matérn-5/2 one, judged on the same 8,000 fresh designs: the share on the
@@ -72,8 +72,8 @@ def main() -> None:
     parser.add_argument("sets", nargs="+", help="paper, design, sliding, collision")
     parser.add_argument("--static", nargs="*", type=int, default=[], help="sizes of static samples")
     parser.add_argument("--active", nargs="*", type=int, default=[], help="budgets at which active learning is judged")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[2000])
-    parser.add_argument("--fresh", type=int, default=4242, help="seed of the fresh designs")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[3000])
+    parser.add_argument("--fresh", type=int, default=5151, help="seed of the fresh designs")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
 

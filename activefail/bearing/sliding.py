@@ -99,6 +99,23 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def drift(stiffness, friction, amplitude, period, steps, until):
+    """Displacement [m] and speed [m/s] at time `until` [s], within the pulse, of the block of `slide` without stops."""
+    shortest = min(period, 1.0, 2.0 * math.pi / math.sqrt(stiffness))
+    duration = max(until + HALF_DURATION * period, 0.0)
+    count = max(math.ceil(duration / shortest * steps), 1)
+    dt = duration / count
+    x, v, change = 0.0, 0.0, 0.0
+    for n in range(count):
+        before = v
+        v -= dt * (stiffness * x + ground_acceleration(n * dt - HALF_DURATION * period, amplitude, period))
+        v = math.copysign(max(abs(v) - dt * friction, 0.0), v)
+        change = v - before
+        x += dt * v
+    return x, v + 0.5 * change
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _features(X, slider_diameter, restitution, steps, out):
     for row in range(len(X)):
         T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, _, _, T_p, A_p = X[row]

@@ -54,10 +54,10 @@ def test_the_bearing_touches_at_that_displacement_with_the_slider_in_the_middle(
         assert x_s / x_t == pytest.approx(0.5, abs=2e-3)
 
 
-def test_the_reduced_model_alone_tells_impact_in_99_and_failure_in_97_of_100_samples(designs, production):
+def test_the_reduced_model_alone_tells_impact_in_99_and_failure_in_98_of_100_samples(designs, production):
     severity = collision_severity(designs)
     assert np.mean((severity > 0.0) == (production.label >= 1)) >= 0.985
-    assert np.mean((severity > 1.0) == (production.label == 2)) >= 0.97
+    assert np.mean((severity > 1.0) == (production.label == 2)) >= 0.98
 
 
 def test_what_fails_at_the_first_collision_is_foretold_in_99_of_100_samples(designs, production):
@@ -96,7 +96,7 @@ def test_a_plate_thrown_without_ground_motion_rises_no_higher_than_its_energy(sp
     edge = radius - math.sqrt(radius**2 - half_dish**2)
     plate = Plate(radius, half_dish, edge + h_rim, k, 0.0, 0.0, 0.0, 0.02)
     touch = touching_displacement(half_dish, half_width, length, h_sl)
-    lift, tilt = collide(plate, mass, half_width, 0.5 * h_sl, h_rim, length, 0.0, 1.0, 0.0, touch, speed)
+    lift, tilt = collide(plate, mass, half_width, 0.5 * h_sl, h_rim, length, touch, 0.0, 1.0, 0.0, touch, speed, speed)
     slope = touch / math.sqrt(length**2 - touch**2)
     kinetic = 0.5 * speed**2 * (1.0 + slope**2) / GRAVITY
     potential = length - math.sqrt(length**2 - touch**2)
@@ -111,7 +111,7 @@ def test_a_faster_arrival_lifts_the_plate_higher():
     plate = Plate(radius, 0.45, 0.051 + h_rim, 2e9, 0.0, 0.0, 0.05, 0.02)
     touch = touching_displacement(0.45, half_width, length, h_sl)
     lifts = [
-        collide(plate, 3e5, half_width, 0.5 * h_sl, h_rim, length, 0.0, 1.0, 0.0, touch, speed)[0]
+        collide(plate, 3e5, half_width, 0.5 * h_sl, h_rim, length, touch, 0.0, 1.0, 0.0, touch, speed, speed)[0]
         for speed in (0.4, 0.8, 1.2)
     ]
     assert lifts == sorted(lifts)
