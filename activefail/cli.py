@@ -437,14 +437,15 @@ def status(folder: RunFolder) -> None:
         settings = campaign.settings
         progress = standing(campaign, store.batches, settings.sampling.budget)
         print(f"campaign   {settings.description or folder.name}")
+        features = settings.classifier.features
         print(f"simulator  {settings.simulator}, {campaign.space.dimension} variables, seed {settings.seed}")
         sought = " and ".join(
             f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
             for name, share in settings.acquisition.boundaries.items()
         )
         print(
-            f"learner    {settings.classifier.kernel} on {settings.classifier.features} features, "
-            f"{settings.acquisition.criterion} at {sought}"
+            f"learner    {settings.classifier.kernel} on {features if isinstance(features, str) else features.python} "
+            f"features, {settings.acquisition.criterion} at {sought}"
         )
         planned = f"{progress.done} of {progress.budget} simulations"
         if progress.done > progress.budget:
@@ -634,15 +635,15 @@ def _compare_seeds(
 ) -> None:
     from activefail.campaign.config import read_settings
     from activefail.report.comparison import comparison_lines, write_comparison
-    from activefail.study.seeds import Plan, compare_seeds
+    from activefail.study.seeds import OWN, Plan, compare_seeds
 
     settings = read_settings(file)
-    sampling = settings.sampling
+    sampling, own = settings.sampling, settings.classifier.features
     plan = Plan(
         settings,
         seeds,
         _parse_names(criteria) or (settings.acquisition.criterion,),
-        _parse_names(features) or (settings.classifier.features,),
+        _parse_names(features) or (own if isinstance(own, str) else OWN,),
         tuple(sorted({sampling.initial, sampling.budget}) if static is None else _parse_sizes("--static", static)),
         test,
     )

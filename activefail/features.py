@@ -1,4 +1,4 @@
-"""What the classifier sees of a design: the paper's six features or the variables themselves."""
+"""What the classifier sees of a design: the paper's six features, the variables themselves, or physics beside them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,14 +6,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from activefail.bearing.design import GRAVITY, TABLE_1
+from activefail.bearing.collision import COLLISION_FEATURES, collision_features
+from activefail.bearing.design import GRAVITY, TABLE_1, Model
+from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError
 from activefail.space import Array, DesignSpace
 
-FeatureSet = Literal["paper", "design"]
+FeatureSet = Literal["paper", "design", "sliding", "collision"]
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
 """Names of the paper's features, in the order of its section 3.1."""
+
+PAPER_LOGARITHMIC = (True, True, True, False, False, True)
+"""Which of them enter by their logarithm: the ratios that span decades over Table 1."""
 
 
 def _paper_formula(columns: Sequence[Any]) -> list[Any]:
@@ -64,41 +69,138 @@ class FeatureMap:
         return np.where(self.logarithmic, np.log(np.where(self.logarithmic, F, 1.0)), F)
 
 
-def feature_map(name: FeatureSet, space: DesignSpace) -> FeatureMap:
-    """The named feature set on a design space, scaled by its mean and standard deviation over the design measure.
+@dataclass(frozen=True)
+class OwnFeatures:
+    """Features by a user's own function.
+
+    Attributes:
+        name: of the function, for the features' names and for messages.
+        function: designs, (n, d) in the variables' units, and their design space -> features, (n, m). Each row depends
+            on its own design alone.
+        variables: whether the variables themselves come before them.
+    """
+
+    name: str
+    function: Callable[[Array, DesignSpace], Array]
+    variables: bool = True
+
+    def __call__(self, X: Array, space: DesignSpace) -> Array:
+        """The function's features of designs, (n, d) -> (n, m), with its answer's type and shape checked.
+
+        Raises:
+            InputError: if they are no (n, m) numbers.
+        """
+        answer = self.function(X.copy(), space)
+        try:
+            F = np.asarray(answer, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"classifier.features: {self.name} must return numbers: {error}.") from None
+        if F.ndim != 2 or len(F) != len(X) or F.shape[1] == 0:
+            raise InputError(
+                f"classifier.features: {self.name} must return one row of features a design, "
+                f"shape ({len(X)}, m); got shape {F.shape}."
+            )
+        return F
+
+
+def feature_map(features: FeatureSet | OwnFeatures, space: DesignSpace, model: Model | None = None) -> FeatureMap:
+    """A feature set on a design space, scaled by its mean and standard deviation over the design measure.
 
     Scaling by the design measure, not by the training points, keeps the features of a design the same all through a
     campaign. Ratios enter by their logarithm: over Table 1 they span up to three decades.
 
+    Args:
+        features: "paper"; "design", the variables themselves; "sliding", these and what the sliding block says;
+            "collision", these and what the reduced model of the collision says; or a user's own.
+        space: the design space.
+        model: settings of the bearing model that the sliding block and the reduced model share.
+
     Raises:
-        InputError: if the paper's features are asked of a space without the paper's nine variables.
+        InputError: if the paper's features or those of a bearing are asked of a space without the paper's nine
+            variables, or if features are not finite, or constant, over the space.
     """
-    match name:
+    match features:
         case "design":
-            names, logarithmic = space.names, np.zeros(space.dimension, dtype=bool)
-
-            def raw(X: Array) -> Array:
-                return np.asarray(X)
-
-            def formula(columns: Sequence[Any]) -> list[Any]:
-                return list(columns)
+            return _scaled(space.names, np.asarray, space, formula=list)
 
         case "paper":
-            own = space.select(TABLE_1.names)
-            if np.any(space.low[own] <= 0.0):
+            columns = space.select(TABLE_1.names)
+            if np.any(space.low[columns] <= 0.0):
                 raise InputError("The paper's features need positive variables; a lower bound of the space is not.")
-            names, logarithmic = PAPER_FEATURES, np.array([True, True, True, False, False, True])
+            return _scaled(
+                PAPER_FEATURES,
+                lambda X: paper_features(np.asarray(X)[:, columns]),
+                space,
+                PAPER_LOGARITHMIC,
+                lambda variables: _paper_formula([variables[i] for i in columns]),
+            )
 
-            def raw(X: Array) -> Array:
-                return paper_features(np.asarray(X)[:, own])
+        case "sliding":
+            columns = space.select(TABLE_1.names)
+            return _scaled(
+                (*space.names, *SLIDING_FEATURES),
+                lambda X: np.column_stack([X, sliding_features(np.asarray(X)[:, columns], model)]),
+                space,
+            )
 
-            def formula(columns: Sequence[Any]) -> list[Any]:
-                return _paper_formula([columns[i] for i in own])
+        case "collision":
+            columns = space.select(TABLE_1.names)
+
+            def with_collision(X: Array) -> Array:
+                table = np.asarray(X)[:, columns]
+                return np.column_stack([X, sliding_features(table, model), collision_features(table, model)])
+
+            return _scaled((*space.names, *SLIDING_FEATURES, *COLLISION_FEATURES), with_collision, space)
+
+        case OwnFeatures():
+            return _own(features, space)
 
         case _:
-            raise InputError(f"`features` must be paper or design, got {name!r}.")
+            raise InputError(f"`features` must be paper, design, sliding or collision, got {features!r}.")
 
-    unscaled = FeatureMap(names, raw, logarithmic, np.zeros(len(names)), np.ones(len(names)))
+
+def _own(own: OwnFeatures, space: DesignSpace) -> FeatureMap:
+    width = own(space.sobol(8, np.random.default_rng(0)), space).shape[1]
+
+    def raw(X: Array) -> Array:
+        X = np.asarray(X, dtype=np.float64)
+        F = own(X, space)
+        if F.shape[1] != width:
+            raise InputError(
+                f"classifier.features: {own.name} must always return as many features; got {width}, then {F.shape[1]}."
+            )
+        return np.column_stack([X, F]) if own.variables else F
+
+    names = tuple(f"{own.name}[{column}]" for column in range(width))
+    scaled = _scaled((*space.names, *names) if own.variables else names, raw, space)
+    # A function that normalises over the rows it is given would call one design by many names.
+    X = space.sobol(64, np.random.default_rng(1))
+    if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
+        raise InputError(
+            f"classifier.features: {own.name} must give a design the same features whatever the designs beside it."
+        )
+    return scaled
+
+
+def _scaled(
+    names: tuple[str, ...],
+    raw: Callable[[Array], Array],
+    space: DesignSpace,
+    logarithmic: tuple[bool, ...] | None = None,
+    formula: Callable[[Sequence[Any]], list[Any]] | None = None,
+) -> FeatureMap:
+    which = np.array(logarithmic or (False,) * len(names))
+    unscaled = FeatureMap(names, raw, which, np.zeros(len(names)), np.ones(len(names)))
     # A fixed sample: the scaling is part of the feature set's definition, not a random choice of a campaign.
-    F = unscaled(space.sobol(4096, np.random.default_rng(0)))
-    return FeatureMap(names, raw, logarithmic, F.mean(axis=0), F.std(axis=0), formula)
+    X = space.sobol(4096, np.random.default_rng(0))
+    F = unscaled(X)
+    for column, name in enumerate(names):
+        bad = np.flatnonzero(~np.isfinite(F[:, column]))
+        if len(bad):
+            raise InputError(
+                f"classifier.features: {name} must be finite over the space, got {F[bad[0], column]} "
+                f"for {dict(zip(space.names, X[bad[0]].tolist(), strict=True))}."
+            )
+        if np.ptp(F[:, column]) == 0.0:
+            raise InputError(f"classifier.features: {name} must vary over the space, got {F[0, column]} everywhere.")
+    return FeatureMap(names, raw, which, F.mean(axis=0), F.std(axis=0), formula)

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from activefail.bearing import TABLE_1
+from activefail.bearing import TABLE_1, Model
+from activefail.bearing.collision import collision_features
+from activefail.bearing.sliding import sliding_features
 from activefail.errors import InputError
-from activefail.features import PAPER_FEATURES, feature_map, paper_features
-from activefail.space import DesignSpace, Parameter
+from activefail.features import PAPER_FEATURES, OwnFeatures, feature_map, paper_features
+from activefail.space import Array, DesignSpace, Parameter
 
 # T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g]
 DESIGN = (4.0, 0.06, 0.6, 0.8, 0.1, 50.0, 2e9, 2.0, 0.4)
@@ -59,7 +61,7 @@ def test_ratios_over_decades_enter_by_their_logarithm() -> None:
     assert space.logarithmic.tolist() == [True, True, True, False, False, True]
 
 
-@pytest.mark.parametrize("name", ["paper", "design"])
+@pytest.mark.parametrize("name", ["paper", "design", "sliding", "collision"])
 def test_features_have_mean_0_and_standard_deviation_1_over_the_design_measure(name: str) -> None:
     F = feature_map(name, TABLE_1)(TABLE_1.sobol(2**14, np.random.default_rng(99)))  # type: ignore[arg-type]
     assert_allclose(F.mean(axis=0), 0.0, atol=0.01)
@@ -130,5 +132,83 @@ def test_the_papers_features_of_a_space_that_reaches_to_zero_are_refused(low: fl
 
 
 def test_an_unknown_feature_set_is_refused_with_rule_and_value() -> None:
-    with pytest.raises(InputError, match=r"must be paper or design, got 'fourier'"):
+    with pytest.raises(InputError, match=r"must be paper, design, sliding or collision, got 'fourier'"):
         feature_map("fourier", TABLE_1)  # type: ignore[arg-type]
+
+
+def test_the_sliding_blocks_features_come_after_the_variables_whatever_their_order() -> None:
+    order = [4, 0, 8, 2, 6, 1, 7, 3, 5]
+    X = TABLE_1.latin_hypercube(32, np.random.default_rng(0))
+    features = feature_map("sliding", _permuted(order))
+    assert features.names == (*_permuted(order).names, "v*", "a*")
+    assert features.raw(X[:, order]).tolist() == np.column_stack([X[:, order], sliding_features(X)]).tolist()
+
+
+def test_the_sliding_block_has_the_campaigns_slider_and_restitution() -> None:
+    X = TABLE_1.latin_hypercube(32, np.random.default_rng(0))
+    model = Model(slider_diameter=0.2, restitution_coefficient=0.4)
+    assert feature_map("sliding", TABLE_1, model).raw(X)[:, 9:].tolist() == sliding_features(X, model).tolist()
+    assert not np.array_equal(sliding_features(X, model), sliding_features(X))
+
+
+def test_the_collisions_feature_comes_after_the_sliding_blocks() -> None:
+    X = TABLE_1.latin_hypercube(32, np.random.default_rng(0))
+    model = Model(slider_diameter=0.2)
+    features = feature_map("collision", TABLE_1, model)
+    assert features.names == (*TABLE_1.names, "v*", "a*", "m*")
+    assert (
+        features.raw(X)[:, 9:].tolist()
+        == np.column_stack([sliding_features(X, model), collision_features(X, model)]).tolist()
+    )
+
+
+SQUARE = DesignSpace((Parameter("x", -2.0, 3.0), Parameter("y", 10.0, 50.0)))
+
+
+def _product(X: Array, space: DesignSpace) -> Array:
+    return (X[:, :1] * X[:, 1:]) / space.high[1]
+
+
+def test_a_function_of_ones_own_is_appended_to_the_variables_and_scaled_like_them() -> None:
+    features = feature_map(OwnFeatures("product", _product), SQUARE)
+    assert features.names == ("x", "y", "product[0]")
+    X = SQUARE.sobol(2**14, np.random.default_rng(99))
+    assert features.raw(X)[:, 2].tolist() == (X[:, 0] * X[:, 1] / 50.0).tolist()
+    assert_allclose(features(X).mean(axis=0), 0.0, atol=0.01)
+    assert_allclose(features(X).std(axis=0), 1.0, atol=0.01)
+
+
+def test_a_function_of_ones_own_can_replace_the_variables() -> None:
+    features = feature_map(OwnFeatures("product", _product, variables=False), SQUARE)
+    assert features.names == ("product[0]",)
+
+
+def test_a_function_of_ones_own_cannot_change_the_designs() -> None:
+    def greedy(X: Array, space: DesignSpace) -> Array:
+        X *= 2.0
+        return X
+
+    X = SQUARE.sobol(8, np.random.default_rng(0))
+    assert feature_map(OwnFeatures("greedy", greedy), SQUARE).raw(X)[:, :2].tolist() == X.tolist()
+
+
+@pytest.mark.parametrize(
+    ("function", "says"),
+    [
+        (lambda X, space: X[:, 0], r"one row of features a design, shape \(8, m\); got shape \(8,\)"),
+        (lambda X, space: X[:-1], r"one row of features a design, shape \(8, m\); got shape \(7, 2\)"),
+        (lambda X, space: X[:, :0], r"got shape \(8, 0\)"),
+        (lambda X, space: None, r"got shape \(\)"),
+        (lambda X, space: [["a"]] * len(X), r"must return numbers"),
+        (lambda X, space: X[:, : 1 + (len(X) > 8)], r"always return as many features; got 1, then 2"),
+        (
+            lambda X, space: np.where(X > 2.0, np.nan, X),
+            r"mine\[0\] must be finite over the space, got nan for \{'x': 2\.",
+        ),
+        (lambda X, space: np.zeros((len(X), 1)), r"mine\[0\] must vary over the space, got 0\.0 everywhere"),
+        (lambda X, space: X - X.mean(axis=0), r"the same features whatever the designs beside it"),
+    ],
+)
+def test_a_function_that_gives_no_features_is_refused_with_key_rule_and_value(function: object, says: str) -> None:
+    with pytest.raises(InputError, match=rf"^classifier\.features: mine.*{says}|^classifier\.features: {says}"):
+        feature_map(OwnFeatures("mine", function), SQUARE)  # type: ignore[arg-type]

@@ -1,6 +1,8 @@
 """A campaign put together from its settings: design space, simulator, features, and where randomness comes from."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -8,10 +10,11 @@ from activefail.acquisition.batch import propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.campaign.config import CampaignSettings
 from activefail.campaign.dfp import DfpSimulator
+from activefail.campaign.plugin import load_function
 from activefail.campaign.record import Schema
 from activefail.campaign.simulator import Simulator
 from activefail.errors import InputError
-from activefail.features import FeatureMap, feature_map
+from activefail.features import FeatureMap, FeatureSet, OwnFeatures, feature_map
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 
@@ -29,26 +32,37 @@ def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Campaign:
-    """The pieces that settings name, put together; the loop knows nothing more of them than their seams."""
+    """The pieces that settings name, put together; the loop knows nothing more of them than their seams.
+
+    Attributes:
+        sources: digests of the sources of a user's own functions, by the key that names them.
+    """
 
     settings: CampaignSettings
     space: DesignSpace
     simulator: Simulator
     features: FeatureMap
+    sources: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, settings: CampaignSettings) -> "Campaign":
+    def of(cls, settings: CampaignSettings, folders: Sequence[Path] = ()) -> "Campaign":
         """The campaign that settings describe.
+
+        Args:
+            settings: of the campaign.
+            folders: where a user's own functions are looked for, before the current folder.
 
         Raises:
             InputError: if simulator, design space, features and boundary do not fit each other.
         """
         space = settings.design_space()
         simulator = DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration())
-        return cls.with_simulator(settings, simulator)
+        return cls.with_simulator(settings, simulator, folders)
 
     @classmethod
-    def with_simulator(cls, settings: CampaignSettings, simulator: Simulator) -> "Campaign":
+    def with_simulator(
+        cls, settings: CampaignSettings, simulator: Simulator, folders: Sequence[Path] = ()
+    ) -> "Campaign":
         """The campaign that settings describe, on a simulator of one's own.
 
         Raises:
@@ -60,7 +74,15 @@ class Campaign:
                 raise InputError(
                     f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
                 )
-        return cls(settings, space, simulator, feature_map(settings.classifier.features, space))
+        named, sources = settings.classifier.features, {}
+        features: FeatureSet | OwnFeatures
+        if isinstance(named, str):
+            features = named
+        else:
+            key = "classifier.features.python"
+            function, sources[key] = load_function(named.python, [*folders, Path.cwd()], key)
+            features = OwnFeatures(named.python.partition(":")[2], function, named.variables)
+        return cls(settings, space, simulator, feature_map(features, space, settings.bearing.model()), sources)
 
     @property
     def schema(self) -> Schema:

@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from activefail.acquisition.criteria import Criterion
 from activefail.bearing.design import TABLE_1, Model, Tolerance
@@ -69,10 +78,31 @@ class Sampling(_Section):
         return self
 
 
+class PythonFeatures(_Section):
+    """A function of one's own that says what the classifier sees.
+
+    Attributes:
+        python: "module:function"; the module is looked for beside the campaign's file, then where Python looks.
+        variables: whether the variables themselves come before what the function returns.
+    """
+
+    python: str = Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$")
+    variables: bool = True
+
+
+_TAGS = ("a name", "a table")
+
+
+def _kind(features: Any) -> str:
+    return _TAGS[isinstance(features, (dict, PythonFeatures))]
+
+
 class ClassifierSettings(_Section):
     """What the classifier sees and how smooth it takes the boundary to be."""
 
-    features: FeatureSet = "paper"
+    features: Annotated[
+        Annotated[FeatureSet, Tag(_TAGS[0])] | Annotated[PythonFeatures, Tag(_TAGS[1])], Discriminator(_kind)
+    ] = "paper"
     kernel: Literal["rbf", "matern52"] = "rbf"
 
 
@@ -189,7 +219,7 @@ class CampaignSettings(_Section):
 
 def _rule(error: Any) -> str:
     """One line of a validation error: key path, rule and value."""
-    path = ".".join(str(part) for part in error["loc"]) or "the file"
+    path = ".".join(str(part) for part in error["loc"] if part not in _TAGS) or "the file"
     message = error["msg"].removeprefix("Value error, ")
     match error["type"]:
         case "extra_forbidden":
@@ -198,6 +228,8 @@ def _rule(error: Any) -> str:
             return f"{path}: required, but not there"
         case "value_error":
             return f"{path}: {message}"
+        case "string_pattern_mismatch":
+            return f'{path}: must be "module:function", got {error["input"]!r}'
         case _:
             message = message.replace("Input should be", "must be")
             return f"{path}: {message}, got {error['input']!r}"

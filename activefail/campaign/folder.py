@@ -19,7 +19,7 @@ def read_campaign(path: Path, seed: int | None = None, budget: int | None = None
     """
     settings = read_settings(path).with_overrides(seed, budget)
     try:
-        return Campaign.of(settings)
+        return Campaign.of(settings, [path.absolute().parent])
     except InputError as unfit:
         raise InputError(f"{path}: {unfit}") from None
 
@@ -30,7 +30,9 @@ def create_run(folder: Path, campaign: Campaign) -> FolderStore:
     Raises:
         BusyError, StoreError: as `FolderStore.create` does.
     """
-    return FolderStore.create(folder, campaign.settings.text(), campaign.schema, provenance=provenance())
+    return FolderStore.create(
+        folder, campaign.settings.text(), campaign.schema, provenance=provenance() | campaign.sources
+    )
 
 
 @contextmanager
@@ -46,5 +48,5 @@ def open_campaign(folder: Path, write: bool) -> Iterator[tuple[Campaign, FolderS
     if not path.is_file():
         raise InputError(f"{folder}: is not a run folder; there is no campaign.toml in it.")
     campaign = read_campaign(path)
-    with FolderStore.open(folder, campaign.schema, write=write, provenance=provenance()) as store:
+    with FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources) as store:
         yield campaign, store

@@ -35,6 +35,10 @@ from activefail.study.score import NEIGHBOURS, TestSet, displaced, measures
 from activefail.surrogate.classifier import train
 
 STATIC = "static"
+"""The sampling of an arm that is a Latin hypercube."""
+
+OWN = "own"
+"""Features of an arm that are the campaign file's, a function of the user's."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,9 @@ class Plan:
 
     def campaign(self, arm: Arm) -> Campaign:
         """The campaign of an arm, or the one whose static design it is."""
-        changes = {"seed": arm.seed, "classifier.features": arm.features, "validation.size": 0}
+        changes: dict[str, Any] = {"seed": arm.seed, "validation.size": 0}
+        if arm.features != OWN:
+            changes["classifier.features"] = arm.features
         if arm.sampling != STATIC:
             changes["acquisition.criterion"] = arm.sampling
         return Campaign.of(self.settings.changed(changes))

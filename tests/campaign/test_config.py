@@ -1,5 +1,6 @@
 """Settings: what is written is what is run, and every mistake is named with file, key path, rule and value."""
 
+import hashlib
 import math
 import tomllib
 from contextlib import suppress
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import hypothesis
+import numpy as np
 import pytest
 import tomli_w
 from hypothesis import given
@@ -16,6 +18,7 @@ from pydantic import ValidationError
 from activefail.bearing import TABLE_1, Model, Tolerance
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.config import CampaignSettings, parse_settings, read_settings
+from activefail.campaign.folder import read_campaign
 from activefail.errors import InputError
 
 SHIPPED = sorted((Path(__file__).parents[2] / "campaigns").glob("*.toml"))
@@ -131,7 +134,19 @@ BROKEN = {
     ),
     "loose tolerance": ("bearing.tolerance = 0.1", ["bearing.tolerance: must be less than or equal to 0.001", "0.1"]),
     "unknown simulator": ('simulator = "fem"', ["simulator: must be 'dfp'", "'fem'"]),
-    "unknown features": ('classifier.features = "all"', ["classifier.features: must be 'paper' or 'design'", "'all'"]),
+    "unknown features": (
+        'classifier.features = "all"',
+        ["classifier.features: must be 'paper', 'design', 'sliding' or 'collision'", "'all'"],
+    ),
+    "number for features": ("classifier.features = 9", ["classifier.features: must be", "'sliding'", "9"]),
+    "features without a function": (
+        'classifier.features = { python = "mine" }',
+        ['classifier.features.python: must be "module:function"', "'mine'"],
+    ),
+    "unknown key of features": (
+        'classifier.features = { python = "mine:f", variable = false }',
+        ["classifier.features.variable: unknown key"],
+    ),
     "unknown kernel": ('classifier.kernel = "linear"', ["classifier.kernel: must be 'rbf' or 'matern52'", "'linear'"]),
     "unknown criterion": (
         'acquisition.criterion = "luck"',
@@ -293,6 +308,64 @@ def test_settings_written_out_and_read_again_are_the_same_to_the_last_bit(values
     assert list(again.space) == list(settings.space)
 
 
+@pytest.mark.parametrize(
+    "features", ['"sliding"', '{ python = "mine.physics:f" }', '{ python = "m:f", variables = false }']
+)
+def test_the_frozen_copy_says_what_the_classifier_sees(features: str) -> None:
+    settings = parse_settings(f"classifier.features = {features}", "mine.toml")
+    assert parse_settings(settings.text(), "frozen") == settings
+
+
+OWN = """
+import numpy as np
+
+def ratio(X, space):
+    T_b, T_p = space.select(["T_b", "T_p"])
+    return np.log(X[:, [T_b]] / X[:, [T_p]])
+"""
+
+
+def test_a_function_beside_the_campaigns_file_says_what_the_classifier_sees(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN)
+    (tmp_path / "mine.toml").write_text('classifier.features = { python = "mine:ratio", variables = false }')
+    campaign = read_campaign(tmp_path / "mine.toml")
+    assert campaign.features.names == ("ratio[0]",)
+    X = TABLE_1.latin_hypercube(4, np.random.default_rng(0))
+    assert campaign.features.raw(X).tolist() == np.log(X[:, [0]] / X[:, [7]]).tolist()
+    assert campaign.sources == {"classifier.features.python": hashlib.sha256(OWN.encode()).hexdigest()}
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        (None, r"there is no module 'mine'; looked for .*/mine\.py, .*/mine\.py"),
+        ("def other(X, space): pass", r".*/mine\.py has no function 'ratio'"),
+        ("ratio = 3", r".*/mine\.py has no function 'ratio'"),
+        ("1 / 0", "mine cannot be imported: ZeroDivisionError: division by zero"),
+        ("import a_module_that_is_not_there", "mine cannot be imported: No module named 'a_module_that_is_not_there'"),
+    ],
+)
+def test_a_function_that_cannot_be_loaded_is_refused_by_file_key_and_reason(
+    tmp_path: Path, source: str | None, says: str
+) -> None:
+    if source is not None:
+        (tmp_path / "mine.py").write_text(source)
+    path = tmp_path / "mine.toml"
+    path.write_text('classifier.features = { python = "mine:ratio" }')
+    with pytest.raises(InputError, match=rf"mine\.toml: classifier\.features\.python: {says}"):
+        read_campaign(path)
+
+
+def test_a_changed_function_is_told_on_resume(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN)
+    path = tmp_path / "mine.toml"
+    path.write_text('classifier.features = { python = "mine:ratio" }')
+    before = read_campaign(path).sources
+    (tmp_path / "mine.py").write_text(OWN + "# changed")
+    assert read_campaign(path).sources.keys() == before.keys()
+    assert read_campaign(path).sources != before
+
+
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
 def test_the_frozen_copy_of_a_campaign_that_ships_is_the_campaign(path: Path) -> None:
     settings = read_settings(path)
@@ -304,7 +377,7 @@ def test_the_frozen_copy_writes_the_defaults_out() -> None:
         return {name: keys(value) if isinstance(value, dict) else None for name, value in model.items()}
 
     written = tomllib.loads(parse_settings("seed = 1", "mine.toml").text())
-    assert keys(written) == keys(CampaignSettings().model_dump())
+    assert keys(written) == keys(CampaignSettings().model_dump(exclude_none=True))
 
 
 @hypothesis.settings(deadline=None)

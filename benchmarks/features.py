@@ -1,0 +1,98 @@
+"""What features are worth: accuracy at the failure boundary by feature set and number of simulations.
+
+    python benchmarks/features.py --static 500 --active 500 --seeds 3000 3001 paper sliding collision
+
+For each seed a Latin hypercube is simulated and learned from (static), or one of 250 that entropy sampling extends in
+batches of 10 (active). Every classifier is a Matérn-5/2 one, judged on the same 8,000 fresh designs: the share on the
+right side of the failure boundary and the mean log2 probability given to what happened. The cost of the features is
+measured beside that of the bearing model.
+"""
+
+import argparse
+import time
+
+import numpy as np
+import torch
+
+from activefail.acquisition.batch import propose
+from activefail.acquisition.criteria import entropy
+from activefail.bearing import TABLE_1, simulate
+from activefail.bearing.outcome import FAILURE
+from activefail.features import FeatureMap, feature_map
+from activefail.surrogate.classifier import Latent
+from activefail.surrogate.fitting import fit
+
+INITIAL, BATCH, FRESH = 250, 10, 8000
+
+
+def fails(X):
+    """Whether designs fail, as labels -1 and 1, (n,)."""
+    return np.where(simulate(X, threads=1).label == FAILURE, 1.0, -1.0)
+
+
+def learn(features: FeatureMap, X, y, warm: Latent | None = None) -> Latent:
+    start = None if warm is None else warm.trained
+    return Latent(fit(torch.from_numpy(features(X)), torch.from_numpy(y), "matern52", start))
+
+
+def judged(latent: Latent, F, y) -> str:
+    moments = latent.moments(F)
+    p = np.clip(np.where(y > 0.0, moments.probability, 1.0 - moments.probability), 1e-9, None)
+    return f"accuracy {np.mean((moments.mean > 0.0) == (y > 0.0)):.4f}  bits {np.mean(np.log2(p)):.4f}"
+
+
+def static(features, n, seed, F_fresh, y_fresh) -> str:
+    X = TABLE_1.latin_hypercube(n, np.random.default_rng([seed, n]))
+    return judged(learn(features, X, fails(X)), F_fresh, y_fresh)
+
+
+def active(features, budgets, seed, F_fresh, y_fresh):
+    """Yields each budget and what has been learned by then."""
+    X = TABLE_1.latin_hypercube(INITIAL, np.random.default_rng([seed, INITIAL]))
+    y, latent = fails(X), None
+    while True:
+        latent = learn(features, X, y, latent)
+        if len(X) in budgets:
+            yield len(X), judged(latent, F_fresh, y_fresh)
+        if len(X) >= max(budgets):
+            return
+        batch = propose(latent, features, TABLE_1, entropy, BATCH, np.random.default_rng([seed, len(X)]))
+        X, y = np.concatenate([X, batch]), np.concatenate([y, fails(batch)])
+
+
+def milliseconds(function, X) -> float:
+    function(X[:2])  # compiled before the clock runs
+    began = time.perf_counter()
+    function(X)
+    return 1e3 * (time.perf_counter() - began) / len(X)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sets", nargs="+", help="paper, design, sliding, collision")
+    parser.add_argument("--static", nargs="*", type=int, default=[], help="sizes of static samples")
+    parser.add_argument("--active", nargs="*", type=int, default=[], help="budgets at which active learning is judged")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[3000])
+    parser.add_argument("--fresh", type=int, default=5151, help="seed of the fresh designs")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+
+    X = TABLE_1.from_unit(np.random.default_rng([arguments.fresh, 1]).random((FRESH, TABLE_1.dimension)))
+    y = fails(X)
+    print(f"bearing model  {milliseconds(lambda X: simulate(X, threads=1), X[:500]):.3f} ms")
+    for name in arguments.sets:
+        features = feature_map(name, TABLE_1)
+        print(f"{name:14} {milliseconds(features, X[:500]):.3f} ms")
+    for seed in arguments.seeds:
+        for name in arguments.sets:
+            features = feature_map(name, TABLE_1)
+            F = features(X)
+            for n in arguments.static:
+                print(f"{name:10} seed {seed}  static {n:5}  {static(features, n, seed, F, y)}", flush=True)
+            if arguments.active:
+                for n, verdict in active(features, arguments.active, seed, F, y):
+                    print(f"{name:10} seed {seed}  active {n:5}  {verdict}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
