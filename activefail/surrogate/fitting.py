@@ -19,7 +19,7 @@ from torch import Tensor
 JITTER = 1e-6
 """Added to the diagonal of K; the GPyTorch model that the result is loaded into adds the same."""
 
-LEARNED_ON = 1500
+LEARNED_ON = 1000
 """Most points that hyperparameters are learned on: each of a hundred evaluations costs the cube of their number."""
 
 GROWTH = 0.05
@@ -313,8 +313,33 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
     learned, found, evaluations = _learn_hyperparameters(
         features[rows], labels[rows], kernel, start, Sites(*(site[rows] for site in sites)), tolerance
     )
-    sites = found if n <= LEARNED_ON else sites
-    return condition(features, labels, kernel, learned, sites, 0.01 * tolerance, evaluations, n)
+    if n > LEARNED_ON:
+        found = _foreseen_sites(features[rows], labels[rows], found, kernel, learned, features, labels)
+    return condition(features, labels, kernel, learned, found, 0.01 * tolerance, evaluations, n)
+
+
+def _foreseen_sites(
+    known: Tensor,
+    known_labels: Tensor,
+    sites: Sites,
+    kernel: str,
+    hyperparameters: Hyperparameters,
+    features: Tensor,
+    labels: Tensor,
+) -> Sites:
+    """First sites of many points, from what the posterior of some of them says of each."""
+    K = prior_covariance(known, kernel, hyperparameters)
+    state = posterior(K, hyperparameters.mean, known_labels, sites)
+    covariance = covariance_module(kernel, known.shape[1])
+    set_hyperparameters(covariance, hyperparameters)
+    with torch.no_grad():
+        cross = covariance(known, features).to_dense()
+        V = torch.linalg.solve_triangular(state.cholesky_b, sites.precision.sqrt().unsqueeze(1) * cross, upper=False)
+        mean = hyperparameters.mean + cross.T @ state.alpha
+        prior_variance = math.exp(hyperparameters.log_outputscale)
+        variance = (prior_variance - (V * V).sum(0)).clamp_min(1e-6 * prior_variance)
+        _, gradient, curvature = probit_expectations(labels, mean, variance)
+    return Sites(gradient + curvature * mean, curvature.clamp_min(1e-8 / prior_variance))
 
 
 def _learn_hyperparameters(
