@@ -1,0 +1,5 @@
+"""`python -m activefail.cli`: the same as `activefail`."""
+
+from activefail.cli import main
+
+main()

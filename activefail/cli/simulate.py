@@ -1,0 +1,165 @@
+"""`activefail simulate`: one bearing, or a table of them."""
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from activefail.cli.common import progress_bar, writing_to
+from activefail.errors import InputError
+
+if TYPE_CHECKING:
+    from activefail.bearing import Model, Response, Tolerance
+
+
+def simulate(
+    t_b: Annotated[float | None, typer.Option(help="Bearing period T_b [s].", show_default=False)] = None,
+    mu: Annotated[float | None, typer.Option(help="Friction coefficient.", show_default=False)] = None,
+    d_tot: Annotated[float | None, typer.Option(help="Displacement capacity D_tot [m].", show_default=False)] = None,
+    h_sl_ratio: Annotated[
+        float | None, typer.Option(help="Slider height over slider diameter.", show_default=False)
+    ] = None,
+    h_rim_ratio: Annotated[
+        float | None, typer.Option(help="Rim height over slider diameter.", show_default=False)
+    ] = None,
+    p: Annotated[float | None, typer.Option(help="Pressure on the slider [MPa].", show_default=False)] = None,
+    k: Annotated[float | None, typer.Option(help="Contact stiffness [N/m^1.5].", show_default=False)] = None,
+    t_p: Annotated[float | None, typer.Option(help="Pulse period T_p [s].", show_default=False)] = None,
+    a_p: Annotated[float | None, typer.Option(help="Pulse amplitude A_p [g].", show_default=False)] = None,
+    csv: Annotated[
+        Path | None,
+        typer.Option(help="Table of designs: T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p.", show_default=False),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Where to write the table's answers.", show_default=False)] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the response (.png, .svg or .pdf).", show_default=False)
+    ] = None,
+    animate: Annotated[Path | None, typer.Option(help="Film the bearing (.gif or .mp4).", show_default=False)] = None,
+    slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
+    restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of a rim impact.")] = 0.65,
+    slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m3].")] = 7850.0,
+    loss_of_confinement: Annotated[
+        bool, typer.Option(help="Whether a slider that no rim holds any more has failed.")
+    ] = True,
+    restitution: Annotated[str, typer.Option(help="Mass in the damper: pairwise or assembly.")] = "pairwise",
+    friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
+    tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
+) -> None:
+    """Simulate one bearing under one pulse, or a table of them."""
+    from activefail.bearing.design import Model, Tolerance
+
+    design = {
+        "--t-b": t_b,
+        "--mu": mu,
+        "--d-tot": d_tot,
+        "--h-sl-ratio": h_sl_ratio,
+        "--h-rim-ratio": h_rim_ratio,
+        "--p": p,
+        "--k": k,
+        "--t-p": t_p,
+        "--a-p": a_p,
+    }
+    model = Model(
+        slider_diameter=slider_diameter,
+        restitution_coefficient=restitution_coefficient,
+        restitution=restitution,
+        slider_density=slider_density,
+        friction_velocity=friction_velocity,
+        loss_of_confinement=loss_of_confinement,
+    )
+    integration = Tolerance(relative=tolerance)
+    given = [option for option, value in design.items() if value is not None]
+    if csv is not None:
+        if given or plot or animate:
+            single = [*given, "--plot" if plot else "--animate"][0]
+            raise InputError(f"--csv simulates a table; {single} belongs to one design.")
+        if out is None:
+            raise InputError("--csv needs --out FILE, where the answers are written.")
+        _simulate_table(csv, out, model, integration)
+        return
+    missing = [option for option, value in design.items() if value is None]
+    if missing:
+        raise InputError(
+            f"A design needs all nine variables; missing: {', '.join(missing)}. (Or give --csv and --out.)"
+        )
+    if out is not None:
+        raise InputError("--out goes with --csv; use --plot or --animate for one design.")
+    _simulate_one([value for value in design.values() if value is not None], model, integration, plot, animate)
+
+
+def _simulate_one(
+    design: list[float], model: "Model", tolerance: "Tolerance", plot: Path | None, animate: Path | None
+) -> None:
+    from activefail.bearing.design import TABLE_1, Bearing, Pulse
+    from activefail.bearing.simulation import simulate_one
+
+    for path in (plot, animate):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
+    if plot is not None and plot.suffix.lower() not in {".png", ".svg", ".pdf"}:
+        raise InputError(f"{plot}: a plot's name must end in .png, .svg or .pdf.")
+    if animate is not None and animate.suffix.lower() not in {".gif", ".mp4"}:
+        raise InputError(f"{animate}: a film's name must end in .gif or .mp4.")
+    response = simulate_one(
+        Bearing.from_row(design, model.slider_diameter), Pulse.from_table(*design[7:]), model, tolerance
+    )
+    _print_response(response)
+    for parameter, value in zip(TABLE_1.parameters, design, strict=True):
+        if not parameter.low <= value <= parameter.high:
+            print(
+                f"note: {parameter.name} = {value:g} lies outside the paper's range "
+                f"{parameter.low:g} to {parameter.high:g}",
+                file=sys.stderr,
+            )
+    if plot is not None:
+        from activefail.report.motion import plot_response
+
+        with writing_to(plot):
+            plot_response(response).savefig(plot)
+        print(f"plot       {plot}")
+    if animate is not None:
+        from activefail.report.animation import save_animation
+
+        with writing_to(animate):
+            save_animation(response, animate)
+        print(f"film       {animate}")
+    if response.outcome == "numerical_failure":
+        raise typer.Exit(1)
+
+
+def _print_response(response: "Response") -> None:
+    margins = response.margins
+
+    def row(name: str, value: str, meaning: str) -> None:
+        print(f"{name:<10} {value:<10} {meaning}")
+
+    print(f"outcome    {response.outcome}{f' ({response.cause})' if response.cause else ''}")
+    if response.outcome == "numerical_failure":
+        print("           the integration gave up; this says nothing about the bearing")
+    if margins["first_touch_time"] == margins["first_touch_time"]:
+        speed = margins["first_touch_velocity"]
+        row("impact", f"{margins['first_touch_time']:.3f} s", f"first rim touch, at {speed:.3f} m/s")
+    if margins["failure_time"] == margins["failure_time"]:
+        row("failure", f"{margins['failure_time']:.3f} s", "after the pulse's centre")
+    row("x / D_tot", f"{margins['peak_displacement_ratio']:.3f}", "peak displacement over the capacity")
+    row("F_rim / Mg", f"{margins['peak_rim_force_ratio']:.3f}", "peak rim force over the weight")
+    row("gap / rim", f"{margins['peak_gap_ratio']:.3f}", "largest uplift of a plate over the rim height; lost above 1")
+    row("tilt", f"{margins['peak_tilt']:.3f} rad", "largest rotation of the slider")
+    steps, rejected = margins["steps"], margins["rejected_steps"]
+    row("energy", f"{margins['energy_error']:.1e}", f"imbalance, relative; {steps:.0f} steps, {rejected:.0f} rejected")
+
+
+def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:
+    from activefail.study.tables import simulate_table
+
+    began = time.monotonic()
+    with progress_bar("simulating") as begin:
+        counts = simulate_table(source, target, model, tolerance, begin)
+    total = sum(counts.values())
+    print(
+        f"{total} designs in {time.monotonic() - began:.1f} s: "
+        + ", ".join(f"{n} {name}" for name, n in counts.items())
+    )
+    print(f"written to {target}")

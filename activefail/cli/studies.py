@@ -1,0 +1,191 @@
+"""Commands that compare: samplings with each other, and our results with the paper's."""
+
+import math
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from activefail.cli.common import show_warnings, stop_on_signals, writing_to
+from activefail.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+
+def compare(
+    source: Annotated[
+        Path, typer.Argument(help="Run folder, or campaign file.", metavar="DIR|CAMPAIGN.toml", show_default=False)
+    ],
+    budgets: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a run folder: numbers of simulations, like 250,500; five by default.", show_default=False
+        ),
+    ] = None,
+    seeds: Annotated[int, typer.Option(help="Of a campaign file: how many seeds.", min=1, max=100)] = 5,
+    criteria: Annotated[
+        str | None, typer.Option(help="Of a campaign file: criteria, like entropy,bald; its own by default.")
+    ] = None,
+    features: Annotated[
+        str | None, typer.Option(help="Of a campaign file: features, like paper,sliding; its own by default.")
+    ] = None,
+    static: Annotated[
+        str | None,
+        typer.Option(help="Of a campaign file: sizes of static hypercubes; its initial and budget by default."),
+    ] = None,
+    test: Annotated[
+        int | None,
+        typer.Option(help="Fresh designs to judge by; 2000 for a folder, 5000 for a file.", min=10, max=1_000_000),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Of a campaign file: arms side by side; all cores by default.", min=1)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Of a campaign file: folder of the comparison.", show_default=False)
+    ] = None,
+) -> None:
+    """Judge active sampling and static Latin hypercubes on the same fresh designs.
+
+    Of a run folder: this campaign, against static designs of the same sizes. Of a campaign file: campaigns and static
+    designs over several seeds, criteria and features; it can be interrupted and goes on when given again.
+    """
+    if source.is_dir():
+        for name, value in {"criteria": criteria, "features": features, "static": static, "out": out}.items():
+            if value is not None:
+                raise InputError(f"--{name}: is for the comparison of a campaign file, and {source} is a run folder.")
+        _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000)
+        return
+    if budgets is not None:
+        raise InputError(f"--budgets: is for the comparison of a run folder, and {source} is none.")
+    if out is None:
+        raise InputError("--out: required for the comparison of a campaign file.")
+    _compare_seeds(source, seeds, criteria, features, static, test or 5000, jobs, out)
+
+
+def _compare_run(folder: Path, sizes: list[int] | None, test: int) -> None:
+    from activefail.campaign.executor import local_executor
+    from activefail.campaign.folder import open_campaign
+    from activefail.study.compare import compare as compare_samplings
+
+    with open_campaign(folder, write=True) as (campaign, store), local_executor(campaign.simulator) as executor:
+        show_warnings(store.warnings)
+        scores = compare_samplings(
+            campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
+        )
+    boundary = campaign.settings.acquisition.main_boundary
+    print(
+        f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
+        f"  {'outcome accuracy':>16}  {'log score':>9}"
+    )
+    for row in sorted(scores, key=lambda score: (score.simulations, score.sampling)):
+        print(
+            f"{row.simulations:>11}  {row.sampling:<8}  {100 * row.accuracy:>16.2f} % "
+            f"{100 * row.low:>6.2f} to {100 * row.high:.2f} %"
+            f"  {100 * row.outcome_accuracy:>14.2f} %  {row.log_score:>9.4f}"
+        )
+
+    from activefail.report.curves import plot_learning_curves
+    from activefail.study.compare import Score
+    from activefail.table import writing
+
+    results = folder / "compare"
+    with writing_to(results):
+        results.mkdir(exist_ok=True)
+        with writing(results / "scores.csv", [*Score.columns(), "test_designs"]) as write:
+            write([[*score.row(), test] for score in scores])
+        figure = plot_learning_curves(scores, boundary, test)
+        for suffix in ("png", "svg"):
+            figure.savefig(results / f"learning_curves.{suffix}")
+    print(f"table      {results / 'scores.csv'}")
+    print(f"curves     {results / 'learning_curves.png'} and .svg")
+
+
+def _compare_seeds(
+    file: Path,
+    seeds: int,
+    criteria: str | None,
+    features: str | None,
+    static: str | None,
+    test: int,
+    jobs: int | None,
+    out: Path,
+) -> None:
+    from activefail.campaign.config import read_settings
+    from activefail.report.comparison import comparison_lines, write_comparison
+    from activefail.study.seeds import OWN, Plan, compare_seeds
+
+    settings = read_settings(file)
+    sampling, own = settings.sampling, settings.classifier.features
+    plan = Plan(
+        settings,
+        seeds,
+        _parse_names(criteria) or (settings.acquisition.criterion,),
+        _parse_names(features) or (own if isinstance(own, str) else OWN,),
+        tuple(sorted({sampling.initial, sampling.budget}) if static is None else _parse_sizes("--static", static)),
+        test,
+    )
+
+    def stage(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    with writing_to(out), stop_on_signals() as stop:
+        scores = compare_seeds(
+            plan,
+            out,
+            jobs or os.cpu_count() or 1,
+            stage,
+            lambda done, all_: stage(f"{done} of {all_} arms scored"),
+            stop,
+        )
+        if scores is None:
+            print(f"stopped; what was scored is kept in {out}. The same command goes on.", file=sys.stderr)
+            raise typer.Exit(130)
+        page = write_comparison(plan, scores, out)
+    print("\n".join(comparison_lines(scores)))
+    print(f"page       {page}")
+
+
+def _parse_names(text: str | None) -> tuple[str, ...]:
+    return () if text is None else tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+
+
+def paper(
+    draws: Annotated[int, typer.Option(help="Independent samples of 250 simulations.", min=4, max=1000)] = 20,
+    fresh: Annotated[int, typer.Option(help="Fresh designs to judge by.", min=100, max=1_000_000)] = 4000,
+    seed: Annotated[int, typer.Option(help="Seed of everything.", min=0)] = 1,
+    out: Annotated[Path, typer.Option(help="Folder for reproduction.md and its figures.")] = Path("runs/reproduction"),
+) -> None:
+    """Reproduce the paper: its tables and figures beside ours, with intervals."""
+    from activefail.report.claims import claims
+    from activefail.report.reproduction import write_reproduction
+    from activefail.study.paper import run_study
+
+    def stage(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    with writing_to(out):
+        out.mkdir(parents=True, exist_ok=True)
+    begun = time.monotonic()
+    study = run_study(draws, fresh, seed, stage)
+    command = {"draws": draws, "fresh": fresh, "seed": seed, "cores": os.cpu_count() or 1}
+    command["minutes"] = math.ceil((time.monotonic() - begun) / 60.0)
+    with writing_to(out):
+        page = write_reproduction(study, out, command, stage)
+    for line in claims(study):
+        print(f"{line.item}: {line.verdict.replace('*', '')}")
+        print(f"    paper {line.paper or '–'}   ours {line.ours}   one sample {line.one_sample or '–'}")
+    print(f"page       {page}")
+
+
+def _parse_sizes(option: str, text: str) -> list[int]:
+    try:
+        sizes = sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        raise InputError(f"{option}: must be whole numbers with commas between them, got {text!r}.") from None
+    if sizes[0] < 2:
+        raise InputError(f"{option}: must be at least 2, got {sizes[0]}.")
+    return sizes
