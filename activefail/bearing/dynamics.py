@@ -7,7 +7,6 @@ dish, in the frame of the bottom plate, which follows the ground. Metres, radian
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
 from numba.extending import overload
 
@@ -15,6 +14,7 @@ from activefail.bearing import integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
 from activefail.bearing.pulse import ground_acceleration, ground_jerk
+from activefail.bearing.tuples import axpy, axpy_rows, scaled
 
 COORDINATES = 5
 
@@ -82,26 +82,26 @@ def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
 
 
 @njit(cache=True, error_model="numpy")
-def _static_height(radius, half_width, load, stiffness):
-    """Height of a pair of vertices above a dish's apex [m] when together they carry `load` [N]."""
+def static_contact(plate, half_width, load):
+    """Height over a dish's apex and penetration [m] of two level vertices that together carry `load` [N]."""
     penetration = 0.0
     # A contraction with a factor of about δ/R: a few rounds reach rounding.
-    for _ in range(60):
-        distance = radius + penetration
+    for _ in range(20):
+        distance = plate.radius + penetration
         incline = math.sqrt(distance * distance - half_width * half_width) / distance
-        penetration = (0.5 * load / (incline * stiffness)) ** (2.0 / 3.0)
-    distance = radius + penetration
-    return radius - math.sqrt(distance * distance - half_width * half_width)
+        penetration = (0.5 * load / (incline * plate.stiffness)) ** (2.0 / 3.0)
+    distance = plate.radius + penetration
+    return plate.radius - math.sqrt(distance * distance - half_width * half_width), penetration
 
 
 @njit(cache=True, error_model="numpy")
 def equilibrium(system):
-    """Coordinates of the centred bearing at rest under gravity, shape (5,)."""
+    """Coordinates of the centred bearing at rest under gravity."""
     slider, plate = system.slider_mass * GRAVITY, system.plate_mass * GRAVITY
-    below = _static_height(system.bottom.radius, system.half_width, slider + plate, system.bottom.stiffness)
-    above = _static_height(system.top.radius, system.half_width, plate, system.top.stiffness)
+    below, _ = static_contact(system.bottom, system.half_width, slider + plate)
+    above, _ = static_contact(system.top, system.half_width, plate)
     z_s = below + system.half_height
-    return np.array([0.0, z_s, 0.0, 0.0, z_s + system.half_height + above])
+    return 0.0, z_s, 0.0, 0.0, z_s + system.half_height + above
 
 
 @njit(cache=True, error_model="numpy")
@@ -129,133 +129,121 @@ def speed_seen_by_plate(vertex, r_x, r_z, v):
     return v[0] - v[2] * r_z - v[3], v[4] - v[1] - v[2] * r_x
 
 
-@njit(cache=True, error_model="numpy")
-def dfp_acceleration(system, t, q, v, out):
-    """Accelerations of the five coordinates, written into `out`, shape (5,)."""
-    f_x, f_z, torque, top_x, top_z = 0.0, 0.0, 0.0, 0.0, 0.0
-    for vertex in range(4):
-        r_x, r_z = lever(system, vertex, q[2])
-        u, w = seen_by_plate(vertex, r_x, r_z, q)
-        du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-        if vertex < 2:
-            force = vertex_force(u, w, du, dw, system.bottom)
-            on_x, on_z = force.u, force.w
-        else:
-            force = vertex_force(u, w, du, dw, system.top)
-            on_x, on_z = force.u, -force.w
-            top_x -= on_x
-            top_z -= on_z
-        f_x += on_x
-        f_z += on_z
-        torque += r_x * on_z - r_z * on_x
-    ground = ground_acceleration(t, system.amplitude, system.period)
-    out[0] = f_x / system.slider_mass - ground
-    out[1] = f_z / system.slider_mass - GRAVITY
-    out[2] = torque / system.slider_inertia
-    out[3] = top_x / system.plate_mass - ground
-    out[4] = top_z / system.plate_mass - GRAVITY
+@njit(forceinline=True, error_model="numpy")
+def _force_on_slider(system, vertex, q, v):
+    """Force (x, z) and moment about the slider's centre at a vertex."""
+    r_x, r_z = lever(system, vertex, q[2])
+    u, w = seen_by_plate(vertex, r_x, r_z, q)
+    du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
+    force = vertex_force(u, w, du, dw, system.bottom if vertex < 2 else system.top)
+    # The top plate sees the vertical axis reversed.
+    f_x, f_z = force.u, force.w if vertex < 2 else -force.w
+    return f_x, f_z, r_x * f_z - r_z * f_x
+
+
+@njit(forceinline=True, error_model="numpy")
+def _accelerations(system, below, above, ground):
+    """Accelerations from the forces on the slider at its bottom vertices and at its top ones, and the ground's."""
+    slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
+    return (
+        slider * (below[0] + above[0]) - ground,
+        slider * (below[1] + above[1]) - GRAVITY,
+        (below[2] + above[2]) / system.slider_inertia,
+        -plate * above[0] - ground,
+        -plate * above[1] - GRAVITY,
+    )
 
 
 @njit(cache=True, error_model="numpy")
-def dfp_linearisation(system, t, q, v, by_q, by_v, by_t):
-    """∂a/∂q, ∂a/∂v, shapes (5, 5), and ∂a/∂t, shape (5,), analytically."""
-    by_q[:] = 0.0
-    by_v[:] = 0.0
+def dfp_acceleration(system, t, q, v):
+    """Accelerations of the five coordinates."""
+    below = axpy(1.0, _force_on_slider(system, 0, q, v), _force_on_slider(system, 1, q, v))
+    above = axpy(1.0, _force_on_slider(system, 2, q, v), _force_on_slider(system, 3, q, v))
+    return _accelerations(system, below, above, ground_acceleration(t, system.amplitude, system.period))
+
+
+@njit(forceinline=True, error_model="numpy")
+def _linearised_force(system, vertex, q, v):
+    """Force (x, z) and moment on the slider at a vertex, and their derivatives by (x_s, z_s, θ) and by the velocities."""
+    r_x, r_z = lever(system, vertex, q[2])
+    u, w = seen_by_plate(vertex, r_x, r_z, q)
+    du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
+    f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(
+        u, w, du, dw, system.bottom if vertex < 2 else system.top
+    )
+    # The top plate sees the vertical axis reversed.
+    sign = 1.0 if vertex < 2 else -1.0
+    f_x, f_z = f_u, sign * f_w
+    x_x, x_z, z_x, z_z = fu_u, sign * fu_w, sign * fw_u, fw_w
+    x_vx, x_vz, z_vx, z_vz = fu_du, sign * fu_dw, sign * fw_du, fw_dw
     omega = v[2]
-    for vertex in range(4):
-        r_x, r_z = lever(system, vertex, q[2])
-        u, w = seen_by_plate(vertex, r_x, r_z, q)
-        du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-        # The top plate sees the vertical axis reversed.
-        if vertex < 2:
-            sign = 1.0
-            f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(u, w, du, dw, system.bottom)
-        else:
-            sign = -1.0
-            f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(u, w, du, dw, system.top)
-        if f_u == 0.0 and f_w == 0.0 and fu_u == 0.0 and fw_w == 0.0 and fu_du == 0.0 and fw_dw == 0.0:
-            continue
-        # Horizontal (x) and vertical (z) force on the slider by slider position, angle, and their rates.
-        x_x, x_z = fu_u, sign * fu_w
-        z_x, z_z = sign * fw_u, fw_w
-        x_vx, x_vz = fu_du, sign * fu_dw
-        z_vx, z_vz = sign * fw_du, fw_dw
-        x_theta = -r_z * x_x + r_x * x_z - omega * (r_x * x_vx + r_z * x_vz)
-        z_theta = -r_z * z_x + r_x * z_z - omega * (r_x * z_vx + r_z * z_vz)
-        x_omega = -r_z * x_vx + r_x * x_vz
-        z_omega = -r_z * z_vx + r_x * z_vz
-        f_x, f_z = f_u, sign * f_w
+    x_theta = -r_z * x_x + r_x * x_z - omega * (r_x * x_vx + r_z * x_vz)
+    z_theta = -r_z * z_x + r_x * z_z - omega * (r_x * z_vx + r_z * z_vz)
+    x_omega = -r_z * x_vx + r_x * x_vz
+    z_omega = -r_z * z_vx + r_x * z_vz
+    force = (f_x, f_z, r_x * f_z - r_z * f_x)
+    by_position = (
+        (x_x, x_z, x_theta),
+        (z_x, z_z, z_theta),
+        (
+            r_x * z_x - r_z * x_x,
+            r_x * z_z - r_z * x_z,
+            r_x * z_theta - r_z * x_theta - r_z * f_z - r_x * f_x,
+        ),
+    )
+    by_velocity = (
+        (x_vx, x_vz, x_omega),
+        (z_vx, z_vz, z_omega),
+        (r_x * z_vx - r_z * x_vx, r_x * z_vz - r_z * x_vz, r_x * z_omega - r_z * x_omega),
+    )
+    return force, by_position, by_velocity
 
-        by_q[0, 0] += x_x
-        by_q[0, 1] += x_z
-        by_q[0, 2] += x_theta
-        by_q[1, 0] += z_x
-        by_q[1, 1] += z_z
-        by_q[1, 2] += z_theta
-        by_q[2, 0] += r_x * z_x - r_z * x_x
-        by_q[2, 1] += r_x * z_z - r_z * x_z
-        by_q[2, 2] += r_x * z_theta - r_z * x_theta - r_z * f_z - r_x * f_x
-        by_v[0, 0] += x_vx
-        by_v[0, 1] += x_vz
-        by_v[0, 2] += x_omega
-        by_v[1, 0] += z_vx
-        by_v[1, 1] += z_vz
-        by_v[1, 2] += z_omega
-        by_v[2, 0] += r_x * z_vx - r_z * x_vx
-        by_v[2, 1] += r_x * z_vz - r_z * x_vz
-        by_v[2, 2] += r_x * z_omega - r_z * x_omega
-        if vertex >= 2:
-            # The top plate's position enters with the opposite sign of the slider's, and so does its force.
-            for matrix, xx, xz, zx, zz, xt, zt in (
-                (by_q, x_x, x_z, z_x, z_z, x_theta, z_theta),
-                (by_v, x_vx, x_vz, z_vx, z_vz, x_omega, z_omega),
-            ):
-                matrix[0, 3] -= xx
-                matrix[0, 4] -= xz
-                matrix[1, 3] -= zx
-                matrix[1, 4] -= zz
-                matrix[2, 3] -= r_x * zx - r_z * xx
-                matrix[2, 4] -= r_x * zz - r_z * xz
-                matrix[3, 0] -= xx
-                matrix[3, 1] -= xz
-                matrix[3, 2] -= xt
-                matrix[4, 0] -= zx
-                matrix[4, 1] -= zz
-                matrix[4, 2] -= zt
-                matrix[3, 3] += xx
-                matrix[3, 4] += xz
-                matrix[4, 3] += zx
-                matrix[4, 4] += zz
-    for i in range(5):
-        by_q[0, i] /= system.slider_mass
-        by_q[1, i] /= system.slider_mass
-        by_q[2, i] /= system.slider_inertia
-        by_q[3, i] /= system.plate_mass
-        by_q[4, i] /= system.plate_mass
-        by_v[0, i] /= system.slider_mass
-        by_v[1, i] /= system.slider_mass
-        by_v[2, i] /= system.slider_inertia
-        by_v[3, i] /= system.plate_mass
-        by_v[4, i] /= system.plate_mass
+
+@njit(forceinline=True, error_model="numpy")
+def _by_coordinates(system, below, above):
+    """∂a of all coordinates from the derivatives at the bottom vertices and at the top ones, each 3 x 3.
+
+    The top plate's position enters with the opposite sign of the slider's, and so does its force.
+    """
+    slider, turn, plate = 1.0 / system.slider_mass, 1.0 / system.slider_inertia, 1.0 / system.plate_mass
+    both = axpy_rows(1.0, below, above)
+    return (
+        scaled(slider, (*both[0], -above[0][0], -above[0][1])),
+        scaled(slider, (*both[1], -above[1][0], -above[1][1])),
+        scaled(turn, (*both[2], -above[2][0], -above[2][1])),
+        scaled(-plate, (*above[0], -above[0][0], -above[0][1])),
+        scaled(-plate, (*above[1], -above[1][0], -above[1][1])),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def dfp_linearisation(system, t, q, v):
+    """Accelerations, ∂a/∂q and ∂a/∂v (5 rows each) and ∂a/∂t, analytically."""
+    force_0, by_q_0, by_v_0 = _linearised_force(system, 0, q, v)
+    force_1, by_q_1, by_v_1 = _linearised_force(system, 1, q, v)
+    force_2, by_q_2, by_v_2 = _linearised_force(system, 2, q, v)
+    force_3, by_q_3, by_v_3 = _linearised_force(system, 3, q, v)
+    ground = ground_acceleration(t, system.amplitude, system.period)
     jerk = ground_jerk(t, system.amplitude, system.period)
-    by_t[0] = -jerk
-    by_t[1] = 0.0
-    by_t[2] = 0.0
-    by_t[3] = -jerk
-    by_t[4] = 0.0
+    return (
+        _accelerations(system, axpy(1.0, force_0, force_1), axpy(1.0, force_2, force_3), ground),
+        _by_coordinates(system, axpy_rows(1.0, by_q_0, by_q_1), axpy_rows(1.0, by_q_2, by_q_3)),
+        _by_coordinates(system, axpy_rows(1.0, by_v_0, by_v_1), axpy_rows(1.0, by_v_2, by_v_3)),
+        (-jerk, 0.0, 0.0, -jerk, 0.0),
+    )
 
 
 @overload(integrator.acceleration)
-def _acceleration(problem, t, q, v, out):
+def _acceleration(problem, t, q, v):
     if getattr(problem, "instance_class", None) is System:
-        return lambda problem, t, q, v, out: dfp_acceleration(problem, t, q, v, out)
+        return lambda problem, t, q, v: dfp_acceleration(problem, t, q, v)
     return None
 
 
 @overload(integrator.linearisation)
-def _linearisation(problem, t, q, v, by_q, by_v, by_t):
+def _linearisation(problem, t, q, v):
     if getattr(problem, "instance_class", None) is System:
-        return lambda problem, t, q, v, by_q, by_v, by_t: dfp_linearisation(problem, t, q, v, by_q, by_v, by_t)
+        return lambda problem, t, q, v: dfp_linearisation(problem, t, q, v)
     return None
 
 

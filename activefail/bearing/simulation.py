@@ -14,10 +14,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
+from activefail.bearing.barrier import barrier
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
 from activefail.bearing.dynamics import COORDINATES, energy, equilibrium, system
-from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, advance, start, workspace
-from activefail.bearing.pulse import HALF_DURATION
+from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
+from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
 from activefail.errors import InputError
 from activefail.space import Array
 
@@ -31,6 +32,11 @@ HISTORY = 1 + 3 * COORDINATES
 """Columns of a history: time, coordinates, velocities, accelerations."""
 
 
+# Errors count against a few millimetres of penetration and the speeds of sliding, not against metres.
+_SCALE_Q = (0.05, 0.05, 0.05, 0.05, 0.05)
+_SCALE_V = (0.5, 0.5, 0.5, 0.5, 0.5)
+
+
 class Run(NamedTuple):
     """What the kernel returns for one simulation."""
 
@@ -40,61 +46,68 @@ class Run(NamedTuple):
     recorded: int  # rows of the history that were written, or would have been
 
 
+@njit(cache=True, error_model="numpy")
+def _record(history, row, system, state):
+    """Write a state into a row of the history, if it reaches that far."""
+    if row < history.shape[0]:
+        a = acceleration(system, state.t, state.q, state.v)
+        history[row, 0] = state.t
+        for i in range(COORDINATES):
+            history[row, 1 + i] = state.q[i]
+            history[row, 6 + i] = state.v[i]
+            history[row, 11 + i] = a[i]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _run(system, capacity, free_time, confinement, tolerance, longest, most, history):
     """Integrate one bearing from rest to its end, failure or the last possible event; a `Run`.
 
     `history`, shape (rows, 16), takes the accepted steps as far as it reaches.
     """
-    q = equilibrium(system)
-    v = np.zeros(COORDINATES)
-    # Errors count against a few millimetres of penetration and the speeds of sliding, not against metres.
-    scale_q = np.array([0.05, 0.05, 0.05, 0.05, 0.05])
-    scale_v = np.array([0.5, 0.5, 0.5, 0.5, 0.5])
-    work = workspace(q, v, scale_q, scale_v)
-    middle_q, middle_v = np.empty(COORDINATES), np.empty(COORDINATES)
     t = -HALF_DURATION * system.period
     pulse_end = -t
     end = pulse_end + free_time
-    start(system, t, 1e-3 * system.period, work)
+    state = start(t, 1e-3 * system.period, equilibrium(system), (0.0, 0.0, 0.0, 0.0, 0.0))
+    control = Control(tolerance, _SCALE_Q, _SCALE_V, most)
 
     weight = system.plate_mass * GRAVITY
-    radius = system.bottom.radius
-    # After the pulse, energy below what lifts the plate to the rim of one dish reaches no rim any more.
-    reach = weight * (radius - math.sqrt(radius * radius - 0.25 * capacity * capacity))
-    at_rest = energy(system, t, work.q, work.v)
-    before, seen_before = at_rest, o.observe(system, work.q, work.v)
+    levels = barrier(system, confinement)
+    # √(kinetic energy) grows by this times the ground's impulse at most.
+    growth = math.sqrt(0.5 * (system.plate_mass + system.slider_mass))
+    at_rest = energy(system, t, state.q, state.v)
+    before, seen_before = at_rest, o.observe(system, state.q, state.v)
     work_in, dissipated, peak_work, peak_imbalance = 0.0, 0.0, 0.0, 0.0
 
     margins = np.zeros(len(o.MARGINS))
     margins[0] = margins[1] = margins[6] = np.nan
     label, cause, touched, rows = o.NO_IMPACT, o.NONE, False, 0
     while True:
-        if rows < history.shape[0]:
-            history[rows, 0] = t
-            history[rows, 1:6] = work.q
-            history[rows, 6:11] = work.v
-            history[rows, 11:16] = work.a
+        _record(history, rows, system, state)
         rows += 1
-        if t >= end or (t > pulse_end and before.stored - at_rest.stored < reach):
+        if t >= end:
             break
+        if touched or t > pulse_end:
+            reach = levels.failure if touched else min(levels.touch, levels.failure)
+            pushed = growth * impulse_to_come(t, system.amplitude, system.period)
+            if math.sqrt(max(0.0, before.stored - levels.least)) + pushed < math.sqrt(reach - levels.least):
+                break
         # A tenth of the pulse, lest a step strides over it from rest.
         bound = min(longest, 0.1 * system.period) if t < pulse_end else longest
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
-        status = advance(system, work, tolerance, min(bound, end - t), most, middle_q, middle_v)
+        status, state, middle_q, middle_v = advance(system, state, control, min(bound, end - t))
         if status != ACCEPTED:
             label, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
             break
-        step = work.clock[0] - t
-        t = work.clock[0]
-        after, seen = energy(system, t, work.q, work.v), o.observe(system, work.q, work.v)
+        step = state.t - t
+        t = state.t
+        after, seen = energy(system, t, state.q, state.v), o.observe(system, state.q, state.v)
         if not math.isfinite(after.stored):
             label, cause = o.NUMERICAL_FAILURE, o.NOT_FINITE
             break
 
         seen_middle = o.observe(system, middle_q, middle_v)
-        margins[2] = max(margins[2], abs(work.q[3]), abs(middle_q[3]))
+        margins[2] = max(margins[2], abs(state.q[3]), abs(middle_q[3]))
         margins[3] = max(margins[3], seen.rim_force, seen_middle.rim_force)
         margins[4] = max(margins[4], seen.confinement_gap)
         margins[5] = max(margins[5], seen.tilt)
@@ -118,11 +131,7 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
                 margins[6] = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
             else:
                 label, cause = o.NUMERICAL_FAILURE, o.NO_TOUCH
-            if rows < history.shape[0]:
-                history[rows, 0] = t
-                history[rows, 1:6] = work.q
-                history[rows, 6:11] = work.v
-                history[rows, 11:16] = work.a
+            _record(history, rows, system, state)
             rows += 1
             break
         before, seen_before = after, seen
@@ -132,9 +141,9 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
     margins[4] /= system.rim_height
     margins[7] = t
     margins[8] = peak_imbalance / max(peak_work, weight * 1e-3)
-    margins[9] = work.counts[0]
-    margins[10] = work.counts[1]
-    margins[11] = work.counts[2]
+    margins[9] = state.attempts
+    margins[10] = state.rejections
+    margins[11] = state.evaluations
     return Run(label, cause, margins, rows)
 
 
