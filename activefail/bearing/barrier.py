@@ -94,7 +94,7 @@ def barrier(system, confinement):
         return Barrier(-math.inf, -math.inf, -math.inf)
     on_bottom, on_top = (system.plate_mass + system.slider_mass) * GRAVITY, system.plate_mass * GRAVITY
     upright = (2.0 * system.plate_mass + system.slider_mass) * GRAVITY * system.half_height
-    limit = math.atan2(half_width, system.half_height)
+    limit = system.tilt_limit
     bottom, top = _held(on_bottom, plate, half_width), _held(on_top, plate, half_width)
 
     cosine = math.sqrt(1.0 - (plate.rim_distance / plate.radius) ** 2)

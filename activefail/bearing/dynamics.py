@@ -14,6 +14,7 @@ from activefail.bearing import integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
 from activefail.bearing.pulse import ground_acceleration, ground_jerk
+from activefail.bearing.lanes import Lanes, lanes, numbers
 from activefail.bearing.tuples import axpy, axpy_rows, scaled
 
 COORDINATES = 5
@@ -28,6 +29,7 @@ class System(NamedTuple):
     half_width: float  # D_sl/2 [m]
     half_height: float  # h_sl/2 [m]
     rim_height: float  # h_rim [m]
+    tilt_limit: float  # beyond which the slider overturns [rad]
     bottom: Plate
     top: Plate
     amplitude: float  # A_p [m/s2]
@@ -74,6 +76,7 @@ def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
         half_width=bearing.slider_diameter / 2.0,
         half_height=bearing.slider_height / 2.0,
         rim_height=float(bearing.rim_height),
+        tilt_limit=math.atan2(bearing.slider_diameter, bearing.slider_height),
         bottom=plate(*masses[0]),
         top=plate(*masses[1]),
         amplitude=float(pulse.amplitude),
@@ -104,12 +107,25 @@ def equilibrium(system):
     return 0.0, z_s, 0.0, 0.0, z_s + system.half_height + above
 
 
+@njit(forceinline=True, error_model="numpy")
+def cosine_and_sine(angle):
+    """cos and sin of an angle [rad], to the last digit but one; the polynomials of Cephes up to π/4."""
+    if abs(angle) > 0.25 * math.pi:
+        return math.cos(angle), math.sin(angle)
+    z = angle * angle
+    sine = 2.75573136213857245213e-6 + z * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10)
+    sine = -1.66666666666666307295e-1 + z * (8.33333333332211858878e-3 + z * (-1.98412698295895385996e-4 + z * sine))
+    cosine = -2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 - z * 1.13585365213876817300e-11)
+    cosine = 4.16666666666665929218e-2 + z * (-1.38888888888730564116e-3 + z * (2.48015872888517045348e-5 + z * cosine))
+    return 1.0 - 0.5 * z + z * z * cosine, angle + angle * z * sine
+
+
 @njit(cache=True, error_model="numpy")
 def lever(system, vertex, theta):
     """From the slider's centre to a vertex (0, 1: bottom left, right; 2, 3: top left, right) [m]."""
     b_x = system.half_width if vertex % 2 == 1 else -system.half_width
     b_z = system.half_height if vertex >= 2 else -system.half_height
-    cosine, sine = math.cos(theta), math.sin(theta)
+    cosine, sine = cosine_and_sine(theta)
     return cosine * b_x - sine * b_z, sine * b_x + cosine * b_z
 
 
@@ -129,74 +145,79 @@ def speed_seen_by_plate(vertex, r_x, r_z, v):
     return v[0] - v[2] * r_z - v[3], v[4] - v[1] - v[2] * r_x
 
 
-@njit(forceinline=True, error_model="numpy")
-def _force_on_slider(system, vertex, q, v):
-    """Force (x, z) and moment about the slider's centre at a vertex."""
-    r_x, r_z = lever(system, vertex, q[2])
-    u, w = seen_by_plate(vertex, r_x, r_z, q)
-    du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-    force = vertex_force(u, w, du, dw, system.bottom if vertex < 2 else system.top)
-    # The top plate sees the vertical axis reversed.
-    f_x, f_z = force.u, force.w if vertex < 2 else -force.w
-    return f_x, f_z, r_x * f_z - r_z * f_x
+class Vertices(NamedTuple):
+    """The slider's four vertices, as lanes in the order of `lever`."""
+
+    r_x: Lanes  # from the slider's centre [m]
+    r_z: Lanes
+    up: Lanes  # vertical direction away from the plate that it faces, 1 or -1
+    u: Lanes  # position and velocity as that plate sees them [m], [m/s]
+    w: Lanes
+    du: Lanes
+    dw: Lanes
+    plate: Plate  # of lanes
 
 
 @njit(forceinline=True, error_model="numpy")
-def _accelerations(system, below, above, ground):
-    """Accelerations from the forces on the slider at its bottom vertices and at its top ones, and the ground's."""
+def _sides(bottom, top):
+    """Lanes of what differs between the plates only."""
+    return lanes(bottom, bottom, top, top)
+
+
+@njit(forceinline=True, error_model="numpy")
+def vertices(system, q, v):
+    """The `Vertices` at a state."""
+    bottom, top = system.bottom, system.top
+    width, height = system.half_width, system.half_height
+    cosine, sine = cosine_and_sine(q[2])
+    b_x, b_z = lanes(-width, width, -width, width), lanes(-height, -height, height, height)
+    r_x, r_z = cosine * b_x - sine * b_z, sine * b_x + cosine * b_z
+    up = lanes(1.0, 1.0, -1.0, -1.0)
+    plate = Plate(
+        _sides(bottom.radius, top.radius),
+        _sides(bottom.rim_distance, top.rim_distance),
+        _sides(bottom.rim_top, top.rim_top),
+        _sides(bottom.stiffness, top.stiffness),
+        _sides(bottom.dish_damping, top.dish_damping),
+        _sides(bottom.rim_damping, top.rim_damping),
+        _sides(bottom.mu, top.mu),
+        _sides(bottom.friction_velocity, top.friction_velocity),
+    )
+    u = r_x + _sides(q[0], q[0] - q[3])
+    w = up * r_z + _sides(q[1], q[4] - q[1])
+    du = _sides(v[0], v[0] - v[3]) - v[2] * r_z
+    dw = _sides(v[1], v[4] - v[1]) + v[2] * (up * r_x)
+    return Vertices(r_x, r_z, up, u, w, du, dw, plate)
+
+
+@njit(forceinline=True, error_model="numpy")
+def of_plates(x):
+    """Sums over the vertices that face the bottom plate and over those that face the top plate."""
+    a, b, c, d = numbers(x)
+    return a + b, c + d
+
+
+@njit(forceinline=True, error_model="numpy")
+def _accelerations(system, f_x, f_z, moment, ground):
+    """Accelerations from the forces and moments on the slider (from the bottom plate, from the top) and the ground's."""
     slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
     return (
-        slider * (below[0] + above[0]) - ground,
-        slider * (below[1] + above[1]) - GRAVITY,
-        (below[2] + above[2]) / system.slider_inertia,
-        -plate * above[0] - ground,
-        -plate * above[1] - GRAVITY,
+        slider * (f_x[0] + f_x[1]) - ground,
+        slider * (f_z[0] + f_z[1]) - GRAVITY,
+        (moment[0] + moment[1]) / system.slider_inertia,
+        -plate * f_x[1] - ground,
+        -plate * f_z[1] - GRAVITY,
     )
 
 
 @njit(cache=True, error_model="numpy")
 def dfp_acceleration(system, t, q, v):
     """Accelerations of the five coordinates."""
-    below = axpy(1.0, _force_on_slider(system, 0, q, v), _force_on_slider(system, 1, q, v))
-    above = axpy(1.0, _force_on_slider(system, 2, q, v), _force_on_slider(system, 3, q, v))
-    return _accelerations(system, below, above, ground_acceleration(t, system.amplitude, system.period))
-
-
-@njit(forceinline=True, error_model="numpy")
-def _linearised_force(system, vertex, q, v):
-    """Force (x, z) and moment on the slider at a vertex, and their derivatives by (x_s, z_s, θ) and by the velocities."""
-    r_x, r_z = lever(system, vertex, q[2])
-    u, w = seen_by_plate(vertex, r_x, r_z, q)
-    du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-    f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(
-        u, w, du, dw, system.bottom if vertex < 2 else system.top
-    )
-    # The top plate sees the vertical axis reversed.
-    sign = 1.0 if vertex < 2 else -1.0
-    f_x, f_z = f_u, sign * f_w
-    x_x, x_z, z_x, z_z = fu_u, sign * fu_w, sign * fw_u, fw_w
-    x_vx, x_vz, z_vx, z_vz = fu_du, sign * fu_dw, sign * fw_du, fw_dw
-    omega = v[2]
-    x_theta = -r_z * x_x + r_x * x_z - omega * (r_x * x_vx + r_z * x_vz)
-    z_theta = -r_z * z_x + r_x * z_z - omega * (r_x * z_vx + r_z * z_vz)
-    x_omega = -r_z * x_vx + r_x * x_vz
-    z_omega = -r_z * z_vx + r_x * z_vz
-    force = (f_x, f_z, r_x * f_z - r_z * f_x)
-    by_position = (
-        (x_x, x_z, x_theta),
-        (z_x, z_z, z_theta),
-        (
-            r_x * z_x - r_z * x_x,
-            r_x * z_z - r_z * x_z,
-            r_x * z_theta - r_z * x_theta - r_z * f_z - r_x * f_x,
-        ),
-    )
-    by_velocity = (
-        (x_vx, x_vz, x_omega),
-        (z_vx, z_vz, z_omega),
-        (r_x * z_vx - r_z * x_vx, r_x * z_vz - r_z * x_vz, r_x * z_omega - r_z * x_omega),
-    )
-    return force, by_position, by_velocity
+    at = vertices(system, q, v)
+    force = vertex_force(at.u, at.w, at.du, at.dw, at.plate)
+    f_x, f_z = force.u, at.up * force.w
+    ground = ground_acceleration(t, system.amplitude, system.period)
+    return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(at.r_x * f_z - at.r_z * f_x), ground)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -216,19 +237,45 @@ def _by_coordinates(system, below, above):
     )
 
 
+@njit(forceinline=True, error_model="numpy")
+def _of_plates_rows(rows):
+    """3 x 3 lanes as two 3 x 3 matrices, summed over the vertices of each plate."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    (a_0, a_1), (b_0, b_1), (c_0, c_1) = of_plates(a), of_plates(b), of_plates(c)
+    (d_0, d_1), (e_0, e_1), (f_0, f_1) = of_plates(d), of_plates(e), of_plates(f)
+    (g_0, g_1), (h_0, h_1), (i_0, i_1) = of_plates(g), of_plates(h), of_plates(i)
+    return ((a_0, b_0, c_0), (d_0, e_0, f_0), (g_0, h_0, i_0)), ((a_1, b_1, c_1), (d_1, e_1, f_1), (g_1, h_1, i_1))
+
+
 @njit(cache=True, error_model="numpy")
 def dfp_linearisation(system, t, q, v):
     """Accelerations, ∂a/∂q and ∂a/∂v (5 rows each) and ∂a/∂t, analytically."""
-    force_0, by_q_0, by_v_0 = _linearised_force(system, 0, q, v)
-    force_1, by_q_1, by_v_1 = _linearised_force(system, 1, q, v)
-    force_2, by_q_2, by_v_2 = _linearised_force(system, 2, q, v)
-    force_3, by_q_3, by_v_3 = _linearised_force(system, 3, q, v)
+    at = vertices(system, q, v)
+    r_x, r_z, omega = at.r_x, at.r_z, v[2]
+    f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(at.u, at.w, at.du, at.dw, at.plate)
+    # Force on the slider by position (x, z, θ) of the slider and by its rates.
+    f_x, f_z = f_u, at.up * f_w
+    x_x, x_z, z_x, z_z = fu_u, at.up * fu_w, at.up * fw_u, fw_w
+    x_vx, x_vz, z_vx, z_vz = fu_du, at.up * fu_dw, at.up * fw_du, fw_dw
+    x_theta = r_x * x_z - r_z * x_x - omega * (r_x * x_vx + r_z * x_vz)
+    z_theta = r_x * z_z - r_z * z_x - omega * (r_x * z_vx + r_z * z_vz)
+    x_omega, z_omega = r_x * x_vz - r_z * x_vx, r_x * z_vz - r_z * z_vx
+    by_position = (
+        (x_x, x_z, x_theta),
+        (z_x, z_z, z_theta),
+        (r_x * z_x - r_z * x_x, r_x * z_z - r_z * x_z, r_x * (z_theta - f_x) - r_z * (x_theta + f_z)),
+    )
+    by_velocity = (
+        (x_vx, x_vz, x_omega),
+        (z_vx, z_vz, z_omega),
+        (r_x * z_vx - r_z * x_vx, r_x * z_vz - r_z * x_vz, r_x * z_omega - r_z * x_omega),
+    )
     ground = ground_acceleration(t, system.amplitude, system.period)
     jerk = ground_jerk(t, system.amplitude, system.period)
     return (
-        _accelerations(system, axpy(1.0, force_0, force_1), axpy(1.0, force_2, force_3), ground),
-        _by_coordinates(system, axpy_rows(1.0, by_q_0, by_q_1), axpy_rows(1.0, by_q_2, by_q_3)),
-        _by_coordinates(system, axpy_rows(1.0, by_v_0, by_v_1), axpy_rows(1.0, by_v_2, by_v_3)),
+        _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(r_x * f_z - r_z * f_x), ground),
+        _by_coordinates(system, *_of_plates_rows(by_position)),
+        _by_coordinates(system, *_of_plates_rows(by_velocity)),
         (-jerk, 0.0, 0.0, -jerk, 0.0),
     )
 
@@ -247,19 +294,21 @@ def _linearisation(problem, t, q, v):
     return None
 
 
-@njit(cache=True, error_model="numpy")
-def energy(system, t, q, v):
-    """Stored energy [J], dissipated power and the ground motion's power [W] at a state; an `Energy`."""
+@njit(forceinline=True, error_model="numpy")
+def energy_of(system, t, q, v, force):
+    """As `energy`, from the forces on the vertices."""
     m, M = system.slider_mass, system.plate_mass
     stored = 0.5 * m * (v[0] * v[0] + v[1] * v[1]) + 0.5 * system.slider_inertia * v[2] * v[2]
     stored += 0.5 * M * (v[3] * v[3] + v[4] * v[4]) + GRAVITY * (m * q[1] + M * q[4])
-    dissipation = 0.0
-    for vertex in range(4):
-        r_x, r_z = lever(system, vertex, q[2])
-        u, w = seen_by_plate(vertex, r_x, r_z, q)
-        du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-        force = vertex_force(u, w, du, dw, system.bottom if vertex < 2 else system.top)
-        stored += force.stored
-        dissipation += force.dissipation
+    elastic, dissipation = of_plates(force.stored), of_plates(force.dissipation)
     ground = ground_acceleration(t, system.amplitude, system.period)
-    return Energy(stored, dissipation, -(m * v[0] + M * v[3]) * ground)
+    return Energy(
+        stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], -(m * v[0] + M * v[3]) * ground
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def energy(system, t, q, v):
+    """Stored energy [J], dissipated power and the ground motion's power [W] at a state; an `Energy`."""
+    at = vertices(system, q, v)
+    return energy_of(system, t, q, v, vertex_force(at.u, at.w, at.du, at.dw, at.plate))

@@ -6,6 +6,7 @@ here mean the same for plain numbers, so that a law of contact is written once, 
 
 import math
 import operator
+from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -23,6 +24,8 @@ class _LanesType(types.Type):
 
 
 LANES = _LanesType()
+Lanes = Any
+"""What annotations say; outside compiled code there are none."""
 
 
 @register_model(_LanesType)
@@ -43,6 +46,11 @@ def positive(x):
 
 def where(test, x):
     """x where the test is positive, else 0."""
+    raise NotImplementedError
+
+
+def any_positive(x):
+    """Whether x, or one of its lanes, is positive."""
     raise NotImplementedError
 
 
@@ -170,3 +178,15 @@ def _sign(x):
     if x == LANES:
         return lambda x: where(x, 2.0) - 1.0
     return lambda x: 1.0 if x > 0.0 else -1.0
+
+
+@overload(any_positive, jit_options=INLINE)
+def _any_positive(x):
+    if x == LANES:
+
+        def any_lane(x):
+            a, b, c, d = numbers(x)
+            return a > 0.0 or b > 0.0 or c > 0.0 or d > 0.0
+
+        return any_lane
+    return lambda x: x > 0.0

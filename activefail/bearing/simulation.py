@@ -74,8 +74,8 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
     levels = barrier(system, confinement)
     # √(kinetic energy) grows by this times the ground's impulse at most.
     growth = math.sqrt(0.5 * (system.plate_mass + system.slider_mass))
-    at_rest = energy(system, t, state.q, state.v)
-    before, seen_before = at_rest, o.observe(system, state.q, state.v)
+    at_rest, seen_before = o.examine(system, t, state.q, state.v)
+    before = at_rest
     work_in, dissipated, peak_work, peak_imbalance = 0.0, 0.0, 0.0, 0.0
 
     margins = np.zeros(len(o.MARGINS))
@@ -101,12 +101,12 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
             break
         step = state.t - t
         t = state.t
-        after, seen = energy(system, t, state.q, state.v), o.observe(system, state.q, state.v)
+        after, seen = o.examine(system, t, state.q, state.v)
         if not math.isfinite(after.stored):
             label, cause = o.NUMERICAL_FAILURE, o.NOT_FINITE
             break
 
-        seen_middle = o.observe(system, middle_q, middle_v)
+        halfway, seen_middle = o.examine(system, t - 0.5 * step, middle_q, middle_v)
         margins[2] = max(margins[2], abs(state.q[3]), abs(middle_q[3]))
         margins[3] = max(margins[3], seen.rim_force, seen_middle.rim_force)
         margins[4] = max(margins[4], seen.confinement_gap)
@@ -118,7 +118,6 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
             margins[1] = seen.touch_velocity + (1.0 - fraction) * (seen_before.touch_velocity - seen.touch_velocity)
         cause = o.failure_cause(seen, system, confinement)
 
-        halfway = energy(system, t - 0.5 * step, middle_q, middle_v)
         work_in += step / 6.0 * (before.input + 4.0 * halfway.input + after.input)
         dissipated += step / 6.0 * (before.dissipation + 4.0 * halfway.dissipation + after.dissipation)
         peak_work = max(peak_work, abs(work_in))
