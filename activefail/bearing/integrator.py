@@ -183,7 +183,7 @@ def advance(problem, state, control, longest):
         error = math.sqrt(squares / (2 * len(q))) / control.tolerance
         # An estimate of order three: the fourth root. 0.9 is the customary safety factor; the bounds keep one odd
         # estimate from spoiling the step.
-        factor = min(5.0, max(0.2, 0.9 / math.sqrt(math.sqrt(error)))) if math.isfinite(error) else 0.1
+        factor = min(3.0, max(0.2, 0.8 / math.sqrt(math.sqrt(error)))) if math.isfinite(error) else 0.1
         if error <= 1.0:
             step_next = step * (min(factor, 1.0) if rejected else factor)
             done = State(t + step, step_next, trial.q, trial.v, attempts, rejections, evaluations + 1)

@@ -54,7 +54,8 @@ def axpy_rows(a, X, Y):
 def factorise(rows):
     """LU factors of the unit matrix plus a matrix, without pivoting; for `solve`.
 
-    A tuple of the pivot's inverse, the rest of its row, the factors of the rows below and the factors of the remainder.
+    A tuple of the inverse pivot, the rest of its row divided by it, the factors of the rows below, and the factors of what
+    remains of these.
     """
     raise NotImplementedError
 
@@ -160,7 +161,7 @@ def _factorise(rows):
     def eliminate(rows):
         inverse, top = 1.0 / (1.0 + rows[0][0]), rows[0][1:]
         factors, remainder = _eliminated(inverse, top, rows[1:])
-        return inverse, top, factors, factorise(remainder)
+        return inverse, scaled(inverse, top), factors, factorise(remainder)
 
     return eliminate
 
@@ -173,7 +174,7 @@ def _solve(factors, x):
     def substitute(factors, x):
         inverse, top, below, remainder = factors
         rest = solve(remainder, axpy(-x[0], below, x[1:]))
-        return ((x[0] - dot(top, rest)) * inverse, *rest)
+        return (x[0] * inverse - dot(top, rest), *rest)
 
     return substitute
 
