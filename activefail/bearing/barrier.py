@@ -13,6 +13,7 @@ from numba import njit
 
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import static_contact
+from activefail.bearing.kernels import KERNEL
 
 
 class Side(NamedTuple):
@@ -32,13 +33,13 @@ class Barrier(NamedTuple):
     failure: float  # at least this where the bearing fails
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def _give(load, stiffness):
     """The most that a vertex gains by sinking in under a load [N], max over δ of load·δ − 0.4 k δ^2.5 [J]."""
     return 0.6 * load * (load / stiffness) ** (2.0 / 3.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def _held(weight, plate, half_width):
     """The bounds for a plate wherever the slider is."""
     height, penetration = static_contact(plate, half_width, weight)
@@ -47,7 +48,7 @@ def _held(weight, plate, half_width):
     return Side(level, turn, -_give(weight, plate.stiffness), weight * half_width)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def _lost(weight, plate, half_width, rim_height):
     """The bounds for a plate from whose dish both vertices are the rim's height away."""
     depth = math.sqrt((plate.radius - rim_height) ** 2 - half_width * half_width)
@@ -55,7 +56,7 @@ def _lost(weight, plate, half_width, rim_height):
     return Side(weight * (plate.radius - depth), turn, weight * rim_height, weight * half_width)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def _least(bottom, top, upright, limit):
     """Least potential energy [J] up to a tilt, from the bounds for both plates."""
     level, turn = bottom.level + top.level + upright, bottom.turn + top.turn + upright
@@ -70,7 +71,7 @@ def _least(bottom, top, upright, limit):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def _least_raised(raised, energy, other, upright, limit):
     """Least potential energy [J] up to a tilt where `energy` [J] is what it takes to have one vertex of a plate raised."""
     # The middle is below that vertex by half the width's rise at most; and `raised` bounds it as ever.
@@ -85,7 +86,7 @@ def _least_raised(raised, energy, other, upright, limit):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def barrier(system, confinement):
     """The `Barrier` of a bearing, with heights over the bottom plate's apex; `confinement`: whether its loss fails it."""
     plate, half_width = system.bottom, system.half_width

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from numba import njit
 
+from activefail.bearing.kernels import KERNEL
 from activefail.bearing.lanes import any_positive, positive, sign, sqrt, where
 from activefail.bearing.tuples import axpy
 
@@ -38,20 +39,20 @@ class Force(NamedTuple):
     stored: float  # elastic energy [J]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def gap(u, w, plate):
     """Distance of a vertex from the undeformed dish [m]; negative when it penetrates."""
     height = w - plate.radius
     return plate.radius - sqrt(u * u + height * height)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def meets_rim(u, w, plate):
     """Whether a vertex penetrates the rim, which has no lower end."""
     return abs(u) > plate.rim_distance and w < plate.rim_top
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
     """Force of one contact with inward normal n: Hertz, damped while approaching (Jankowski 2006), and friction."""
     rate, slip = -(du * n_u + dw * n_w), du * n_w - dw * n_u
@@ -69,13 +70,13 @@ def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
     )
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _into_rim(u, w, plate):
     """Penetration of the rim [m], positive only for a vertex that meets it."""
     return where(plate.rim_top - w, abs(u) - plate.rim_distance)
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def vertex_force(u, w, du, dw, plate):
     """Force of dish and rim on a vertex at (u, w) [m] moving with (du, dw) [m/s]; a `Force`.
 
@@ -94,7 +95,7 @@ def vertex_force(u, w, du, dw, plate):
     return Force(force_u, force_w, rim, dissipation, stored)
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     """Force of one contact and its derivatives, a tuple of 10.
 
@@ -149,7 +150,7 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     )
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def vertex_jacobian(u, w, du, dw, plate):
     """Force of dish and rim on a vertex and its derivatives, as `_contact_jacobian` gives them, summed."""
     height = plate.radius - w

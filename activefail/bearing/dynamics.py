@@ -14,6 +14,7 @@ from activefail.bearing import integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
 from activefail.bearing.pulse import ground_acceleration, ground_jerk
+from activefail.bearing.kernels import KERNEL
 from activefail.bearing.lanes import Lanes, lanes, numbers
 from activefail.bearing.tuples import axpy, axpy_rows, scaled
 
@@ -84,7 +85,7 @@ def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def static_contact(plate, half_width, load):
     """Height over a dish's apex and penetration [m] of two level vertices that together carry `load` [N]."""
     penetration = 0.0
@@ -97,7 +98,7 @@ def static_contact(plate, half_width, load):
     return plate.radius - math.sqrt(distance * distance - half_width * half_width), penetration
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def equilibrium(system):
     """Coordinates of the centred bearing at rest under gravity."""
     slider, plate = system.slider_mass * GRAVITY, system.plate_mass * GRAVITY
@@ -107,7 +108,7 @@ def equilibrium(system):
     return 0.0, z_s, 0.0, 0.0, z_s + system.half_height + above
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def cosine_and_sine(angle):
     """cos and sin of an angle [rad], to the last digit but one; the polynomials of Cephes up to π/4."""
     if abs(angle) > 0.25 * math.pi:
@@ -120,7 +121,7 @@ def cosine_and_sine(angle):
     return 1.0 - 0.5 * z + z * z * cosine, angle + angle * z * sine
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def lever(system, vertex, theta):
     """From the slider's centre to a vertex (0, 1: bottom left, right; 2, 3: top left, right) [m]."""
     b_x = system.half_width if vertex % 2 == 1 else -system.half_width
@@ -129,7 +130,7 @@ def lever(system, vertex, theta):
     return cosine * b_x - sine * b_z, sine * b_x + cosine * b_z
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def seen_by_plate(vertex, r_x, r_z, q):
     """Position (u, w) of a vertex as the plate that it faces sees it [m]."""
     if vertex < 2:
@@ -137,7 +138,7 @@ def seen_by_plate(vertex, r_x, r_z, q):
     return q[0] + r_x - q[3], q[4] - q[1] - r_z
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def speed_seen_by_plate(vertex, r_x, r_z, v):
     """Velocity of a vertex as the plate that it faces sees it [m/s]."""
     if vertex < 2:
@@ -158,13 +159,13 @@ class Vertices(NamedTuple):
     plate: Plate  # of lanes
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _sides(bottom, top):
     """Lanes of what differs between the plates only."""
     return lanes(bottom, bottom, top, top)
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def vertices(system, q, v):
     """The `Vertices` at a state."""
     bottom, top = system.bottom, system.top
@@ -190,14 +191,14 @@ def vertices(system, q, v):
     return Vertices(r_x, r_z, up, u, w, du, dw, plate)
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def of_plates(x):
     """Sums over the vertices that face the bottom plate and over those that face the top plate."""
     a, b, c, d = numbers(x)
     return a + b, c + d
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _accelerations(system, f_x, f_z, moment, ground):
     """Accelerations from the forces and moments on the slider (from the bottom plate, from the top) and the ground's."""
     slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
@@ -210,7 +211,7 @@ def _accelerations(system, f_x, f_z, moment, ground):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def dfp_acceleration(system, t, q, v):
     """Accelerations of the five coordinates."""
     at = vertices(system, q, v)
@@ -220,7 +221,7 @@ def dfp_acceleration(system, t, q, v):
     return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(at.r_x * f_z - at.r_z * f_x), ground)
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _by_coordinates(system, below, above):
     """∂a of all coordinates from the derivatives at the bottom vertices and at the top ones, each 3 x 3.
 
@@ -237,7 +238,7 @@ def _by_coordinates(system, below, above):
     )
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _of_plates_rows(rows):
     """3 x 3 lanes as two 3 x 3 matrices, summed over the vertices of each plate."""
     (a, b, c), (d, e, f), (g, h, i) = rows
@@ -247,7 +248,7 @@ def _of_plates_rows(rows):
     return ((a_0, b_0, c_0), (d_0, e_0, f_0), (g_0, h_0, i_0)), ((a_1, b_1, c_1), (d_1, e_1, f_1), (g_1, h_1, i_1))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def dfp_linearisation(system, t, q, v):
     """Accelerations, ∂a/∂q and ∂a/∂v (5 rows each) and ∂a/∂t, analytically."""
     at = vertices(system, q, v)
@@ -294,7 +295,7 @@ def _linearisation(problem, t, q, v):
     return None
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def energy_of(system, t, q, v, force):
     """As `energy`, from the forces on the vertices."""
     m, M = system.slider_mass, system.plate_mass
@@ -307,7 +308,7 @@ def energy_of(system, t, q, v, force):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def energy(system, t, q, v):
     """Stored energy [J], dissipated power and the ground motion's power [W] at a state; an `Energy`."""
     at = vertices(system, q, v)

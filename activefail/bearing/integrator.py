@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from numba import njit
 
+from activefail.bearing.kernels import KERNEL
 from activefail.bearing.tuples import axpy, axpy_rows, combination, error_sum, factorise, product, scaled, scaled_rows, solve, weighted
 
 Vector = tuple[float, ...]
@@ -114,7 +115,7 @@ class Trial(NamedTuple):
     middle_v: Vector
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _couple(step, by_q, factors, lead, right):
     """Solve a stage for its (u_q, u_v) by eliminating u_q."""
     gamma_step = GAMMA * step
@@ -123,7 +124,7 @@ def _couple(step, by_q, factors, lead, right):
     return scaled(gamma_step, axpy(1.0, lead, u_v)), u_v
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _stage(problem, t, q, v, step, by_q, by_t, factors, stage, us_q, us_v):
     """Arguments of a stage and its (u_q, u_v)."""
     q, v = combination(q, stage.A, us_q), combination(v, stage.A, us_v)
@@ -135,7 +136,7 @@ def _stage(problem, t, q, v, step, by_q, by_t, factors, stage, us_q, us_v):
     return q, v, (*us_q, u_q), (*us_v, u_v)
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def attempt(problem, t, q, v, slope, step):
     """One Rosenbrock step from (t, q, v), where `slope` is the linearisation; a `Trial`."""
     a, by_q, by_v, by_t = slope
@@ -155,7 +156,7 @@ def attempt(problem, t, q, v, slope, step):
     return Trial(end_q, end_v, error_q, error_v, middle_q, middle_v)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def advance(problem, state, control, longest):
     """Make one accepted step of at most `longest` [s], retrying with shorter ones.
 

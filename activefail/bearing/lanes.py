@@ -13,9 +13,12 @@ from numba.core import cgutils, types
 from numba.core.datamodel import PrimitiveModel
 from numba.extending import intrinsic, overload, register_model
 
+from activefail.bearing.kernels import KERNEL
+
 _VECTOR = ir.VectorType(ir.DoubleType(), 4)
 _ZERO = ir.Constant(_VECTOR, [0.0] * 4)
-INLINE = {"forceinline": True, "error_model": "numpy"}
+_FLAGS = tuple(KERNEL["fastmath"])
+INLINE = {"forceinline": True, **KERNEL}
 
 
 class _LanesType(types.Type):
@@ -114,9 +117,9 @@ def _binary(function, combine):
         return None
 
 
-_binary(operator.add, lambda builder, x, y: builder.fadd(x, y))
-_binary(operator.sub, lambda builder, x, y: builder.fsub(x, y))
-_binary(operator.mul, lambda builder, x, y: builder.fmul(x, y))
+_binary(operator.add, lambda builder, x, y: builder.fadd(x, y, flags=_FLAGS))
+_binary(operator.sub, lambda builder, x, y: builder.fsub(x, y, flags=_FLAGS))
+_binary(operator.mul, lambda builder, x, y: builder.fmul(x, y, flags=_FLAGS))
 _binary(operator.truediv, lambda builder, x, y: builder.fdiv(x, y))
 
 _select = _elementwise(lambda builder, test, x: builder.select(builder.fcmp_ordered(">", test, _ZERO), x, _ZERO))

@@ -7,6 +7,7 @@ from numba import njit
 
 from activefail.bearing.contact import gap, vertex_force
 from activefail.bearing.dynamics import energy_of, of_plates, vertices
+from activefail.bearing.kernels import KERNEL
 from activefail.bearing.lanes import numbers, sign
 
 NO_IMPACT, IMPACT, FAILURE = 0, 1, 2
@@ -55,7 +56,7 @@ class Observation(NamedTuple):
     tilt: float  # |theta| [rad]
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _observation(system, q, at, force):
     """The `Observation` of the vertices `at` under a force."""
     gap_0, gap_1, gap_2, gap_3 = numbers(gap(at.u, at.w, at.plate))
@@ -71,14 +72,14 @@ def _observation(system, q, at, force):
     return Observation(touch, touch_velocity, max(on_bottom, on_top), confinement_gap, escape, abs(q[2]))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def observe(system, q, v):
     """The event functions of a state, an `Observation`."""
     at = vertices(system, q, v)
     return _observation(system, q, at, vertex_force(at.u, at.w, at.du, at.dw, at.plate))
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def examine(system, t, q, v):
     """`energy` and `observe` of a state at once."""
     at = vertices(system, q, v)
@@ -86,7 +87,7 @@ def examine(system, t, q, v):
     return energy_of(system, t, q, v, force), _observation(system, q, at, force)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def crossing(before, after, level):
     """Where in a step, 0 to 1, a function that goes from `before` to `after` meets `level`, by linear interpolation.
 
@@ -97,7 +98,7 @@ def crossing(before, after, level):
     return (level - before) / (after - before)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def failure_cause(observation, system, confinement):
     """The cause of failure that holds at an instant, or NONE."""
     if observation.escape >= 0.0:
@@ -109,7 +110,7 @@ def failure_cause(observation, system, confinement):
     return NONE
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def failure_fraction(before, after, cause, system):
     """Where in a step, 0 to 1, the failure of the given cause happened."""
     if cause == ESCAPE:

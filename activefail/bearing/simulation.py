@@ -18,6 +18,7 @@ from activefail.bearing.barrier import barrier
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
 from activefail.bearing.dynamics import COORDINATES, energy, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
+from activefail.bearing.kernels import KERNEL
 from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
 from activefail.errors import InputError
 from activefail.space import Array
@@ -47,7 +48,7 @@ class Run(NamedTuple):
     recorded: int  # rows of the history that were written, or would have been
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def _record(history, row, system, state):
     """Write a state into a row of the history, if it reaches that far."""
     if row < history.shape[0]:
@@ -59,7 +60,7 @@ def _record(history, row, system, state):
             history[row, 11 + i] = a[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, **KERNEL)
 def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
     """Integrate one bearing from rest to failure, until its label is settled or, `to_the_end`, for all its time; a `Run`.
 

@@ -8,7 +8,9 @@ of the integrator takes three times as long.
 from numba.core import types
 from numba.extending import overload
 
-INLINE = {"forceinline": True, "error_model": "numpy"}
+from activefail.bearing.kernels import KERNEL
+
+INLINE = {"forceinline": True, **KERNEL}
 
 
 def scaled(a, x):
