@@ -1,9 +1,9 @@
 """Energies below which a bearing meets no rim any more, or fails no more. The proof is in docs/theory.md.
 
 A plate's part of the potential energy is W z + the elastic energy of its two contacts, with the weight W on it and the
-height z of the middle between the two vertices that face it over its apex. Over all positions of the vertices at a tilt
-θ of the slider it is at least level − turn·(1 − cos θ), and at least corner + lift·sin |θ|. What remains of the potential
-energy is that of the slider's height, upright·cos θ.
+height z, over its apex, of the middle between the two vertices that face it. Over all positions of the vertices at a
+tilt θ of the slider it is at least level − turn·(1 − cos θ), and at least corner + lift·sin |θ|. What remains of the
+potential energy is that of the slider's height, upright·cos θ.
 """
 
 import math
@@ -73,7 +73,7 @@ def _least(bottom, top, upright, limit):
 
 @njit(cache=True, **KERNEL)
 def _least_raised(raised, energy, other, upright, limit):
-    """Least potential energy [J] up to a tilt where `energy` [J] is what it takes to have one vertex of a plate raised."""
+    """Least potential energy [J] up to a tilt where it takes `energy` [J] to raise one vertex of a plate."""
     # The middle is below that vertex by half the width's rise at most; and `raised` bounds it as ever.
     corner, lift = energy + other.corner, other.lift - raised.lift
     split = min(limit, math.asin(min(1.0, max(0.0, (energy - raised.corner) / (2.0 * raised.lift)))))
@@ -88,7 +88,7 @@ def _least_raised(raised, energy, other, upright, limit):
 
 @njit(cache=True, **KERNEL)
 def barrier(system, confinement):
-    """The `Barrier` of a bearing, with heights over the bottom plate's apex; `confinement`: whether its loss fails it."""
+    """The `Barrier` of a bearing, with heights over the bottom plate's apex; `confinement`: whether its loss counts."""
     plate, half_width = system.bottom, system.half_width
     if plate.radius < max(plate.rim_top, 2.0 * half_width):
         # So steep a dish that a vertex may be on the far side of its sphere, where it feels no force.
@@ -110,12 +110,7 @@ def barrier(system, confinement):
         _least_raised(bottom, on_bottom * plate.rim_top, top, upright, limit),
         _least_raised(top, on_top * plate.rim_top, bottom, upright, limit),
     )
-    overturning = (
-        bottom.corner
-        + top.corner
-        + (bottom.lift + top.lift) * math.sin(limit)
-        + upright * math.cos(limit)
-    )
+    overturning = bottom.corner + top.corner + (bottom.lift + top.lift) * math.sin(limit) + upright * math.cos(limit)
     failure = min(escape, overturning)
     if confinement:
         failure = min(

@@ -13,10 +13,10 @@ from numba.extending import overload
 from activefail.bearing import integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
-from activefail.bearing.pulse import ground_acceleration, ground_jerk
 from activefail.bearing.kernels import KERNEL
 from activefail.bearing.lanes import Lanes, lanes, numbers
-from activefail.bearing.tuples import axpy, axpy_rows, scaled
+from activefail.bearing.pulse import ground_acceleration, ground_jerk
+from activefail.bearing.tuples import axpy_rows, scaled
 
 COORDINATES = 5
 
@@ -200,7 +200,7 @@ def of_plates(x):
 
 @njit(forceinline=True, **KERNEL)
 def _accelerations(system, f_x, f_z, moment, ground):
-    """Accelerations from the forces and moments on the slider (from the bottom plate, from the top) and the ground's."""
+    """Accelerations from the ground's and from forces and moments on the slider, of the bottom plate and of the top."""
     slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
     return (
         slider * (f_x[0] + f_x[1]) - ground,
@@ -303,9 +303,7 @@ def energy_of(system, t, q, v, force):
     stored += 0.5 * M * (v[3] * v[3] + v[4] * v[4]) + GRAVITY * (m * q[1] + M * q[4])
     elastic, dissipation = of_plates(force.stored), of_plates(force.dissipation)
     ground = ground_acceleration(t, system.amplitude, system.period)
-    return Energy(
-        stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], -(m * v[0] + M * v[3]) * ground
-    )
+    return Energy(stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], -(m * v[0] + M * v[3]) * ground)
 
 
 @njit(cache=True, **KERNEL)

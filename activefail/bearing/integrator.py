@@ -18,7 +18,18 @@ from typing import NamedTuple
 from numba import njit
 
 from activefail.bearing.kernels import KERNEL
-from activefail.bearing.tuples import axpy, axpy_rows, combination, error_sum, factorise, product, scaled, scaled_rows, solve, weighted
+from activefail.bearing.tuples import (
+    axpy,
+    axpy_rows,
+    combination,
+    error_sum,
+    factorise,
+    product,
+    scaled,
+    scaled_rows,
+    solve,
+    weighted,
+)
 
 Vector = tuple[float, ...]
 
@@ -49,18 +60,14 @@ class Stage(NamedTuple):
 
 _TO_STAGE_5 = (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950)
 _STAGE_2 = Stage(0.386, -0.1043, (1.544,), (-5.6688,))
-_STAGE_3 = Stage(
-    0.21, 0.1035, (0.9466785280815826, 0.2557011698983284), (-2.430093356833875, -0.2063599157091915)
-)
+_STAGE_3 = Stage(0.21, 0.1035, (0.9466785280815826, 0.2557011698983284), (-2.430093356833875, -0.2063599157091915))
 _STAGE_4 = Stage(
     0.63,
     -0.0362,
     (3.314825187068521, 2.896124015972201, 0.9986419139977817),
     (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
 )
-_STAGE_5 = Stage(
-    1.0, 0.0, _TO_STAGE_5, (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160)
-)
+_STAGE_5 = Stage(1.0, 0.0, _TO_STAGE_5, (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160))
 _STAGE_6 = Stage(
     1.0,
     0.0,

@@ -11,6 +11,8 @@ from typing import Any
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import PrimitiveModel
+from numba.core.types.containers import UniTuple
+from numba.core.typing import signature
 from numba.extending import intrinsic, overload, register_model
 
 from activefail.bearing.kernels import KERNEL
@@ -66,7 +68,7 @@ def sign(x):
 def lanes(typing_context, a, b, c, d):
     """Four numbers as lanes."""
 
-    def build(context, builder, signature, arguments):
+    def build(context, builder, kinds, arguments):
         vector = ir.Constant(_VECTOR, ir.Undefined)
         for place, value in enumerate(arguments):
             vector = builder.insert_element(vector, value, ir.IntType(32)(place))
@@ -79,11 +81,11 @@ def lanes(typing_context, a, b, c, d):
 def numbers(typing_context, x):
     """Lanes as a tuple of four numbers."""
 
-    def build(context, builder, signature, arguments):
+    def build(context, builder, kinds, arguments):
         values = [builder.extract_element(arguments[0], ir.IntType(32)(place)) for place in range(4)]
-        return context.make_tuple(builder, signature.return_type, values)
+        return context.make_tuple(builder, kinds.return_type, values)
 
-    return types.UniTuple(types.float64, 4)(LANES), build
+    return signature(UniTuple(types.float64, 4), LANES), build
 
 
 def _elementwise(combine):
@@ -91,9 +93,9 @@ def _elementwise(combine):
 
     @intrinsic
     def operation(typing_context, x, y):
-        def build(context, builder, signature, arguments):
+        def build(context, builder, kinds, arguments):
             spread = []
-            for kind, value in zip(signature.args, arguments, strict=True):
+            for kind, value in zip(kinds.args, arguments, strict=True):
                 if kind != LANES:
                     value = context.cast(builder, value, kind, types.float64)
                     first = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.IntType(32)(0))
@@ -128,7 +130,7 @@ _select = _elementwise(lambda builder, test, x: builder.select(builder.fcmp_orde
 def _unary(name):
     @intrinsic
     def operation(typing_context, x):
-        def build(context, builder, signature, arguments):
+        def build(context, builder, kinds, arguments):
             kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(arguments))
             function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v4f64")
             return builder.call(function, arguments)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from activefail.bearing import outcome as o
 from activefail.bearing.barrier import barrier
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
-from activefail.bearing.dynamics import COORDINATES, energy, equilibrium, system
+from activefail.bearing.dynamics import COORDINATES, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
 from activefail.bearing.kernels import KERNEL
 from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
@@ -33,10 +33,11 @@ HISTORY = 1 + 3 * COORDINATES
 """Columns of a history: time, coordinates, velocities, accelerations."""
 
 
-# Errors count against centimetres and the speeds of sliding, not against metres; the light slider's against twice as
-# much as the plate's, and a radian of it moves a vertex by half a metre at the most.
-_SCALE_Q = (0.1, 0.1, 0.2, 0.05, 0.05)
-_SCALE_V = (1.0, 1.0, 2.0, 0.5, 0.5)
+SCALE_Q, SCALE_V = (0.1, 0.1, 0.2, 0.05, 0.05), (1.0, 1.0, 2.0, 0.5, 0.5)
+"""Coordinates [m, rad] and speeds below which errors are absolute: centimetres and the speeds of sliding, not metres.
+
+The light slider's count half as much as the plate's, and a radian of it moves a vertex by half a metre at the most.
+"""
 
 
 class Run(NamedTuple):
@@ -62,7 +63,7 @@ def _record(history, row, system, state):
 
 @njit(cache=True, nogil=True, **KERNEL)
 def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
-    """Integrate one bearing from rest to failure, until its label is settled or, `to_the_end`, for all its time; a `Run`.
+    """Integrate one bearing from rest until it fails, its label is settled or, `to_the_end`, its time is over; a `Run`.
 
     `history`, shape (rows, 16), takes the accepted steps as far as it reaches.
     """
@@ -70,7 +71,7 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
     pulse_end = -t
     end = pulse_end + free_time
     state = start(t, 1e-3 * system.period, equilibrium(system), (0.0, 0.0, 0.0, 0.0, 0.0))
-    control = Control(tolerance, _SCALE_Q, _SCALE_V, most)
+    control = Control(tolerance, SCALE_Q, SCALE_V, most)
 
     weight = system.plate_mass * GRAVITY
     levels = barrier(system, confinement)
@@ -234,7 +235,7 @@ def simulate_one(
         pulse: the ground motion.
         model: settings of the model.
         tolerance: of the integration.
-        to_the_end: whether to go on for 2.5 T_b after the pulse although the label is settled, as `simulate` never does.
+        to_the_end: whether to go on, unlike `simulate`, for 2.5 T_b after the pulse although the label is settled.
     """
     model, tolerance = model or Model(), tolerance or Tolerance()
     history = np.empty((4096, HISTORY))
@@ -287,9 +288,9 @@ def simulate(
 ) -> Responses:
     """Simulate a batch of designs on all cores; a row's result depends neither on the others nor on the threads.
 
-    A run ends with failure, after 2.5 T_b of free motion, or before, where energy says that its label is settled: after an
-    impact as soon as the bearing cannot fail any more, without one as soon as the pulse is over and no rim can be met.
-    The margins are those up to there. (A bearing that was hit may yet swing further than its `peak_displacement_ratio`.)
+    A run ends with failure, after 2.5 T_b of free motion, or as soon as energy says that its label is settled: after an
+    impact when the bearing cannot fail any more, without one when the pulse is over and no rim can be met. The margins
+    are those up to there; a bearing that was hit may yet swing further than its `peak_displacement_ratio`.
 
     Args:
         X: (n, 9) designs: T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g].

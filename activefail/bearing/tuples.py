@@ -1,11 +1,10 @@
 """Vectors and matrices as tuples of numbers, of any length: compiled code unrolls them and keeps them in registers.
 
 A vector is a tuple of n numbers, a matrix a tuple of n rows. Every operation takes the first element and calls itself
-for the rest; the compiler resolves that by the tuples' types, so that no loop and no memory is left. With arrays a step
-of the integrator takes three times as long.
+for the rest; the compiler resolves that by the tuples' types, so that no loop and no memory is left. With arrays the
+integrator's own work takes three times as long.
 """
 
-from numba.core import types
 from numba.extending import overload
 
 from activefail.bearing.kernels import KERNEL
@@ -56,8 +55,8 @@ def axpy_rows(a, X, Y):
 def factorise(rows):
     """LU factors of the unit matrix plus a matrix, without pivoting; for `solve`.
 
-    A tuple of the inverse pivot, the rest of its row divided by it, the factors of the rows below, and the factors of what
-    remains of these.
+    A tuple: the inverse pivot, the rest of its row divided by it, the factors of the rows below, the factors of what
+    remains of them.
     """
     raise NotImplementedError
 
@@ -73,7 +72,7 @@ def error_sum(error, before, after, scale):
 
 
 def _is_last(vector):
-    return isinstance(vector, types.BaseTuple) and len(vector) == 1
+    return len(vector) == 1  # of a type of tuple
 
 
 @overload(scaled, jit_options=INLINE)

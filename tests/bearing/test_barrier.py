@@ -1,6 +1,7 @@
 """The energies that a bearing cannot touch a rim or fail without, against potential energies of states and searches."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from scipy.optimize import minimize
 from activefail.bearing import Bearing, Model, Pulse
 from activefail.bearing import outcome as o
 from activefail.bearing.barrier import barrier
-from activefail.bearing.dynamics import System, energy, equilibrium, system
+from activefail.bearing.contact import gap
+from activefail.bearing.dynamics import System, energy, equilibrium, lever, seen_by_plate, system
 from activefail.bearing.pulse import ground_acceleration, impulse_to_come
 from activefail.space import Array
 
@@ -60,7 +62,7 @@ def test_no_state_has_less_potential_energy_than_its_kind_is_said_to_need(design
 @pytest.mark.parametrize("kind", ["least", "touch", "bottom lost", "top lost", "escape", "overturning"])
 def test_the_lowest_state_of_a_kind_that_a_search_finds_is_no_lower(designs, kind):
     # A penalty holds the search to the kind; the found state's shortfall from it is made up by lifting the plate.
-    for row in designs[:12]:
+    for row in designs[:5]:
         constants = constants_of(row)
         levels = barrier(constants, True)
         weight = constants.plate_mass * 9.81
@@ -69,33 +71,33 @@ def test_the_lowest_state_of_a_kind_that_a_search_finds_is_no_lower(designs, kin
 
         def shortfall(q, constants=constants):
             seen = o.observe(constants, q, AT_REST)
-            beyond = constants.bottom.rim_distance
-            u = q[0] + math.cos(q[2]) * constants.half_width + math.sin(q[2]) * constants.half_height
-            w = q[1] + math.sin(q[2]) * constants.half_width - math.cos(q[2]) * constants.half_height
+            r_x, _ = lever(constants, 1, q[2])
             match kind:
                 case "least":
                     return 0.0
                 case "touch":
-                    return max(0.0, beyond - u)
+                    return max(0.0, constants.bottom.rim_distance - q[0] - r_x)
                 case "escape":
                     return max(0.0, -seen.escape)
                 case "overturning":
                     return max(0.0, constants.tilt_limit - seen.tilt)
-            corners = []
-            for side in (-1.0, 1.0):
-                x = side * constants.half_width
-                z = -constants.half_height if kind == "bottom lost" else constants.half_height
-                point = q[0] + math.cos(q[2]) * x - math.sin(q[2]) * z, q[1] + math.sin(q[2]) * x + math.cos(q[2]) * z
-                dish = (0.0, constants.bottom.radius) if z < 0.0 else (q[3], q[4] - constants.bottom.radius)
-                corners.append(constants.bottom.radius - math.dist(point, dish))
-            return max(0.0, constants.rim_height - min(corners)) + 0.0 * (u + w)
+            gaps = []
+            for vertex in (0, 1) if kind == "bottom lost" else (2, 3):
+                u, w = seen_by_plate(vertex, *lever(constants, vertex, q[2]), q)
+                gaps.append(gap(u, w, constants.bottom))
+            return max(0.0, constants.rim_height - min(gaps))
 
         def cost(q, constants=constants, weight=weight, shortfall=shortfall):
             tilt = max(0.0, abs(q[2]) - constants.tilt_limit)
             return potential(constants, q) / weight + 20.0 * shortfall(q) + 20.0 * tilt
 
         lowest = math.inf
-        for begin in (AT_REST, (rim, 0.05, 0.1, 2.0 * rim, 0.1), (rim, 0.05, 0.0, rim, 0.05), (0.0, 0.1, 0.3, 0.0, 0.2)):
+        for begin in (
+            AT_REST,
+            (rim, 0.05, 0.1, 2.0 * rim, 0.1),
+            (rim, 0.05, 0.0, rim, 0.05),
+            (0.0, 0.1, 0.3, 0.0, 0.2),
+        ):
             found = rest + np.array(begin)
             for _ in range(4):
                 found = minimize(cost, found, method="Nelder-Mead", options={"maxiter": 3000, "fatol": 1e-9}).x
@@ -109,7 +111,7 @@ def test_the_lowest_state_of_a_kind_that_a_search_finds_is_no_lower(designs, kin
             assert needed == pytest.approx(lowest, abs=5e-3)
 
 
-def test_a_mirrored_or_bottom_heavy_bearing_needs_what_its_lighter_plate_needs(bearing):
+def test_failure_needs_about_what_lifts_the_plate_by_the_rims_height_and_more_where_confinement_does_not_count(bearing):
     constants = system(bearing, Pulse(1.0, 0.0), Model())
     levels = barrier(constants, True)
     rest = potential(constants, np.array(equilibrium(constants)))
@@ -129,10 +131,10 @@ def test_of_a_dish_too_steep_nothing_is_promised(bearing):
 @pytest.mark.parametrize("amplitude", [3.0, -3.0])
 def test_the_impulse_to_come_is_the_integral_of_the_accelerations_size(amplitude):
     for t in np.linspace(-3.5, 3.5, 29):
-        roots = [root for root in (-math.sqrt(3.0) / math.pi * math.sqrt(3.0), 0.0, 3.0 / math.pi) if root > t]
+        roots = [root for root in (-3.0 / math.pi, 0.0, 3.0 / math.pi) if root > t]
         ends = [t, *roots, 12.0]
         area = sum(
             quad(lambda x: abs(ground_acceleration(x, amplitude, 2.0)), a, b, epsabs=1e-12)[0]
-            for a, b in zip(ends[:-1], ends[1:], strict=True)
+            for a, b in pairwise(ends)
         )
         assert impulse_to_come(t, amplitude, 2.0) == pytest.approx(area, rel=1e-7, abs=1e-9)
