@@ -33,10 +33,11 @@ HISTORY = 1 + 3 * COORDINATES
 """Columns of a history: time, coordinates, velocities, accelerations."""
 
 
-SCALE_Q, SCALE_V = (0.1, 0.1, 0.2, 0.05, 0.05), (1.0, 1.0, 2.0, 0.5, 0.5)
+SCALE_Q, SCALE_V = (0.1, 0.1, 0.2, 0.025, 0.025), (1.0, 1.0, 2.0, 0.25, 0.25)
 """Coordinates [m, rad] and speeds below which errors are absolute: centimetres and the speeds of sliding, not metres.
 
-The light slider's count half as much as the plate's, and a radian of it moves a vertex by half a metre at the most.
+The plate's count four times the slider's, which is light: energy and label hang on the plate. A radian of the slider
+moves a vertex by half a metre at the most.
 """
 
 
