@@ -42,7 +42,7 @@ MARGINS = (
     "rejected_steps",
     "evaluations",  # of the equations of motion
 )
-"""What is kept of a simulation besides its label; one column each."""
+"""What is kept of a simulation besides its label, one column each; peaks are those until the run ended."""
 
 
 class Observation(NamedTuple):

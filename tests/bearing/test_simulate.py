@@ -330,7 +330,7 @@ def test_the_reversed_pulse_gives_the_mirrored_motion_and_the_same_label(designs
 
 def test_the_energy_balance_closes_within_ten_times_the_tolerance(production, tight):
     # The tolerance bounds the error of a step in parts of 5 cm and 0.5 m/s; of a run's thousand steps the largest and
-    # the impacts among them add up. In 2,000 samples: median 0.3, worst 8 times the tolerance.
+    # the impacts among them add up. In 2,000 samples: median 0.2, worst 9.5 times the tolerance.
     error = production.margin("energy_error")[:500]
     assert error.max() < 1e-3
     assert np.median(error) < 1e-4
