@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from activefail.errors import InputError
 
@@ -89,10 +88,15 @@ class DesignSpace:
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
         """A Latin hypercube of n designs, shape (n, d) (McKay 1979; scipy.stats.qmc)."""
+        # Here: importing scipy.stats takes longer than simulating a bearing.
+        from scipy.stats import qmc
+
         return self.from_unit(qmc.LatinHypercube(self.dimension, rng=rng).random(n))
 
     def sobol(self, n: int, rng: np.random.Generator) -> Array:
         """n designs of a scrambled Sobol' sequence, shape (n, d); n is a power of two."""
+        from scipy.stats import qmc
+
         return self.from_unit(qmc.Sobol(self.dimension, rng=rng).random(n))
 
     def select(self, names: Sequence[str]) -> NDArray[np.intp]:

@@ -4,10 +4,13 @@ Everything here is in the plate's own frame: u is the horizontal distance of the
 (positive to the right) and w its height above the dish's apex, towards the slider. Both plates look alike in it.
 """
 
-import math
 from typing import NamedTuple
 
 from numba import njit
+
+from activefail.bearing.kernels import KERNEL
+from activefail.bearing.lanes import any_positive, positive, sign, sqrt, where
+from activefail.bearing.tuples import axpy
 
 LEAST_PENETRATION = 1e-10
 """Floor of the penetration [m] in the damper's derivative, which is singular at first touch."""
@@ -36,65 +39,63 @@ class Force(NamedTuple):
     stored: float  # elastic energy [J]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def gap(u, w, plate):
     """Distance of a vertex from the undeformed dish [m]; negative when it penetrates."""
     height = w - plate.radius
-    return plate.radius - math.sqrt(u * u + height * height)
+    return plate.radius - sqrt(u * u + height * height)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def meets_rim(u, w, plate):
     """Whether a vertex penetrates the rim, which has no lower end."""
     return abs(u) > plate.rim_distance and w < plate.rim_top
 
 
-@njit(cache=True, error_model="numpy")
-def _normal_force(penetration, rate, damping, stiffness):
-    """Hertz normal force and the damper's share of it [N] (Jankowski 2006): damped while approaching only."""
-    root = math.sqrt(penetration)
-    damper = damping * math.sqrt(root) * rate if rate > 0.0 else 0.0
-    return stiffness * penetration * root + damper, damper
+@njit(forceinline=True, **KERNEL)
+def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
+    """Force of one contact with inward normal n: Hertz, damped while approaching (Jankowski 2006), and friction."""
+    rate, slip = -(du * n_u + dw * n_w), du * n_w - dw * n_u
+    sunk = positive(penetration)
+    root = sqrt(sunk)
+    damper = damping * sqrt(root) * positive(rate)
+    normal = plate.stiffness * sunk * root + damper
+    friction = -plate.mu * normal * slip / sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)
+    return Force(
+        normal * n_u + friction * n_w,
+        normal * n_w - friction * n_u,
+        normal,
+        damper * rate - friction * slip,
+        0.4 * plate.stiffness * sunk * sunk * root,
+    )
 
 
-@njit(cache=True, error_model="numpy")
-def _friction(normal, slip, plate):
-    """Regularised Coulomb friction [N] against the slip velocity [m/s]."""
-    return -plate.mu * normal * slip / math.sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)
+@njit(forceinline=True, **KERNEL)
+def _into_rim(u, w, plate):
+    """Penetration of the rim [m], positive only for a vertex that meets it."""
+    return where(plate.rim_top - w, abs(u) - plate.rim_distance)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def vertex_force(u, w, du, dw, plate):
-    """Force of dish and rim on a vertex at (u, w) [m] moving with (du, dw) [m/s]; a `Force`."""
-    force_u, force_w, rim, dissipation, stored = 0.0, 0.0, 0.0, 0.0, 0.0
+    """Force of dish and rim on a vertex at (u, w) [m] moving with (du, dw) [m/s]; a `Force`.
+
+    The arguments are numbers, or lanes with the four vertices.
+    """
     height = plate.radius - w
-    if height > 0.0:
-        distance = math.sqrt(u * u + height * height)
-        penetration = distance - plate.radius
-        if penetration > 0.0:
-            n_u, n_w = -u / distance, height / distance
-            rate = -(du * n_u + dw * n_w)
-            slip = du * n_w - dw * n_u
-            normal, damper = _normal_force(penetration, rate, plate.dish_damping, plate.stiffness)
-            friction = _friction(normal, slip, plate)
-            force_u += normal * n_u + friction * n_w
-            force_w += normal * n_w - friction * n_u
-            dissipation += damper * rate - friction * slip
-            stored += 0.4 * plate.stiffness * penetration * penetration * math.sqrt(penetration)
-    if meets_rim(u, w, plate):
-        side = 1.0 if u > 0.0 else -1.0
-        penetration = abs(u) - plate.rim_distance
-        rate = side * du
-        rim, damper = _normal_force(penetration, rate, plate.rim_damping, plate.stiffness)
-        friction = _friction(rim, dw, plate)
-        force_u -= side * rim
-        force_w += friction
-        dissipation += damper * rate - friction * dw
-        stored += 0.4 * plate.stiffness * penetration * penetration * math.sqrt(penetration)
+    distance = sqrt(u * u + height * height)
+    penetration = where(height, distance - plate.radius)
+    dish = _contact_force(-u / distance, height / distance, penetration, du, dw, plate.dish_damping, plate)
+    force_u, force_w, rim, dissipation, stored = dish.u, dish.w, 0.0 * dish.rim, dish.dissipation, dish.stored
+    penetration = _into_rim(u, w, plate)
+    if any_positive(penetration):
+        wall = _contact_force(-sign(u), 0.0 * u, penetration, du, dw, plate.rim_damping, plate)
+        force_u, force_w, rim = force_u + wall.u, force_w + wall.w, wall.rim
+        dissipation, stored = dissipation + wall.dissipation, stored + wall.stored
     return Force(force_u, force_w, rim, dissipation, stored)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     """Force of one contact and its derivatives, a tuple of 10.
 
@@ -102,19 +103,16 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     tangent t = (n_w, −n_u): dn = −t (t·dx)·curvature, dt = n (t·dx)·curvature; dδ = −n·dx.
     """
     t_u, t_w = n_w, -n_u
-    rate = -(du * n_u + dw * n_w)
-    slip = du * t_u + dw * t_w
-    root = math.sqrt(penetration)
-    normal = plate.stiffness * penetration * root
-    normal_by_penetration = 1.5 * plate.stiffness * root
-    normal_by_rate = 0.0
-    if rate > 0.0:
-        normal_by_rate = damping * math.sqrt(root)
-        normal += normal_by_rate * rate
-        # dN/dδ of the damper, c δ̇ / (4 δ^(3/4)), is singular at first touch.
-        floored = max(penetration, LEAST_PENETRATION)
-        normal_by_penetration += 0.25 * damping * rate * math.sqrt(math.sqrt(floored)) / floored
-    norm = 1.0 / math.sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)
+    rate, slip = -(du * n_u + dw * n_w), du * t_u + dw * t_w
+    sunk = positive(penetration)
+    root = sqrt(sunk)
+    normal_by_rate = where(rate, damping * sqrt(root))
+    normal = plate.stiffness * sunk * root + normal_by_rate * rate
+    # dN/dδ of the damper, c δ̇ / (4 δ^(3/4)), is singular at first touch.
+    floored = LEAST_PENETRATION + positive(sunk - LEAST_PENETRATION)
+    singular = 0.25 * damping * positive(rate) * sqrt(sqrt(floored)) / floored
+    normal_by_penetration = 1.5 * plate.stiffness * root + where(penetration, singular)
+    norm = 1.0 / sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)
     share = slip * norm
     friction = -plate.mu * normal * share
     friction_by_slip = -plate.mu * normal * norm * (1.0 - share * share)
@@ -152,31 +150,17 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
 def vertex_jacobian(u, w, du, dw, plate):
     """Force of dish and rim on a vertex and its derivatives, as `_contact_jacobian` gives them, summed."""
-    dish = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    rim = dish
     height = plate.radius - w
-    if height > 0.0:
-        distance = math.sqrt(u * u + height * height)
-        penetration = distance - plate.radius
-        if penetration > 0.0:
-            dish = _contact_jacobian(
-                -u / distance, height / distance, penetration, 1.0 / distance, du, dw, plate.dish_damping, plate
-            )
-    if meets_rim(u, w, plate):
-        side = 1.0 if u > 0.0 else -1.0
-        rim = _contact_jacobian(-side, 0.0, abs(u) - plate.rim_distance, 0.0, du, dw, plate.rim_damping, plate)
-    return (
-        dish[0] + rim[0],
-        dish[1] + rim[1],
-        dish[2] + rim[2],
-        dish[3] + rim[3],
-        dish[4] + rim[4],
-        dish[5] + rim[5],
-        dish[6] + rim[6],
-        dish[7] + rim[7],
-        dish[8] + rim[8],
-        dish[9] + rim[9],
-    )
+    distance = sqrt(u * u + height * height)
+    penetration = where(height, distance - plate.radius)
+    inverse = 1.0 / distance
+    summed = _contact_jacobian(-u * inverse, height * inverse, penetration, inverse, du, dw, plate.dish_damping, plate)
+    penetration = _into_rim(u, w, plate)
+    if any_positive(penetration):
+        flat = 0.0 * u
+        rim = _contact_jacobian(-sign(u), flat, penetration, flat, du, dw, plate.rim_damping, plate)
+        summed = axpy(1.0, summed, rim)
+    return summed

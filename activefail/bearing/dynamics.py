@@ -7,14 +7,16 @@ dish, in the frame of the bottom plate, which follows the ground. Metres, radian
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
 from numba.extending import overload
 
 from activefail.bearing import integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
+from activefail.bearing.kernels import KERNEL
+from activefail.bearing.lanes import Lanes, lanes, numbers
 from activefail.bearing.pulse import ground_acceleration, ground_jerk
+from activefail.bearing.tuples import axpy_rows, scaled
 
 COORDINATES = 5
 
@@ -28,6 +30,7 @@ class System(NamedTuple):
     half_width: float  # D_sl/2 [m]
     half_height: float  # h_sl/2 [m]
     rim_height: float  # h_rim [m]
+    tilt_limit: float  # beyond which the slider overturns [rad]
     bottom: Plate
     top: Plate
     amplitude: float  # A_p [m/s2]
@@ -74,6 +77,7 @@ def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
         half_width=bearing.slider_diameter / 2.0,
         half_height=bearing.slider_height / 2.0,
         rim_height=float(bearing.rim_height),
+        tilt_limit=math.atan2(bearing.slider_diameter, bearing.slider_height),
         bottom=plate(*masses[0]),
         top=plate(*masses[1]),
         amplitude=float(pulse.amplitude),
@@ -81,39 +85,52 @@ def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
     )
 
 
-@njit(cache=True, error_model="numpy")
-def _static_height(radius, half_width, load, stiffness):
-    """Height of a pair of vertices above a dish's apex [m] when together they carry `load` [N]."""
+@njit(cache=True, **KERNEL)
+def static_contact(plate, half_width, load):
+    """Height over a dish's apex and penetration [m] of two level vertices that together carry `load` [N]."""
     penetration = 0.0
     # A contraction with a factor of about δ/R: a few rounds reach rounding.
-    for _ in range(60):
-        distance = radius + penetration
+    for _ in range(20):
+        distance = plate.radius + penetration
         incline = math.sqrt(distance * distance - half_width * half_width) / distance
-        penetration = (0.5 * load / (incline * stiffness)) ** (2.0 / 3.0)
-    distance = radius + penetration
-    return radius - math.sqrt(distance * distance - half_width * half_width)
+        penetration = (0.5 * load / (incline * plate.stiffness)) ** (2.0 / 3.0)
+    distance = plate.radius + penetration
+    return plate.radius - math.sqrt(distance * distance - half_width * half_width), penetration
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def equilibrium(system):
-    """Coordinates of the centred bearing at rest under gravity, shape (5,)."""
+    """Coordinates of the centred bearing at rest under gravity."""
     slider, plate = system.slider_mass * GRAVITY, system.plate_mass * GRAVITY
-    below = _static_height(system.bottom.radius, system.half_width, slider + plate, system.bottom.stiffness)
-    above = _static_height(system.top.radius, system.half_width, plate, system.top.stiffness)
+    below, _ = static_contact(system.bottom, system.half_width, slider + plate)
+    above, _ = static_contact(system.top, system.half_width, plate)
     z_s = below + system.half_height
-    return np.array([0.0, z_s, 0.0, 0.0, z_s + system.half_height + above])
+    return 0.0, z_s, 0.0, 0.0, z_s + system.half_height + above
 
 
-@njit(cache=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
+def cosine_and_sine(angle):
+    """cos and sin of an angle [rad], to the last digit but one; the polynomials of Cephes up to π/4."""
+    if abs(angle) > 0.25 * math.pi:
+        return math.cos(angle), math.sin(angle)
+    z = angle * angle
+    sine = 2.75573136213857245213e-6 + z * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10)
+    sine = -1.66666666666666307295e-1 + z * (8.33333333332211858878e-3 + z * (-1.98412698295895385996e-4 + z * sine))
+    cosine = -2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 - z * 1.13585365213876817300e-11)
+    cosine = 4.16666666666665929218e-2 + z * (-1.38888888888730564116e-3 + z * (2.48015872888517045348e-5 + z * cosine))
+    return 1.0 - 0.5 * z + z * z * cosine, angle + angle * z * sine
+
+
+@njit(cache=True, **KERNEL)
 def lever(system, vertex, theta):
     """From the slider's centre to a vertex (0, 1: bottom left, right; 2, 3: top left, right) [m]."""
     b_x = system.half_width if vertex % 2 == 1 else -system.half_width
     b_z = system.half_height if vertex >= 2 else -system.half_height
-    cosine, sine = math.cos(theta), math.sin(theta)
+    cosine, sine = cosine_and_sine(theta)
     return cosine * b_x - sine * b_z, sine * b_x + cosine * b_z
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def seen_by_plate(vertex, r_x, r_z, q):
     """Position (u, w) of a vertex as the plate that it faces sees it [m]."""
     if vertex < 2:
@@ -121,7 +138,7 @@ def seen_by_plate(vertex, r_x, r_z, q):
     return q[0] + r_x - q[3], q[4] - q[1] - r_z
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def speed_seen_by_plate(vertex, r_x, r_z, v):
     """Velocity of a vertex as the plate that it faces sees it [m/s]."""
     if vertex < 2:
@@ -129,149 +146,168 @@ def speed_seen_by_plate(vertex, r_x, r_z, v):
     return v[0] - v[2] * r_z - v[3], v[4] - v[1] - v[2] * r_x
 
 
-@njit(cache=True, error_model="numpy")
-def dfp_acceleration(system, t, q, v, out):
-    """Accelerations of the five coordinates, written into `out`, shape (5,)."""
-    f_x, f_z, torque, top_x, top_z = 0.0, 0.0, 0.0, 0.0, 0.0
-    for vertex in range(4):
-        r_x, r_z = lever(system, vertex, q[2])
-        u, w = seen_by_plate(vertex, r_x, r_z, q)
-        du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-        if vertex < 2:
-            force = vertex_force(u, w, du, dw, system.bottom)
-            on_x, on_z = force.u, force.w
-        else:
-            force = vertex_force(u, w, du, dw, system.top)
-            on_x, on_z = force.u, -force.w
-            top_x -= on_x
-            top_z -= on_z
-        f_x += on_x
-        f_z += on_z
-        torque += r_x * on_z - r_z * on_x
+class Vertices(NamedTuple):
+    """The slider's four vertices, as lanes in the order of `lever`."""
+
+    r_x: Lanes  # from the slider's centre [m]
+    r_z: Lanes
+    up: Lanes  # vertical direction away from the plate that it faces, 1 or -1
+    u: Lanes  # position and velocity as that plate sees them [m], [m/s]
+    w: Lanes
+    du: Lanes
+    dw: Lanes
+    plate: Plate  # of lanes
+
+
+@njit(forceinline=True, **KERNEL)
+def _sides(bottom, top):
+    """Lanes of what differs between the plates only."""
+    return lanes(bottom, bottom, top, top)
+
+
+@njit(forceinline=True, **KERNEL)
+def vertices(system, q, v):
+    """The `Vertices` at a state."""
+    bottom, top = system.bottom, system.top
+    width, height = system.half_width, system.half_height
+    cosine, sine = cosine_and_sine(q[2])
+    b_x, b_z = lanes(-width, width, -width, width), lanes(-height, -height, height, height)
+    r_x, r_z = cosine * b_x - sine * b_z, sine * b_x + cosine * b_z
+    up = lanes(1.0, 1.0, -1.0, -1.0)
+    plate = Plate(
+        _sides(bottom.radius, top.radius),
+        _sides(bottom.rim_distance, top.rim_distance),
+        _sides(bottom.rim_top, top.rim_top),
+        _sides(bottom.stiffness, top.stiffness),
+        _sides(bottom.dish_damping, top.dish_damping),
+        _sides(bottom.rim_damping, top.rim_damping),
+        _sides(bottom.mu, top.mu),
+        _sides(bottom.friction_velocity, top.friction_velocity),
+    )
+    u = r_x + _sides(q[0], q[0] - q[3])
+    w = up * r_z + _sides(q[1], q[4] - q[1])
+    du = _sides(v[0], v[0] - v[3]) - v[2] * r_z
+    dw = _sides(v[1], v[4] - v[1]) + v[2] * (up * r_x)
+    return Vertices(r_x, r_z, up, u, w, du, dw, plate)
+
+
+@njit(forceinline=True, **KERNEL)
+def of_plates(x):
+    """Sums over the vertices that face the bottom plate and over those that face the top plate."""
+    a, b, c, d = numbers(x)
+    return a + b, c + d
+
+
+@njit(forceinline=True, **KERNEL)
+def _accelerations(system, f_x, f_z, moment, ground):
+    """Accelerations from the ground's and from forces and moments on the slider, of the bottom plate and of the top."""
+    slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
+    return (
+        slider * (f_x[0] + f_x[1]) - ground,
+        slider * (f_z[0] + f_z[1]) - GRAVITY,
+        (moment[0] + moment[1]) / system.slider_inertia,
+        -plate * f_x[1] - ground,
+        -plate * f_z[1] - GRAVITY,
+    )
+
+
+@njit(cache=True, **KERNEL)
+def dfp_acceleration(system, t, q, v):
+    """Accelerations of the five coordinates."""
+    at = vertices(system, q, v)
+    force = vertex_force(at.u, at.w, at.du, at.dw, at.plate)
+    f_x, f_z = force.u, at.up * force.w
     ground = ground_acceleration(t, system.amplitude, system.period)
-    out[0] = f_x / system.slider_mass - ground
-    out[1] = f_z / system.slider_mass - GRAVITY
-    out[2] = torque / system.slider_inertia
-    out[3] = top_x / system.plate_mass - ground
-    out[4] = top_z / system.plate_mass - GRAVITY
+    return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(at.r_x * f_z - at.r_z * f_x), ground)
 
 
-@njit(cache=True, error_model="numpy")
-def dfp_linearisation(system, t, q, v, by_q, by_v, by_t):
-    """∂a/∂q, ∂a/∂v, shapes (5, 5), and ∂a/∂t, shape (5,), analytically."""
-    by_q[:] = 0.0
-    by_v[:] = 0.0
-    omega = v[2]
-    for vertex in range(4):
-        r_x, r_z = lever(system, vertex, q[2])
-        u, w = seen_by_plate(vertex, r_x, r_z, q)
-        du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-        # The top plate sees the vertical axis reversed.
-        if vertex < 2:
-            sign = 1.0
-            f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(u, w, du, dw, system.bottom)
-        else:
-            sign = -1.0
-            f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(u, w, du, dw, system.top)
-        if f_u == 0.0 and f_w == 0.0 and fu_u == 0.0 and fw_w == 0.0 and fu_du == 0.0 and fw_dw == 0.0:
-            continue
-        # Horizontal (x) and vertical (z) force on the slider by slider position, angle, and their rates.
-        x_x, x_z = fu_u, sign * fu_w
-        z_x, z_z = sign * fw_u, fw_w
-        x_vx, x_vz = fu_du, sign * fu_dw
-        z_vx, z_vz = sign * fw_du, fw_dw
-        x_theta = -r_z * x_x + r_x * x_z - omega * (r_x * x_vx + r_z * x_vz)
-        z_theta = -r_z * z_x + r_x * z_z - omega * (r_x * z_vx + r_z * z_vz)
-        x_omega = -r_z * x_vx + r_x * x_vz
-        z_omega = -r_z * z_vx + r_x * z_vz
-        f_x, f_z = f_u, sign * f_w
+@njit(forceinline=True, **KERNEL)
+def _by_coordinates(system, below, above):
+    """∂a of all coordinates from the derivatives at the bottom vertices and at the top ones, each 3 x 3.
 
-        by_q[0, 0] += x_x
-        by_q[0, 1] += x_z
-        by_q[0, 2] += x_theta
-        by_q[1, 0] += z_x
-        by_q[1, 1] += z_z
-        by_q[1, 2] += z_theta
-        by_q[2, 0] += r_x * z_x - r_z * x_x
-        by_q[2, 1] += r_x * z_z - r_z * x_z
-        by_q[2, 2] += r_x * z_theta - r_z * x_theta - r_z * f_z - r_x * f_x
-        by_v[0, 0] += x_vx
-        by_v[0, 1] += x_vz
-        by_v[0, 2] += x_omega
-        by_v[1, 0] += z_vx
-        by_v[1, 1] += z_vz
-        by_v[1, 2] += z_omega
-        by_v[2, 0] += r_x * z_vx - r_z * x_vx
-        by_v[2, 1] += r_x * z_vz - r_z * x_vz
-        by_v[2, 2] += r_x * z_omega - r_z * x_omega
-        if vertex >= 2:
-            # The top plate's position enters with the opposite sign of the slider's, and so does its force.
-            for matrix, xx, xz, zx, zz, xt, zt in (
-                (by_q, x_x, x_z, z_x, z_z, x_theta, z_theta),
-                (by_v, x_vx, x_vz, z_vx, z_vz, x_omega, z_omega),
-            ):
-                matrix[0, 3] -= xx
-                matrix[0, 4] -= xz
-                matrix[1, 3] -= zx
-                matrix[1, 4] -= zz
-                matrix[2, 3] -= r_x * zx - r_z * xx
-                matrix[2, 4] -= r_x * zz - r_z * xz
-                matrix[3, 0] -= xx
-                matrix[3, 1] -= xz
-                matrix[3, 2] -= xt
-                matrix[4, 0] -= zx
-                matrix[4, 1] -= zz
-                matrix[4, 2] -= zt
-                matrix[3, 3] += xx
-                matrix[3, 4] += xz
-                matrix[4, 3] += zx
-                matrix[4, 4] += zz
-    for i in range(5):
-        by_q[0, i] /= system.slider_mass
-        by_q[1, i] /= system.slider_mass
-        by_q[2, i] /= system.slider_inertia
-        by_q[3, i] /= system.plate_mass
-        by_q[4, i] /= system.plate_mass
-        by_v[0, i] /= system.slider_mass
-        by_v[1, i] /= system.slider_mass
-        by_v[2, i] /= system.slider_inertia
-        by_v[3, i] /= system.plate_mass
-        by_v[4, i] /= system.plate_mass
+    The top plate's position enters with the opposite sign of the slider's, and so does its force.
+    """
+    slider, turn, plate = 1.0 / system.slider_mass, 1.0 / system.slider_inertia, 1.0 / system.plate_mass
+    both = axpy_rows(1.0, below, above)
+    return (
+        scaled(slider, (*both[0], -above[0][0], -above[0][1])),
+        scaled(slider, (*both[1], -above[1][0], -above[1][1])),
+        scaled(turn, (*both[2], -above[2][0], -above[2][1])),
+        scaled(-plate, (*above[0], -above[0][0], -above[0][1])),
+        scaled(-plate, (*above[1], -above[1][0], -above[1][1])),
+    )
+
+
+@njit(forceinline=True, **KERNEL)
+def _of_plates_rows(rows):
+    """3 x 3 lanes as two 3 x 3 matrices, summed over the vertices of each plate."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    (a_0, a_1), (b_0, b_1), (c_0, c_1) = of_plates(a), of_plates(b), of_plates(c)
+    (d_0, d_1), (e_0, e_1), (f_0, f_1) = of_plates(d), of_plates(e), of_plates(f)
+    (g_0, g_1), (h_0, h_1), (i_0, i_1) = of_plates(g), of_plates(h), of_plates(i)
+    return ((a_0, b_0, c_0), (d_0, e_0, f_0), (g_0, h_0, i_0)), ((a_1, b_1, c_1), (d_1, e_1, f_1), (g_1, h_1, i_1))
+
+
+@njit(cache=True, **KERNEL)
+def dfp_linearisation(system, t, q, v):
+    """Accelerations, ∂a/∂q and ∂a/∂v (5 rows each) and ∂a/∂t, analytically."""
+    at = vertices(system, q, v)
+    r_x, r_z, omega = at.r_x, at.r_z, v[2]
+    f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(at.u, at.w, at.du, at.dw, at.plate)
+    # Force on the slider by position (x, z, θ) of the slider and by its rates.
+    f_x, f_z = f_u, at.up * f_w
+    x_x, x_z, z_x, z_z = fu_u, at.up * fu_w, at.up * fw_u, fw_w
+    x_vx, x_vz, z_vx, z_vz = fu_du, at.up * fu_dw, at.up * fw_du, fw_dw
+    x_theta = r_x * x_z - r_z * x_x - omega * (r_x * x_vx + r_z * x_vz)
+    z_theta = r_x * z_z - r_z * z_x - omega * (r_x * z_vx + r_z * z_vz)
+    x_omega, z_omega = r_x * x_vz - r_z * x_vx, r_x * z_vz - r_z * z_vx
+    by_position = (
+        (x_x, x_z, x_theta),
+        (z_x, z_z, z_theta),
+        (r_x * z_x - r_z * x_x, r_x * z_z - r_z * x_z, r_x * (z_theta - f_x) - r_z * (x_theta + f_z)),
+    )
+    by_velocity = (
+        (x_vx, x_vz, x_omega),
+        (z_vx, z_vz, z_omega),
+        (r_x * z_vx - r_z * x_vx, r_x * z_vz - r_z * x_vz, r_x * z_omega - r_z * x_omega),
+    )
+    ground = ground_acceleration(t, system.amplitude, system.period)
     jerk = ground_jerk(t, system.amplitude, system.period)
-    by_t[0] = -jerk
-    by_t[1] = 0.0
-    by_t[2] = 0.0
-    by_t[3] = -jerk
-    by_t[4] = 0.0
+    return (
+        _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(r_x * f_z - r_z * f_x), ground),
+        _by_coordinates(system, *_of_plates_rows(by_position)),
+        _by_coordinates(system, *_of_plates_rows(by_velocity)),
+        (-jerk, 0.0, 0.0, -jerk, 0.0),
+    )
 
 
 @overload(integrator.acceleration)
-def _acceleration(problem, t, q, v, out):
+def _acceleration(problem, t, q, v):
     if getattr(problem, "instance_class", None) is System:
-        return lambda problem, t, q, v, out: dfp_acceleration(problem, t, q, v, out)
+        return lambda problem, t, q, v: dfp_acceleration(problem, t, q, v)
     return None
 
 
 @overload(integrator.linearisation)
-def _linearisation(problem, t, q, v, by_q, by_v, by_t):
+def _linearisation(problem, t, q, v):
     if getattr(problem, "instance_class", None) is System:
-        return lambda problem, t, q, v, by_q, by_v, by_t: dfp_linearisation(problem, t, q, v, by_q, by_v, by_t)
+        return lambda problem, t, q, v: dfp_linearisation(problem, t, q, v)
     return None
 
 
-@njit(cache=True, error_model="numpy")
-def energy(system, t, q, v):
-    """Stored energy [J], dissipated power and the ground motion's power [W] at a state; an `Energy`."""
+@njit(forceinline=True, **KERNEL)
+def energy_of(system, t, q, v, force):
+    """As `energy`, from the forces on the vertices."""
     m, M = system.slider_mass, system.plate_mass
     stored = 0.5 * m * (v[0] * v[0] + v[1] * v[1]) + 0.5 * system.slider_inertia * v[2] * v[2]
     stored += 0.5 * M * (v[3] * v[3] + v[4] * v[4]) + GRAVITY * (m * q[1] + M * q[4])
-    dissipation = 0.0
-    for vertex in range(4):
-        r_x, r_z = lever(system, vertex, q[2])
-        u, w = seen_by_plate(vertex, r_x, r_z, q)
-        du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-        force = vertex_force(u, w, du, dw, system.bottom if vertex < 2 else system.top)
-        stored += force.stored
-        dissipation += force.dissipation
+    elastic, dissipation = of_plates(force.stored), of_plates(force.dissipation)
     ground = ground_acceleration(t, system.amplitude, system.period)
-    return Energy(stored, dissipation, -(m * v[0] + M * v[3]) * ground)
+    return Energy(stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], -(m * v[0] + M * v[3]) * ground)
+
+
+@njit(cache=True, **KERNEL)
+def energy(system, t, q, v):
+    """Stored energy [J], dissipated power and the ground motion's power [W] at a state; an `Energy`."""
+    at = vertices(system, q, v)
+    return energy_of(system, t, q, v, vertex_force(at.u, at.w, at.du, at.dw, at.plate))

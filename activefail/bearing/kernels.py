@@ -1,8 +1,15 @@
-"""The compiled kernels on disk: which sources they belong to."""
+"""The compiled kernels: how they are compiled, and which sources those on disk belong to."""
 
 import hashlib
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+KERNEL: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+"""Options of every kernel: a division by zero gives infinity; a product and a sum may be rounded once instead of twice.
+
+A result then depends on the processor's kind, as it does through the exponential already, but on nothing else.
+"""
 
 _PACKAGE = Path(__file__).parent
 

@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 from numba import njit
 
-from activefail.bearing.contact import gap, meets_rim, vertex_force
-from activefail.bearing.dynamics import lever, seen_by_plate, speed_seen_by_plate
+from activefail.bearing.contact import gap, vertex_force
+from activefail.bearing.dynamics import energy_of, of_plates, vertices
+from activefail.bearing.kernels import KERNEL
+from activefail.bearing.lanes import numbers, sign
 
 NO_IMPACT, IMPACT, FAILURE = 0, 1, 2
 NUMERICAL_FAILURE = -1
@@ -40,7 +42,7 @@ MARGINS = (
     "rejected_steps",
     "evaluations",  # of the equations of motion
 )
-"""What is kept of a simulation besides its label; one column each."""
+"""What is kept of a simulation besides its label, one column each; peaks are those until the run ended."""
 
 
 class Observation(NamedTuple):
@@ -54,32 +56,38 @@ class Observation(NamedTuple):
     tilt: float  # |theta| [rad]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
+def _observation(system, q, at, force):
+    """The `Observation` of the vertices `at` under a force."""
+    gap_0, gap_1, gap_2, gap_3 = numbers(gap(at.u, at.w, at.plate))
+    confinement_gap = max(min(gap_0, gap_1), min(gap_2, gap_3))
+    on_bottom, on_top = of_plates(force.rim)
+    beyond, above = abs(at.u) - at.plate.rim_distance, at.w - at.plate.rim_top
+    outward = sign(at.u) * at.du
+    touch, touch_velocity, escape = -math.inf, 0.0, -math.inf
+    for out, up, velocity in zip(numbers(beyond), numbers(above), numbers(outward)):  # noqa: B905
+        escape = max(escape, min(out, up))
+        if out > touch and up < 0.0:
+            touch, touch_velocity = out, velocity
+    return Observation(touch, touch_velocity, max(on_bottom, on_top), confinement_gap, escape, abs(q[2]))
+
+
+@njit(cache=True, **KERNEL)
 def observe(system, q, v):
     """The event functions of a state, an `Observation`."""
-    touch, touch_velocity, rim_force, confinement_gap, escape = -math.inf, 0.0, 0.0, -math.inf, -math.inf
-    for side in range(2):
-        plate = system.bottom if side == 0 else system.top
-        least_gap, on_rim = math.inf, 0.0
-        for vertex in (2 * side, 2 * side + 1):
-            r_x, r_z = lever(system, vertex, q[2])
-            u, w = seen_by_plate(vertex, r_x, r_z, q)
-            least_gap = min(least_gap, gap(u, w, plate))
-            beyond = abs(u) - plate.rim_distance
-            escape = max(escape, min(beyond, w - plate.rim_top))
-            if beyond > touch and w < plate.rim_top:
-                touch = beyond
-                du, _ = speed_seen_by_plate(vertex, r_x, r_z, v)
-                touch_velocity = du if u > 0.0 else -du
-            if meets_rim(u, w, plate):
-                du, dw = speed_seen_by_plate(vertex, r_x, r_z, v)
-                on_rim += vertex_force(u, w, du, dw, plate).rim
-        confinement_gap = max(confinement_gap, least_gap)
-        rim_force = max(rim_force, on_rim)
-    return Observation(touch, touch_velocity, rim_force, confinement_gap, escape, abs(q[2]))
+    at = vertices(system, q, v)
+    return _observation(system, q, at, vertex_force(at.u, at.w, at.du, at.dw, at.plate))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(forceinline=True, **KERNEL)
+def examine(system, t, q, v):
+    """`energy` and `observe` of a state at once."""
+    at = vertices(system, q, v)
+    force = vertex_force(at.u, at.w, at.du, at.dw, at.plate)
+    return energy_of(system, t, q, v, force), _observation(system, q, at, force)
+
+
+@njit(cache=True, **KERNEL)
 def crossing(before, after, level):
     """Where in a step, 0 to 1, a function that goes from `before` to `after` meets `level`, by linear interpolation.
 
@@ -90,23 +98,23 @@ def crossing(before, after, level):
     return (level - before) / (after - before)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def failure_cause(observation, system, confinement):
     """The cause of failure that holds at an instant, or NONE."""
     if observation.escape >= 0.0:
         return ESCAPE
     if confinement and observation.confinement_gap > system.rim_height:
         return LOSS_OF_CONFINEMENT
-    if observation.tilt > math.atan2(system.half_width, system.half_height):
+    if observation.tilt > system.tilt_limit:
         return OVERTURNING
     return NONE
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def failure_fraction(before, after, cause, system):
     """Where in a step, 0 to 1, the failure of the given cause happened."""
     if cause == ESCAPE:
         return crossing(before.escape, after.escape, 0.0)
     if cause == LOSS_OF_CONFINEMENT:
         return crossing(before.confinement_gap, after.confinement_gap, system.rim_height)
-    return crossing(before.tilt, after.tilt, math.atan2(system.half_width, system.half_height))
+    return crossing(before.tilt, after.tilt, system.tilt_limit)

@@ -4,24 +4,46 @@ import math
 
 from numba import njit
 
+from activefail.bearing.kernels import KERNEL
+
 _SPREAD = 2.0 * math.pi / math.sqrt(3.0)
 _PEAK = 1.38
 """The paper's rounded peak of |s² − 3|·s·exp(−s²/2); the exact value is 1.380119."""
+
+_ROOT = math.sqrt(3.0)
+"""s at which the ground acceleration changes its sign, apart from 0."""
 
 HALF_DURATION = 1.5
 """A run begins 1.5 T_p before the pulse's centre and counts it as over 1.5 T_p after: 4·10⁻⁵ of its peak are left."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def ground_acceleration(t, amplitude, period):
     """Ground acceleration ü_g [m/s²] at time t [s] of a pulse of amplitude A_p [m/s²] and period T_p [s]."""
     s = _SPREAD * t / period
     return amplitude / _PEAK * (s * s - 3.0) * s * math.exp(-0.5 * s * s)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **KERNEL)
 def ground_jerk(t, amplitude, period):
     """Time derivative of the ground acceleration [m/s³]."""
     s = _SPREAD * t / period
     s2 = s * s
     return amplitude / _PEAK * _SPREAD / period * (6.0 * s2 - 3.0 - s2 * s2) * math.exp(-0.5 * s2)
+
+
+@njit(cache=True, **KERNEL)
+def impulse_to_come(t, amplitude, period):
+    """∫ |ü_g| dt from t on [m/s]."""
+    s = _SPREAD * t / period
+    # (s² − 1)·exp(−s²/2) is a primitive of −(s² − 3)·s·exp(−s²/2), which changes its sign at 0 and ±√3.
+    primitive, at_root, at_zero = (s * s - 1.0) * math.exp(-0.5 * s * s), 2.0 * math.exp(-1.5), -1.0
+    if s >= _ROOT:
+        area = primitive
+    elif s >= 0.0:
+        area = 2.0 * at_root - primitive
+    elif s >= -_ROOT:
+        area = 2.0 * (at_root - at_zero) + primitive
+    else:
+        area = 4.0 * at_root - 2.0 * at_zero - primitive
+    return abs(amplitude) / _PEAK * period / _SPREAD * area

@@ -14,10 +14,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
+from activefail.bearing.barrier import barrier
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
-from activefail.bearing.dynamics import COORDINATES, energy, equilibrium, system
-from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, advance, start, workspace
-from activefail.bearing.pulse import HALF_DURATION
+from activefail.bearing.dynamics import COORDINATES, equilibrium, system
+from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
+from activefail.bearing.kernels import KERNEL
+from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
 from activefail.errors import InputError
 from activefail.space import Array
 
@@ -31,6 +33,14 @@ HISTORY = 1 + 3 * COORDINATES
 """Columns of a history: time, coordinates, velocities, accelerations."""
 
 
+SCALE_Q, SCALE_V = (0.1, 0.1, 0.2, 0.025, 0.025), (1.0, 1.0, 2.0, 0.25, 0.25)
+"""Coordinates [m, rad] and speeds below which errors are absolute: centimetres and the speeds of sliding, not metres.
+
+The plate's count four times the slider's, which is light: energy and label hang on the plate. A radian of the slider
+moves a vertex by half a metre at the most.
+"""
+
+
 class Run(NamedTuple):
     """What the kernel returns for one simulation."""
 
@@ -40,61 +50,69 @@ class Run(NamedTuple):
     recorded: int  # rows of the history that were written, or would have been
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _run(system, capacity, free_time, confinement, tolerance, longest, most, history):
-    """Integrate one bearing from rest to its end, failure or the last possible event; a `Run`.
+@njit(cache=True, **KERNEL)
+def _record(history, row, system, state):
+    """Write a state into a row of the history, if it reaches that far."""
+    if row < history.shape[0]:
+        a = acceleration(system, state.t, state.q, state.v)
+        history[row, 0] = state.t
+        for i in range(COORDINATES):
+            history[row, 1 + i] = state.q[i]
+            history[row, 6 + i] = state.v[i]
+            history[row, 11 + i] = a[i]
+
+
+@njit(cache=True, nogil=True, **KERNEL)
+def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
+    """Integrate one bearing from rest until it fails, its label is settled or, `to_the_end`, its time is over; a `Run`.
 
     `history`, shape (rows, 16), takes the accepted steps as far as it reaches.
     """
-    q = equilibrium(system)
-    v = np.zeros(COORDINATES)
-    # Errors count against a few millimetres of penetration and the speeds of sliding, not against metres.
-    scale_q = np.array([0.05, 0.05, 0.05, 0.05, 0.05])
-    scale_v = np.array([0.5, 0.5, 0.5, 0.5, 0.5])
-    work = workspace(q, v, scale_q, scale_v)
-    middle_q, middle_v = np.empty(COORDINATES), np.empty(COORDINATES)
     t = -HALF_DURATION * system.period
     pulse_end = -t
     end = pulse_end + free_time
-    start(system, t, 1e-3 * system.period, work)
+    state = start(t, 1e-3 * system.period, equilibrium(system), (0.0, 0.0, 0.0, 0.0, 0.0))
+    control = Control(tolerance, SCALE_Q, SCALE_V, most)
 
     weight = system.plate_mass * GRAVITY
-    radius = system.bottom.radius
-    # After the pulse, energy below what lifts the plate to the rim of one dish reaches no rim any more.
-    reach = weight * (radius - math.sqrt(radius * radius - 0.25 * capacity * capacity))
-    at_rest = energy(system, t, work.q, work.v)
-    before, seen_before = at_rest, o.observe(system, work.q, work.v)
+    levels = barrier(system, confinement)
+    # √(kinetic energy) grows by this times the ground's impulse at most.
+    growth = math.sqrt(0.5 * (system.plate_mass + system.slider_mass))
+    at_rest, seen_before = o.examine(system, t, state.q, state.v)
+    before = at_rest
     work_in, dissipated, peak_work, peak_imbalance = 0.0, 0.0, 0.0, 0.0
 
     margins = np.zeros(len(o.MARGINS))
     margins[0] = margins[1] = margins[6] = np.nan
     label, cause, touched, rows = o.NO_IMPACT, o.NONE, False, 0
     while True:
-        if rows < history.shape[0]:
-            history[rows, 0] = t
-            history[rows, 1:6] = work.q
-            history[rows, 6:11] = work.v
-            history[rows, 11:16] = work.a
+        _record(history, rows, system, state)
         rows += 1
-        if t >= end or (t > pulse_end and before.stored - at_rest.stored < reach):
+        if t >= end:
             break
+        # Settled: after an impact what fails no more; without one what meets no rim any more, once the pulse is over.
+        if (touched or t > pulse_end) and not to_the_end:
+            reach = levels.failure if touched else min(levels.touch, levels.failure)
+            pushed = growth * impulse_to_come(t, system.amplitude, system.period)
+            if math.sqrt(max(0.0, before.stored - levels.least)) + pushed < math.sqrt(reach - levels.least):
+                break
         # A tenth of the pulse, lest a step strides over it from rest.
         bound = min(longest, 0.1 * system.period) if t < pulse_end else longest
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
-        status = advance(system, work, tolerance, min(bound, end - t), most, middle_q, middle_v)
+        status, state, middle_q, middle_v = advance(system, state, control, min(bound, end - t))
         if status != ACCEPTED:
             label, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
             break
-        step = work.clock[0] - t
-        t = work.clock[0]
-        after, seen = energy(system, t, work.q, work.v), o.observe(system, work.q, work.v)
+        step = state.t - t
+        t = state.t
+        after, seen = o.examine(system, t, state.q, state.v)
         if not math.isfinite(after.stored):
             label, cause = o.NUMERICAL_FAILURE, o.NOT_FINITE
             break
 
-        seen_middle = o.observe(system, middle_q, middle_v)
-        margins[2] = max(margins[2], abs(work.q[3]), abs(middle_q[3]))
+        halfway, seen_middle = o.examine(system, t - 0.5 * step, middle_q, middle_v)
+        margins[2] = max(margins[2], abs(state.q[3]), abs(middle_q[3]))
         margins[3] = max(margins[3], seen.rim_force, seen_middle.rim_force)
         margins[4] = max(margins[4], seen.confinement_gap)
         margins[5] = max(margins[5], seen.tilt)
@@ -105,7 +123,6 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
             margins[1] = seen.touch_velocity + (1.0 - fraction) * (seen_before.touch_velocity - seen.touch_velocity)
         cause = o.failure_cause(seen, system, confinement)
 
-        halfway = energy(system, t - 0.5 * step, middle_q, middle_v)
         work_in += step / 6.0 * (before.input + 4.0 * halfway.input + after.input)
         dissipated += step / 6.0 * (before.dissipation + 4.0 * halfway.dissipation + after.dissipation)
         peak_work = max(peak_work, abs(work_in))
@@ -118,11 +135,7 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
                 margins[6] = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
             else:
                 label, cause = o.NUMERICAL_FAILURE, o.NO_TOUCH
-            if rows < history.shape[0]:
-                history[rows, 0] = t
-                history[rows, 1:6] = work.q
-                history[rows, 6:11] = work.v
-                history[rows, 11:16] = work.a
+            _record(history, rows, system, state)
             rows += 1
             break
         before, seen_before = after, seen
@@ -132,13 +145,15 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, his
     margins[4] /= system.rim_height
     margins[7] = t
     margins[8] = peak_imbalance / max(peak_work, weight * 1e-3)
-    margins[9] = work.counts[0]
-    margins[10] = work.counts[1]
-    margins[11] = work.counts[2]
+    margins[9] = state.attempts
+    margins[10] = state.rejections
+    margins[11] = state.evaluations
     return Run(label, cause, margins, rows)
 
 
-def _simulate(bearing: Bearing, pulse: Pulse, model: Model, tolerance: Tolerance, history: Array) -> Run:
+def _simulate(
+    bearing: Bearing, pulse: Pulse, model: Model, tolerance: Tolerance, history: Array, to_the_end: bool = False
+) -> Run:
     # Periods as in the paper's eq. 2: the plate's own, without the slider's height.
     free_time = FREE_PERIODS * 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
     run: Run = _run(
@@ -149,6 +164,7 @@ def _simulate(bearing: Bearing, pulse: Pulse, model: Model, tolerance: Tolerance
         tolerance.relative,
         tolerance.longest_step,
         int(tolerance.most_steps),
+        to_the_end,
         history,
     )
     return run
@@ -207,15 +223,27 @@ class Responses:
 
 
 def simulate_one(
-    bearing: Bearing, pulse: Pulse, model: Model | None = None, tolerance: Tolerance | None = None
+    bearing: Bearing,
+    pulse: Pulse,
+    model: Model | None = None,
+    tolerance: Tolerance | None = None,
+    to_the_end: bool = False,
 ) -> Response:
-    """Simulate one bearing under one pulse and keep its motion."""
+    """Simulate one bearing under one pulse and keep its motion.
+
+    Args:
+        bearing: what is simulated.
+        pulse: the ground motion.
+        model: settings of the model.
+        tolerance: of the integration.
+        to_the_end: whether to go on, unlike `simulate`, for 2.5 T_b after the pulse although the label is settled.
+    """
     model, tolerance = model or Model(), tolerance or Tolerance()
     history = np.empty((4096, HISTORY))
-    run = _simulate(bearing, pulse, model, tolerance, history)
+    run = _simulate(bearing, pulse, model, tolerance, history, to_the_end)
     if run.recorded > len(history):
         history = np.empty((run.recorded, HISTORY))
-        run = _simulate(bearing, pulse, model, tolerance, history)
+        run = _simulate(bearing, pulse, model, tolerance, history, to_the_end)
     history = history[: run.recorded]
     return Response(
         bearing,
@@ -260,6 +288,10 @@ def simulate(
     progress: Callable[[int], None] | None = None,
 ) -> Responses:
     """Simulate a batch of designs on all cores; a row's result depends neither on the others nor on the threads.
+
+    A run ends with failure, after 2.5 T_b of free motion, or as soon as energy says that its label is settled: after an
+    impact when the bearing cannot fail any more, without one when the pulse is over and no rim can be met. The margins
+    are those up to there; a bearing that was hit may yet swing further than its `peak_displacement_ratio`.
 
     Args:
         X: (n, 9) designs: T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g].

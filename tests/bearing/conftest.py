@@ -8,7 +8,7 @@ from numba import njit
 
 from activefail.bearing import TABLE_1, Bearing, Responses, Tolerance, simulate
 from activefail.bearing.dynamics import System
-from activefail.bearing.integrator import ACCEPTED, advance, start, workspace
+from activefail.bearing.integrator import ACCEPTED, Control, advance, start
 from activefail.bearing.outcome import NONE, failure_cause, observe
 from activefail.space import Array
 
@@ -48,21 +48,21 @@ def bearing() -> Bearing:
 
 
 @njit(error_model="numpy")
-def _drift(system, t, q, v, duration, tolerance, longest):
-    work = workspace(q, v, np.full(5, 0.05), np.full(5, 0.5))
-    middle_q, middle_v = np.empty(5), np.empty(5)
-    start(system, t, 1e-5, work)
+def _drift(system, t, q, v, duration, control, longest):
+    state = start(t, 1e-5, q, v)
     history = np.empty((200_000, 11))
     rows = 0
     while rows < history.shape[0]:
-        history[rows, 0] = work.clock[0]
-        history[rows, 1:6] = work.q
-        history[rows, 6:11] = work.v
+        history[rows, 0] = state.t
+        for i in range(5):
+            history[rows, 1 + i] = state.q[i]
+            history[rows, 6 + i] = state.v[i]
         rows += 1
-        left = t + duration - work.clock[0]
-        if left <= 0.0 or failure_cause(observe(system, work.q, work.v), system, True) != NONE:
+        left = t + duration - state.t
+        if left <= 0.0 or failure_cause(observe(system, state.q, state.v), system, True) != NONE:
             return rows, history
-        if advance(system, work, tolerance, min(longest, left), 1_000_000, middle_q, middle_v) != ACCEPTED:
+        status, state, _, _ = advance(system, state, control, min(longest, left))
+        if status != ACCEPTED:
             return -1, history
     return -1, history
 
@@ -74,7 +74,8 @@ def drift() -> Callable[..., Array]:
     def motion(
         system: System, t: float, q: Array, v: Array, duration: float, tolerance: float = 1e-6, longest: float = 0.02
     ) -> Array:
-        rows, history = _drift(system, t, q, v, duration, tolerance, longest)
+        control = Control(tolerance, (0.05,) * 5, (0.5,) * 5, 1_000_000)
+        rows, history = _drift(system, t, tuple(map(float, q)), tuple(map(float, v)), duration, control, longest)
         assert rows > 0, "the integration gave up"
         return history[:rows]
 

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from activefail.bearing import Bearing, Model, Pulse, simulate_one
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import dfp_acceleration, dfp_linearisation, energy, equilibrium, system
-from activefail.bearing.integrator import ACCEPTED, advance, start, workspace
+from activefail.bearing.integrator import ACCEPTED, Control, advance, start
 from activefail.bearing.pulse import ground_acceleration
 from activefail.space import Array
 
@@ -27,9 +27,7 @@ def pulse_of(row: Array) -> Pulse:
 
 
 def acceleration(constants, t: float, q: Array, v: Array) -> Array:
-    out = np.empty(5)
-    dfp_acceleration(constants, t, q, v, out)
-    return out
+    return np.array(dfp_acceleration(constants, t, q, v))
 
 
 def vertices(bearing: Bearing, q: Array, v: Array):
@@ -159,7 +157,6 @@ def differences(constants, t: float, q: Array, v: Array, by_velocity: bool, h: f
 
 
 def test_the_linearisation_agrees_with_central_differences_in_every_kind_of_contact(visited):
-    by_q, by_v, by_t = np.empty((5, 5)), np.empty((5, 5)), np.empty(5)
     seen = {"rim": 0, "dish": 0, "approaching": 0, "separating": 0, "sliding": 0, "sticking": 0, "lifted": 0}
     for row, t, q, v in visited:
         made = bearing_of(row)
@@ -177,7 +174,8 @@ def test_the_linearisation_agrees_with_central_differences_in_every_kind_of_cont
                 h_v = min(h_v, 3e-4 * math.hypot(slip, 1e-3), 0.3 * abs(rate))
         constants = system(made, pulse_of(row), Model())
         rounding = rounding_of_accelerations(made, constants, q, v)[:, None]
-        dfp_linearisation(constants, t, q, v, by_q, by_v, by_t)
+        a, by_q, by_v, by_t = map(np.array, dfp_linearisation(constants, t, q, v))
+        np.testing.assert_array_less(np.abs(a - acceleration(constants, t, q, v)), 10.0 * rounding[:, 0])
         for analytical, by_velocity, h in ((by_q, False, 1e-8), (by_v, True, h_v)):
             numerical = differences(constants, t, q, v, by_velocity, h)
             # Rows differ by the masses; the truncation of a row's largest entry shows in the others.
@@ -191,12 +189,12 @@ def test_the_linearisation_agrees_with_central_differences_in_every_kind_of_cont
 
 def test_the_linearisation_in_time_is_minus_the_jerk_of_the_ground(bearing):
     constants = system(bearing, Pulse(0.5, 4.0), Model())
-    q, v, out = equilibrium(constants), np.zeros(5), np.empty(5)
+    q, v = np.array(equilibrium(constants)), np.zeros(5)
     for t in np.linspace(-0.7, 0.7, 15):
-        dfp_linearisation(constants, t, q, v, np.empty((5, 5)), np.empty((5, 5)), out)
+        by_t = dfp_linearisation(constants, t, q, v)[3]
         h = 1e-5
         slope = (ground_acceleration(t + h, 4.0, 0.5) - ground_acceleration(t - h, 4.0, 0.5)) / (2.0 * h)
-        np.testing.assert_allclose(out, [-slope, 0.0, 0.0, -slope, 0.0], rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(by_t, [-slope, 0.0, 0.0, -slope, 0.0], rtol=1e-6, atol=1e-5)
 
 
 def test_the_mirrored_state_under_the_reversed_pulse_has_the_mirrored_acceleration(visited):
@@ -235,7 +233,7 @@ def test_without_ground_motion_mechanical_energy_never_grows(designs, drift):
     touched = 0
     for row in designs[:30]:
         constants = system(bearing_of(row), Pulse(1.0, 0.0), Model())
-        rest = equilibrium(constants)
+        rest = np.array(equilibrium(constants))
         q = rest + np.array([0.0, 0.0, 0.0, 0.0, 0.005]) * rng.uniform()
         v = rng.normal(size=5) * np.array([0.3, 0.3, 1.0, 1.5, 0.5])
         path = drift(constants, 0.0, q, v, 2.0)
@@ -253,7 +251,7 @@ def test_without_ground_motion_mechanical_energy_never_grows(designs, drift):
 def test_at_rest_gravity_is_carried_with_hertz_penetrations_by_inclined_normals(designs, row):
     made = bearing_of(designs[row])
     constants = system(made, Pulse(1.0, 0.0), Model())
-    rest = equilibrium(constants)
+    rest = np.array(equilibrium(constants))
     residual = acceleration(constants, 0.0, rest, np.zeros(5))
     assert np.abs(residual).max() < 1e-6 * GRAVITY
     penetrations = [c[3] for c in contacts(made, rest, np.zeros(5)) if not c[1]]
@@ -296,7 +294,7 @@ def test_a_small_swing_without_friction_has_the_period_of_a_pendulum(bearing, dr
     sunk = (45e6 * math.pi * 0.15**2 / (2.0 * stiffness)) ** (2 / 3)
     period = 2.0 * math.pi * math.sqrt((length + 2.0 * sunk) / 9.81)
     constants = system(made, Pulse(1.0, 0.0), Model())
-    start = turned_about_the_dish(equilibrium(constants), 1e-3, radius)
+    start = turned_about_the_dish(np.array(equilibrium(constants)), 1e-3, radius)
     path = drift(constants, 0.0, start, np.zeros(5), 5.1 * period, tolerance=1e-7, longest=0.05)
     zeros = CubicHermiteSpline(path[:, 0], path[:, 4], path[:, 9]).roots(extrapolate=False)
     measured = 2.0 * (zeros[-1] - zeros[0]) / (len(zeros) - 1)
@@ -312,16 +310,15 @@ def test_a_smooth_stretch_of_the_bearings_motion_is_integrated_with_order_four(b
     # Smooth: no damper to switch, wide friction; a slider so heavy that a step resolves its elastic modes.
     model = Model(restitution_coefficient=1.0, friction_velocity=0.1, slider_density=7.85e6)
     constants = system(replace(bearing, dish_diameter=1.5), Pulse(2.0, 3.0), model)
-    rest, speed = equilibrium(constants), np.array([0.3, 0.01, 0.15, 0.6, 0.02])
+    rest, speed = equilibrium(constants), (0.3, 0.01, 0.15, 0.6, 0.02)
+    freely = Control(1e30, (1.0,) * 5, (1.0,) * 5, 10**9)
 
     def end(steps: int) -> Array:
-        work = workspace(rest, speed, np.ones(5), np.ones(5))
-        start(constants, -0.3, 0.05 / steps, work)
+        state = start(-0.3, 0.05 / steps, rest, speed)
         for _ in range(steps):
-            work.clock[1] = 0.05 / steps
-            status = advance(constants, work, 1e30, 0.05 / steps, 10**9, np.empty(5), np.empty(5))
+            status, state, _, _ = advance(constants, state._replace(step=0.05 / steps), freely, 0.05 / steps)
             assert status == ACCEPTED
-        return work.q
+        return np.array(state.q)
 
     finest = end(4096)
     errors = np.array([np.abs(end(steps) - finest).max() for steps in (32, 64, 128, 256)])

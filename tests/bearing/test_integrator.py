@@ -10,7 +10,7 @@ from numba.extending import overload
 from scipy.integrate import solve_ivp
 
 from activefail.bearing import integrator
-from activefail.bearing.integrator import ACCEPTED, STEP_UNDERFLOW, TOO_MANY_STEPS, Workspace, advance, start, workspace
+from activefail.bearing.integrator import ACCEPTED, STEP_UNDERFLOW, TOO_MANY_STEPS, Control, State, advance, start
 from activefail.space import Array
 
 UNLIMITED = 10**9
@@ -48,75 +48,61 @@ class Wall(NamedTuple):
 
 
 @overload(integrator.acceleration)
-def _accelerations(problem, t, q, v, out):
+def _accelerations(problem, t, q, v):
     kind = getattr(problem, "instance_class", None)
     if kind is Springs:
 
-        def springs(problem, t, q, v, out):
+        def springs(problem, t, q, v):
             mean = 0.5 * (problem.slow * (q[0] + q[1]) + problem.slow_damping * (v[0] + v[1]))
             half = 0.5 * (problem.fast * (q[0] - q[1]) + problem.fast_damping * (v[0] - v[1]))
-            out[0] = -mean - half
-            out[1] = -mean + half
+            return -mean - half, -mean + half
 
         return springs
     if kind is Duffing:
 
-        def duffing(problem, t, q, v, out):
-            out[0] = -problem.damping * v[0] - problem.linear * q[0] - problem.cubic * q[0] ** 3
-            out[0] += problem.push * math.cos(problem.frequency * t)
+        def duffing(problem, t, q, v):
+            pull = -problem.damping * v[0] - problem.linear * q[0] - problem.cubic * q[0] ** 3
+            return (pull + problem.push * math.cos(problem.frequency * t),)
 
         return duffing
     if kind is VanDerPol:
-
-        def van_der_pol(problem, t, q, v, out):
-            out[0] = problem.stiffness * (1.0 - q[0] * q[0]) * v[0] - q[0]
-
-        return van_der_pol
+        return lambda problem, t, q, v: (problem.stiffness * (1.0 - q[0] * q[0]) * v[0] - q[0],)
     if kind is Wall:
-
-        def wall(problem, t, q, v, out):
-            out[0] = 0.0 if q[0] < problem.place else math.nan
-
-        return wall
+        return lambda problem, t, q, v: (0.0 if q[0] < problem.place else math.nan,)
     return None
 
 
 @overload(integrator.linearisation)
-def _linearisations(problem, t, q, v, by_q, by_v, by_t):
+def _linearisations(problem, t, q, v):
     kind = getattr(problem, "instance_class", None)
     if kind is Springs:
 
-        def springs(problem, t, q, v, by_q, by_v, by_t):
-            for i in range(2):
-                for j in range(2):
-                    sign = 1.0 if i == j else -1.0
-                    by_q[i, j] = -0.5 * (problem.slow + sign * problem.fast)
-                    by_v[i, j] = -0.5 * (problem.slow_damping + sign * problem.fast_damping)
-                by_t[i] = 0.0
+        def springs(problem, t, q, v):
+            a, b = -0.5 * (problem.slow + problem.fast), -0.5 * (problem.slow - problem.fast)
+            c = -0.5 * (problem.slow_damping + problem.fast_damping)
+            d = -0.5 * (problem.slow_damping - problem.fast_damping)
+            return integrator.acceleration(problem, t, q, v), ((a, b), (b, a)), ((c, d), (d, c)), (0.0, 0.0)
 
         return springs
     if kind is Duffing:
 
-        def duffing(problem, t, q, v, by_q, by_v, by_t):
-            by_q[0, 0] = -problem.linear - 3.0 * problem.cubic * q[0] ** 2
-            by_v[0, 0] = -problem.damping
-            by_t[0] = -problem.push * problem.frequency * math.sin(problem.frequency * t)
+        def duffing(problem, t, q, v):
+            by_q = -problem.linear - 3.0 * problem.cubic * q[0] ** 2
+            by_t = -problem.push * problem.frequency * math.sin(problem.frequency * t)
+            return integrator.acceleration(problem, t, q, v), ((by_q,),), ((-problem.damping,),), (by_t,)
 
         return duffing
     if kind is VanDerPol:
 
-        def van_der_pol(problem, t, q, v, by_q, by_v, by_t):
-            by_q[0, 0] = -2.0 * problem.stiffness * q[0] * v[0] - 1.0
-            by_v[0, 0] = problem.stiffness * (1.0 - q[0] * q[0])
-            by_t[0] = 0.0
+        def van_der_pol(problem, t, q, v):
+            by_q, by_v = -2.0 * problem.stiffness * q[0] * v[0] - 1.0, problem.stiffness * (1.0 - q[0] * q[0])
+            return integrator.acceleration(problem, t, q, v), ((by_q,),), ((by_v,),), (0.0,)
 
         return van_der_pol
     if kind is Wall:
 
-        def wall(problem, t, q, v, by_q, by_v, by_t):
-            by_q[0, 0] = 0.0
-            by_v[0, 0] = 0.0
-            by_t[0] = 0.0
+        def wall(problem, t, q, v):
+            return integrator.acceleration(problem, t, q, v), ((0.0,),), ((0.0,),), (0.0,)
 
         return wall
     return None
@@ -126,34 +112,29 @@ def _linearisations(problem, t, q, v, by_q, by_v, by_t):
 def nothing_of_these_problems_on_disk():
     # A cached kernel's index names the types it was compiled for: with a test's class among them every later process
     # that cannot import this module fails on reading it.
-    kernels = (integrator.start, integrator.attempt, integrator.advance)
-    caches = [kernel._cache for kernel in kernels]
-    for kernel in kernels:
-        kernel._cache = NullCache()
+    cache = integrator.advance._cache
+    integrator.advance._cache = NullCache()
     yield
-    for kernel, cache in zip(kernels, caches, strict=True):
-        kernel._cache = cache
+    integrator.advance._cache = cache
 
 
-def began(problem, t: float, q: list[float], v: list[float], step: float) -> Workspace:
-    ones = np.ones(len(q))
-    work = workspace(np.array(q), np.array(v), ones, ones)
-    start(problem, t, step, work)
-    return work
+def ones(n: int) -> tuple[float, ...]:
+    return (1.0,) * n
 
 
 def fixed_steps(problem, t: float, q: list[float], v: list[float], duration: float, steps: int):
     """The end of a motion in equal steps, and the states half way through them, shapes (2, n), (steps, 2, n)."""
     step = duration / steps
-    work = began(problem, t, q, v, step)
-    halves = np.empty((steps, 2, len(q)))
-    for i in range(steps):
-        work.clock[1] = step
-        # An infinite tolerance: every step is accepted as it is.
-        assert advance(problem, work, 1e30, step, UNLIMITED, halves[i, 0], halves[i, 1]) == ACCEPTED
-    assert work.counts.tolist() == [steps, 0, 6 * steps]
-    assert work.clock[0] == pytest.approx(t + duration)
-    return np.array([work.q, work.v]), halves
+    # An infinite tolerance: every step is accepted as it is.
+    control = Control(1e30, ones(len(q)), ones(len(q)), UNLIMITED)
+    state, halves = start(t, step, tuple(q), tuple(v)), []
+    for _ in range(steps):
+        status, state, *half = advance(problem, state._replace(step=step), control, step)
+        assert status == ACCEPTED
+        halves.append(half)
+    assert (state.attempts, state.rejections, state.evaluations) == (steps, 0, 6 * steps)
+    assert state.t == pytest.approx(t + duration)
+    return np.array([state.q, state.v]), np.array(halves)
 
 
 def orders(errors: list[float]) -> Array:
@@ -257,27 +238,32 @@ def test_the_state_half_way_through_a_step_has_order_three():
     assert errors[-1] < 1e-6
 
 
-def controlled(tolerance: float, end: float) -> Workspace:
-    work = began(DUFFING, 0.0, [0.7], [-0.2], 1e-3)
-    half_q, half_v = np.empty(1), np.empty(1)
-    while work.clock[0] < end:
-        assert advance(DUFFING, work, tolerance, end - work.clock[0], UNLIMITED, half_q, half_v) == ACCEPTED
-    assert work.clock[0] == end
-    return work
+def scalar(tolerance: float, most: int = UNLIMITED) -> Control:
+    return Control(tolerance, ones(1), ones(1), most)
+
+
+def controlled(tolerance: float, end: float) -> State:
+    state = start(0.0, 1e-3, (0.7,), (-0.2,))
+    while state.t < end:
+        status, state, _, _ = advance(DUFFING, state, scalar(tolerance), end - state.t)
+        assert status == ACCEPTED
+    assert state.t == end
+    return state
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
 def test_the_error_of_a_controlled_run_follows_the_tolerance(tolerance):
     end = 8.0
-    work = controlled(tolerance, end)
+    state = controlled(tolerance, end)
     exact = duffing_reference(DUFFING, np.array([0.0, end]), [0.7, -0.2])[-1]
-    error = max(abs(work.q[0] - exact[0]), abs(work.v[0] - exact[1]))
+    error = max(abs(state.q[0] - exact[0]), abs(state.v[0] - exact[1]))
     # The motion's own growth of errors over eight seconds, and that the error estimated is of order three.
     assert 1e-3 * tolerance < error < 20.0 * tolerance
 
 
 def test_steps_grow_as_the_fourth_root_of_the_tolerance_and_few_are_rejected():
-    counts = np.array([controlled(tolerance, 40.0).counts for tolerance in (1e-6, 1e-10)])
+    states = [controlled(tolerance, 40.0) for tolerance in (1e-6, 1e-10)]
+    counts = np.array([(state.attempts, state.rejections) for state in states])
     # The estimate is of order three, its local error of order four: 10,000 times tighter is ten times as many.
     assert counts[1, 0] / counts[0, 0] == pytest.approx(10.0, rel=0.15)
     assert (counts[:, 1] < 0.1 * counts[:, 0]).all(), counts
@@ -285,43 +271,40 @@ def test_steps_grow_as_the_fourth_root_of_the_tolerance_and_few_are_rejected():
 
 def test_a_relaxation_oscillator_is_crossed_with_few_steps_and_the_right_period():
     stiffness = 1e3
-    work = began(VanDerPol(stiffness), 0.0, [2.0], [-1.0 / 1500.0], 1e-3)
-    half_q, half_v, crossings = np.empty(1), np.empty(1), []
+    state, crossings = start(0.0, 1e-3, (2.0,), (-1.0 / 1500.0,)), []
     while len(crossings) < 3:
-        t, q = work.clock[0], work.q[0]
-        assert advance(VanDerPol(stiffness), work, 1e-5, math.inf, 20_000, half_q, half_v) == ACCEPTED
-        if q * work.q[0] < 0.0:
-            crossings.append(t + (work.clock[0] - t) * q / (q - work.q[0]))
+        t, q = state.t, state.q[0]
+        status, state, _, _ = advance(VanDerPol(stiffness), state, scalar(1e-5, 20_000), math.inf)
+        assert status == ACCEPTED
+        if q * state.q[0] < 0.0:
+            crossings.append(t + (state.t - t) * q / (q - state.q[0]))
     # (3 − 2 ln 2) μ + 3·2.33811 μ^(−1/3) + ..., Dorodnicyn 1947.
     period = (3.0 - 2.0 * math.log(2.0)) * stiffness + 3.0 * 2.33810741 * stiffness ** (-1.0 / 3.0)
     assert crossings[2] - crossings[0] == pytest.approx(period, rel=1e-4)
-    assert work.counts[0] < 2000
+    assert state.attempts < 2000
 
 
 def test_a_rejected_step_leaves_the_state_and_is_counted():
-    work = began(DUFFING, 0.0, [0.7], [-0.2], 5.0)
-    half_q, half_v = np.empty(1), np.empty(1)
-    assert advance(DUFFING, work, 1e-6, math.inf, UNLIMITED, half_q, half_v) == ACCEPTED
-    attempts, rejections, evaluations = work.counts
-    assert rejections == attempts - 1 > 0
-    assert evaluations == 5 * attempts + 1
-    exact = duffing_reference(DUFFING, np.array([0.0, work.clock[0]]), [0.7, -0.2])[-1]
-    assert work.q[0] == pytest.approx(exact[0], abs=1e-5)
+    status, state, _, _ = advance(DUFFING, start(0.0, 5.0, (0.7,), (-0.2,)), scalar(1e-6), math.inf)
+    assert status == ACCEPTED
+    assert state.rejections == state.attempts - 1 > 0
+    assert state.evaluations == 5 * state.attempts + 1
+    exact = duffing_reference(DUFFING, np.array([0.0, state.t]), [0.7, -0.2])[-1]
+    assert state.q[0] == pytest.approx(exact[0], abs=1e-5)
 
 
 def test_too_many_attempts_and_a_vanishing_step_are_said_and_change_nothing():
-    half_q, half_v = np.empty(1), np.empty(1)
-    work = began(DUFFING, 0.0, [0.7], [-0.2], 1e-3)
+    state = start(0.0, 1e-3, (0.7,), (-0.2,))
     for _ in range(5):
-        assert advance(DUFFING, work, 1e-6, 1e-3, 5, half_q, half_v) == ACCEPTED
-    kept = work.clock[0], work.q[0], work.v[0]
-    assert advance(DUFFING, work, 1e-6, 1e-3, 5, half_q, half_v) == TOO_MANY_STEPS
-    assert (work.clock[0], work.q[0], work.v[0]) == kept
+        status, state, _, _ = advance(DUFFING, state, scalar(1e-6, 5), 1e-3)
+        assert status == ACCEPTED
+    status, after, _, _ = advance(DUFFING, state, scalar(1e-6, 5), 1e-3)
+    assert status == TOO_MANY_STEPS
+    assert after == state
 
-    work = began(Wall(place=1.0), 0.0, [0.0], [1.0], 0.1)
-    status = ACCEPTED
+    status, state = ACCEPTED, start(0.0, 0.1, (0.0,), (1.0,))
     while status == ACCEPTED:
-        status = advance(Wall(place=1.0), work, 1e-6, 0.1, UNLIMITED, half_q, half_v)
+        status, state, _, _ = advance(Wall(place=1.0), state, scalar(1e-6), 0.1)
     assert status == STEP_UNDERFLOW
-    assert work.q[0] == pytest.approx(1.0, abs=1e-9)
-    assert np.isfinite([work.q[0], work.v[0]]).all()
+    assert state.q[0] == pytest.approx(1.0, abs=1e-9)
+    assert np.isfinite([state.q[0], state.v[0]]).all()

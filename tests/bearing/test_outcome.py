@@ -21,7 +21,7 @@ def constants(bearing: Bearing) -> System:
 
 def with_offsets(constants: System, **offsets: float) -> Array:
     """The bearing at rest with some coordinates moved."""
-    q = equilibrium(constants)
+    q = np.array(equilibrium(constants))
     for name, offset in offsets.items():
         q[("x_s", "z_s", "theta", "x_t", "z_t").index(name)] += offset
     return q
@@ -107,7 +107,7 @@ def test_confinement_is_lost_when_both_vertices_that_face_a_plate_are_above_the_
 def test_one_vertex_in_its_dish_keeps_the_slider_confined(constants, bearing):
     # Turned about the bottom left vertex: the right one is far above the rim's height, and the plate lies on top.
     angle = 0.15
-    q = equilibrium(constants)
+    q = np.array(equilibrium(constants))
     corner = np.array([-constants.half_width, -constants.half_height])
     turned = np.array(
         [
@@ -158,7 +158,7 @@ def test_observations_agree_with_the_definitions_written_a_second_time(bearing):
     for _ in range(300):
         made = replace(bearing, radius=rng.uniform(1.0, 3.5), slider_height=rng.uniform(0.1, 0.39))
         constants = system(made, Pulse(1.0, 1.0), Model())
-        q = equilibrium(constants) + rng.normal(size=5) * np.array([0.2, 0.03, 0.1, 0.4, 0.05])
+        q = np.array(equilibrium(constants)) + rng.normal(size=5) * np.array([0.2, 0.03, 0.1, 0.4, 0.05])
         edge = made.radius - math.sqrt(made.radius**2 - made.dish_diameter**2 / 4.0)
         gaps, beyond, above = [], [], []
         for side, up in ((-1, -1), (1, -1), (-1, 1), (1, 1)):

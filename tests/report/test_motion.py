@@ -74,8 +74,9 @@ def test_every_panel_of_a_response_is_finite_and_names_its_axes_with_units(respo
 
 def test_the_title_states_the_outcome_its_cause_and_the_design_with_units(response):
     title = words(m.plot_response(response))
+    when = f"{response.margins['failure_time']:.3f}".replace("-", "−")
     assert {
-        "failure": "Failure by loss of confinement at t = −0.131 s",
+        "failure": f"Failure by loss of confinement at t = {when} s",
         "impact": "Rim impact without failure",
         "no_impact": "No impact",
         "numerical_failure": "Numerical failure (too many steps): no statement about the bearing",
