@@ -431,6 +431,7 @@ COMMANDS_ON_FOLDERS = {
     "predict": ["--csv", "in.csv", "--out", "out.csv"],
     "export": ["--csv", "out.csv"],
     "compare": [],
+    "verify": [],
 }
 
 
@@ -617,6 +618,54 @@ def test_budgets_that_the_campaign_has_not_are_refused_before_anything_is_simula
         f"budgets: must lie between 2 and the 30 simulations done, got {wrong}",
     )
     assert list((folder / "sets").iterdir()) == []
+
+
+SMALL = "seed = 3\n[sampling]\ninitial = 20\nbudget = 30\nbatch = 10\n"
+
+
+def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
+    words = ("compare", tmp_path / "small.toml", "--seeds", "1", "--static", "20", "--test", "100")
+    said = activefail(*words, "--out", tmp_path / "out")
+    assert (said.code, "Traceback" in said.err) == (0, False)
+    assert "entropy" in said.out
+    assert (tmp_path / "out" / "comparison.md").exists()
+    again = activefail(*words, "--out", tmp_path / "out")
+    assert again.out == said.out
+    assert again.err == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        ((), "--out: required"),
+        (("--out", "out", "--budgets", "20"), "--budgets: is for the comparison of a run folder"),
+        (("--out", "out", "--static", "1,20"), "--static: must be at least 2, got 1"),
+        (("--out", "out", "--static", "x"), "--static: must be whole numbers"),
+        (("--out", "out", "--criteria", "entropic"), "acquisition.criterion: must be"),
+        (("--out", "out", "--features", "papers"), "classifier.features: must be"),
+    ],
+)
+def test_a_comparison_that_cannot_be_is_refused_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], rule: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
+    refused(activefail("compare", "small.toml", *words), rule)
+    assert os.listdir(tmp_path) == ["small.toml"]
+
+
+def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -> None:
+    refused(activefail("compare", folder, "--criteria", "bald"), "--criteria: is for the comparison of a campaign file")
+
+
+def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Path) -> None:
+    said = activefail("verify", folder, "--simulations", "30")
+    assert said.code == 0
+    assert re.search(r"error +\d+\.\d\d % \(\d+\.\d\d to \d+\.\d\d %\) of the design space", said.out)
+    before = sorted((folder / "sets").iterdir())
+    assert activefail("verify", folder, "--simulations", "30").out == said.out
+    assert sorted((folder / "sets").iterdir()) == before
 
 
 def test_where_a_comparison_cannot_be_written_the_place_is_named(folder: Path) -> None:

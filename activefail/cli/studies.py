@@ -5,15 +5,12 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from activefail.cli.common import show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 
 def compare(
@@ -59,6 +56,8 @@ def compare(
                 raise InputError(f"--{name}: is for the comparison of a campaign file, and {source} is a run folder.")
         _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000)
         return
+    if source.suffix != ".toml":
+        raise InputError(f"{source}: is not a run folder, nor a campaign file (.toml).")
     if budgets is not None:
         raise InputError(f"--budgets: is for the comparison of a run folder, and {source} is none.")
     if out is None:
@@ -119,13 +118,16 @@ def _compare_seeds(
     from activefail.study.seeds import OWN, Plan, compare_seeds
 
     settings = read_settings(file)
+    sizes = [] if static is None else _parse_sizes("--static", static)
+    if any(size < 2 for size in sizes):
+        raise InputError(f"--static: must be at least 2, got {sizes[0]}.")
     sampling, own = settings.sampling, settings.classifier.features
     plan = Plan(
         settings,
         seeds,
         _parse_names(criteria) or (settings.acquisition.criterion,),
         _parse_names(features) or (own if isinstance(own, str) else OWN,),
-        tuple(sorted({sampling.initial, sampling.budget}) if static is None else _parse_sizes("--static", static)),
+        tuple(sizes or sorted({sampling.initial, sampling.budget})),
         test,
     )
 
@@ -183,9 +185,6 @@ def paper(
 
 def _parse_sizes(option: str, text: str) -> list[int]:
     try:
-        sizes = sorted({int(part) for part in text.split(",")})
+        return sorted({int(part) for part in text.split(",")})
     except ValueError:
         raise InputError(f"{option}: must be whole numbers with commas between them, got {text!r}.") from None
-    if sizes[0] < 2:
-        raise InputError(f"{option}: must be at least 2, got {sizes[0]}.")
-    return sizes

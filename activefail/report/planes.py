@@ -32,8 +32,8 @@ class Plane:
     Attributes:
         name: of the figure.
         x, y, third: columns of the features.
-        values: of the third feature, one a panel.
-        lines: of x, one a panel: the panel below runs along y there.
+        values: of the third feature, one an upper panel.
+        lines: of x, in the middle upper panel: the lower panels run along y there, at the middle value.
     """
 
     name: str
@@ -45,11 +45,11 @@ class Plane:
 
 
 PLANES = (
-    Plane("figure3", x=1, y=0, third=2, values=(0.11, 0.16, 0.25), lines=(2.0, 1.5, 1.0)),
-    Plane("figure4", x=2, y=0, third=1, values=(1.0, 1.5, 2.5), lines=(0.25, 0.16, 0.11)),
+    Plane("figure3", x=1, y=0, third=2, values=(0.11, 0.16, 0.25), lines=(1.0, 1.5, 2.5)),
+    Plane("figure4", x=2, y=0, third=1, values=(1.0, 1.5, 2.5), lines=(0.11, 0.16, 0.25)),
     Plane("figure5", x=2, y=1, third=0, values=(0.5, 1.0, 2.0), lines=(0.11, 0.16, 0.25)),
 )
-"""The paper's three; μ/A_p = 0.11 is its own, the other values are about the quartiles over Table 1."""
+"""The paper's three; μ/A_p = 0.11 is its own, the other values are round ones where Table 1 has many designs."""
 
 
 def _limits(column: Array) -> tuple[float, float]:
@@ -64,11 +64,9 @@ def _points(axes: Axes, x: Array, y: Array, failed: NDArray[np.bool_]) -> None:
         axes.scatter(x[rows], y[rows], s=18, c=colour, marker=marker, edgecolors="white", linewidths=0.4, zorder=3)
 
 
-def _beyond(axes: Axes, outside: int) -> None:
-    """Says how many points of a slice the axes leave out."""
-    if outside:
-        text = f"{outside} more beyond the axes"
-        axes.annotate(text, (0.98, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=7, color="black")
+def _beyond(outside: int) -> str:
+    """Says in a title how many points of a slice the axes leave out."""
+    return f"  ({outside} beyond)" if outside else ""
 
 
 def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
@@ -92,41 +90,39 @@ def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
         figure = Figure(figsize=(10.0, 7.2), layout="constrained")
         axes = figure.subplots(2, 3)
         x, y = np.meshgrid(np.linspace(x_low, x_high, _GRID), np.linspace(y_low, y_high, _GRID))
-        for panel, third, line in zip(axes[0], plane.values, plane.lines, strict=True):
+        for panel, third in zip(axes[0], plane.values, strict=True):
             mean, sd = at(x, y, third)
             probability = ndtr(mean / np.sqrt(1.0 + sd**2))
             shades = panel.contourf(x, y, probability, levels=np.linspace(0.0, 1.0, 11), cmap="cividis", alpha=0.5)
             panel.contour(x, y, probability, levels=_LEVELS, colors=GREY, linewidths=[0.7, 0.7, 1.6, 0.7, 0.7])
             shown = near(plane.third, third)
             _points(panel, F[shown & inside, plane.x], F[shown & inside, plane.y], failed[shown & inside])
-            _beyond(panel, int(np.sum(shown & ~inside)))
-            panel.axvline(line, color="black", linestyle=":", linewidth=1.4)
-            panel.set_title(f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}")
+            beyond = _beyond(int(np.sum(shown & ~inside)))
+            panel.set_title(f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}{beyond}")
             panel.set(xlabel=LABELS[plane.x], ylabel=LABELS[plane.y], xlim=(x_low, x_high), ylim=(y_low, y_high))
+        for line in plane.lines:
+            axes[0][1].axvline(line, color="black", linestyle=":", linewidth=1.4)
         bar = figure.colorbar(ScalarMappable(shades.norm, shades.cmap), ax=axes[0], ticks=_LEVELS, pad=0.01, alpha=0.5)
         bar.set_label("P(failure)")
         bar.ax.hlines(_LEVELS, 0.0, 1.0, colors=GREY, linewidths=[0.7, 0.7, 1.6, 0.7, 0.7])
         along = np.linspace(y_low, y_high, 200)
-        for panel, third, line in zip(axes[1], plane.values, plane.lines, strict=True):
-            mean, sd = at(np.full_like(along, line), along, third)
+        middle = plane.values[1]
+        for panel, line in zip(axes[1], plane.lines, strict=True):
+            mean, sd = at(np.full_like(along, line), along, middle)
             low, high = (2.0 * ndtr(mean + sign * 1.96 * sd) - 1.0 for sign in (-1.0, 1.0))
             panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0)
             panel.plot(along, 2.0 * ndtr(mean / np.sqrt(1.0 + sd**2)) - 1.0, color="black")
-            shown = near(plane.third, third) & near(plane.x, line)
+            shown = near(plane.third, middle) & near(plane.x, line)
             kept = shown & (F[:, plane.y] <= y_high)
             _points(panel, F[kept, plane.y], np.where(failed[kept], 1.0, -1.0), failed[kept])
-            _beyond(panel, int(np.sum(shown & ~kept)))
-            panel.set_title(
-                f"{LABELS[plane.x]} = {line:g} ± {SLICE * line:.2f}, "
-                f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}"
-            )
+            panel.set_title(f"{LABELS[plane.x]} = {line:g} ± {SLICE * line:.2f}{_beyond(int(np.sum(shown & ~kept)))}")
             panel.set(xlabel=LABELS[plane.y], ylabel="−1 no failure … 1 failure", xlim=(y_low, y_high))
             panel.set_ylim(-1.15, 1.15)
         figure.legend(
             handles=[
                 Line2D([], [], color=BLUE, marker="o", linestyle="", label="no failure (training point)"),
                 Line2D([], [], color=VERMILION, marker="^", linestyle="", label="failure (training point)"),
-                Line2D([], [], color="black", linestyle=":", label="where the panel below is"),
+                Line2D([], [], color="black", linestyle=":", label="where the lower panels are"),
                 Line2D([], [], color="black", label="2 P(failure) − 1"),
                 Patch(color=GREY, alpha=0.25, label="95 % of the latent"),
             ],
@@ -134,7 +130,11 @@ def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
             ncols=5,
         )
         fixed = ", ".join(f"{LABELS[i]} = {medians[i]:.2f}" for i in _HELD_AT_MEDIAN)
-        figure.suptitle(f"P(failure) at the medians {fixed}", fontsize=9.5)
+        figure.suptitle(
+            f"P(failure) at the medians {fixed}; lower panels: along the dotted lines, "
+            f"{LABELS[plane.third]} = {middle:g} ± {SLICE * middle:.2f}",
+            fontsize=9.5,
+        )
     return figure
 
 

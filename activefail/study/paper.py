@@ -305,8 +305,10 @@ def study_draws(pool: Executor, data: Data, seed: int, methods: tuple[str, ...],
 
 
 def median_p_values(draws: list[Draw], boundary: str) -> Array:
-    """Median Wald p-values over the draws that have them, (6,)."""
-    return np.nanmedian([draw.logistic[boundary].p_values for draw in draws], axis=0)
+    """Median Wald p-values over the draws that have them, (6,); NaN if none has."""
+    p = np.array([draw.logistic[boundary].p_values for draw in draws])
+    found = p[~np.isnan(p).any(axis=1)]
+    return np.asarray(np.median(found, axis=0)) if len(found) else np.full(p.shape[1], np.nan)
 
 
 def significant_share(draws: list[Draw], boundary: str) -> Array:

@@ -1,5 +1,6 @@
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +9,9 @@ import pytest
 from scipy.special import expit
 
 from activefail.bearing import TABLE_1, Model, simulate
+from activefail.cli import main
 from activefail.features import paper_features
-from activefail.report.claims import BY_CHANCE, NOT_REPRODUCED, REPRODUCED, claims
+from activefail.report.claims import BY_CHANCE, CONCLUSIONS, NOT_REPRODUCED, REPRODUCED, claims, medians_outside
 from activefail.report.reproduction import render, table_2, write_reproduction
 from activefail.study import paper, published
 from activefail.study.estimate import Estimate
@@ -134,7 +136,8 @@ def test_intervals_cover_the_mean_and_the_next_sample_as_often_as_they_say():
 
 def test_a_variant_that_is_the_default_moves_no_label(study):
     assert study.variants[0].name == next(iter(VARIANTS))
-    assert study.variants[0].moved == 0.0
+    assert study.variants[0].draws is study.draws
+    assert study.variants[0].data is study.data
     assert all(variant.moved > 0.0 for variant in study.variants[1:-1])
 
 
@@ -167,8 +170,8 @@ def verdicts(study, draws):
 @pytest.mark.parametrize(
     ("change", "item"),
     [
-        ({"failure": (0.2, 0.004, 7e-7, 0.20, 0.52, 0.24)}, "features significant in most samples, failure"),
-        ({"impact": (0.012, 0.01, 0.028, 0.689, 0.204, 0.755)}, "features significant in most samples, impact"),
+        ({"failure": (0.2, 0.004, 7e-7, 0.20, 0.52, 0.24)}, "features significant for failure"),
+        ({"impact": (0.012, 0.01, 0.028, 0.689, 0.204, 0.755)}, "features significant for impact"),
     ],
 )
 def test_a_claim_that_does_not_hold_is_called_not_reproduced(study, change, item):
@@ -184,6 +187,59 @@ def test_a_figure_that_single_samples_reach_but_their_mean_does_not_is_called_th
     spread = [made(held_out=value) for value in (0.91, 0.93, 0.92, 0.94, 0.96, 0.92, 0.93, 0.91)]
     assert verdicts(study, spread)[item] == BY_CHANCE
     assert verdicts(study, [made(held_out=0.90)] * 4)[item] == NOT_REPRODUCED
+
+
+def with_process(draw, method, **changes):
+    return replace(draw, processes=draw.processes | {method: replace(draw.processes[method], **changes)})
+
+
+def test_methods_that_differ_noticeably_are_not_called_alike(study):
+    item = "expectation propagation against Laplace, fresh accuracy"
+    assert verdicts(study, [made()] * 4)[item] == REPRODUCED
+    assert verdicts(study, [with_process(made(), "ep", fresh=0.956)] * 4)[item] == NOT_REPRODUCED
+
+
+def test_length_scales_that_are_alike_are_not_called_an_order_of_magnitude_longer(study):
+    item = "length scales, insignificant over significant features"
+    assert verdicts(study, [made()] * 4)[item] == REPRODUCED
+    alike = with_process(made(), "laplace", length_scales=np.array([1.0, 1.0, 1.0, 9.0, 9.0, 9.0]))
+    assert verdicts(study, [alike] * 4)[item] == NOT_REPRODUCED
+
+
+def test_each_conclusion_holds_of_the_papers_own_figures_and_can_be_overturned():
+    as_paper = [made(), made(held_out=0.969)]
+    assert all(holds(as_paper) for holds in CONCLUSIONS.values())
+    weak = [made(dict.fromkeys(published.P_VALUES, (0.5,) * 6), held_out=0.8, fresh=0.85)] * 2
+    weak = [replace(d, logistic={k: replace(v, in_sample=0.7) for k, v in d.logistic.items()}) for d in weak]
+    assert not any(holds(weak) for holds in CONCLUSIONS.values())
+
+
+def test_medians_are_judged_in_the_papers_units(study):
+    outside = medians_outside(study)
+    assert {2, 3} <= set(outside)
+    assert 4 not in outside
+    closer = replace(study, data=replace(study.data, X=published.tilted(paper.designs(4, 1, 1)[0])))
+    assert not {2, 3} & set(medians_outside(closer))
+
+
+def test_the_process_that_is_drawn_is_the_median_one_of_its_draws(study):
+    drawn = paper.typical_process(study, 3)
+    fresh = [draw.processes["laplace"].fresh for draw in study.draws]
+    draw = fresh.index(sorted(fresh)[1])
+    train, _ = paper.split(np.random.default_rng([3, 2, draw, 0]), 250)
+    assert np.array_equal(drawn.F, paper_features(study.data.X[draw][train]))
+    assert np.array_equal(drawn.failed, study.data.label[draw][train] == 2)
+
+
+def test_the_command_writes_the_page_and_says_every_verdict(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(paper, "run_study", lambda *_: study)
+    monkeypatch.setattr(sys, "argv", ["activefail", "paper", "--draws", "4", "--out", str(tmp_path / "new")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    assert all(line.item in shown for line in claims(study))
+    assert (tmp_path / "new" / "reproduction.md").exists()
 
 
 def test_the_page_is_whole_and_the_same_each_time(study, tmp_path):
