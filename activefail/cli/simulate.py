@@ -102,9 +102,9 @@ def _simulate_one(
         raise InputError(f"{plot}: a plot's name must end in .png, .svg or .pdf.")
     if animate is not None and animate.suffix.lower() not in {".gif", ".mp4"}:
         raise InputError(f"{animate}: a film's name must end in .gif or .mp4.")
-    response = simulate_one(
-        Bearing.from_row(design, model.slider_diameter), Pulse.from_table(*design[7:]), model, tolerance
-    )
+    bearing, pulse = Bearing.from_row(design, model.slider_diameter), Pulse.from_table(*design[7:])
+    # One bearing is looked at: its motion is wanted beyond the moment that settles its outcome.
+    response = simulate_one(bearing, pulse, model, tolerance, to_the_end=True)
     _print_response(response)
     for parameter, value in zip(TABLE_1.parameters, design, strict=True):
         if not parameter.low <= value <= parameter.high:

@@ -14,4 +14,4 @@ for name, bearing, pulse in (
     ("failing", failing, Pulse(2.5, 0.5 * GRAVITY)),
     ("surviving", surviving, Pulse(4.44, 0.178 * GRAVITY)),
 ):
-    plot_snapshots(simulate_one(bearing, pulse)).savefig(HERE / f"{name}.png", dpi=100)
+    plot_snapshots(simulate_one(bearing, pulse, to_the_end=True)).savefig(HERE / f"{name}.png", dpi=100)
