@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from botorch.models.approximate_gp import ApproximateGPyTorchModel
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr, softmax
 from torch import Tensor
 
 from activefail.features import FeatureMap
@@ -88,9 +88,14 @@ class Moments(NamedTuple):
     sd: Array
 
     @property
+    def standardised(self) -> Array:
+        """mean/√(1 + sd²), the probit of `probability`, shape (n,)."""
+        return np.asarray(self.mean / np.sqrt(1.0 + self.sd**2))
+
+    @property
     def probability(self) -> Array:
         """P(f > 0 under the probit likelihood) = Φ(mean/√(1 + sd²)), shape (n,)."""
-        return np.asarray(ndtr(self.mean / np.sqrt(1.0 + self.sd**2)))
+        return np.asarray(ndtr(self.standardised))
 
 
 @dataclass(frozen=True)
@@ -144,14 +149,15 @@ class Classifier:
     def probabilities(self, X: Array) -> Array:
         """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1.
 
-        The most severe outcome has its own latent's probability. The boundaries are nested: where a less severe
-        latent contradicts that ("at least an impact" less likely than "failure"), it is raised to it.
+        Each latent says on its own whether an outcome is at least as severe as its own. They are taken as independent,
+        given that they do not contradict each other: with P_i of latent i, p_j ∝ Π_{i≤j} P_i · Π_{i>j} (1 − P_i).
+        So the most severe outcome is a little less likely than its latent alone says, by what the others doubt.
         """
         F = self.features(X)
-        exceedance = np.stack([latent.moments(F).probability for latent in self.latents], axis=1)
-        nested = np.maximum.accumulate(exceedance[:, ::-1], axis=1)[:, ::-1]
-        padded = np.column_stack([np.ones(len(F)), nested, np.zeros(len(F))])
-        return np.asarray(padded[:, :-1] - padded[:, 1:])
+        z = np.stack([latent.moments(F).standardised for latent in self.latents], axis=1)
+        beyond = np.pad(np.cumsum(log_ndtr(z), axis=1), ((0, 0), (1, 0)))
+        short = np.pad(np.cumsum(log_ndtr(-z)[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
+        return np.asarray(softmax(beyond + short, axis=1))
 
 
 def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> Tensor:

@@ -1,10 +1,12 @@
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from activefail.features import feature_map
 from activefail.space import DesignSpace, Parameter
-from activefail.surrogate.classifier import train
+from activefail.surrogate.classifier import Classifier, Moments, train
 
 SPACE = DesignSpace((Parameter("a", -1.0, 3.0), Parameter("b", 10.0, 20.0)))
 OUTCOMES = ("calm", "hit", "broken")
@@ -33,10 +35,34 @@ def test_the_probabilities_of_the_outcomes_sum_to_one(trained, fresh):
     assert p.min() >= 0.0
 
 
-def test_the_probability_of_the_worst_outcome_is_its_own_latents(trained, fresh):
-    moments = trained.latent("broken").moments(trained.features(fresh))
+def test_outcomes_are_those_of_independent_boundaries_that_do_not_contradict_each_other(trained, fresh):
+    hit, broken = (trained.latent(name).moments(trained.features(fresh)).probability for name in OUTCOMES[1:])
+    joint = np.stack([(1 - hit) * (1 - broken), hit * (1 - broken), hit * broken], axis=1)
+    expected = joint / (1 - (1 - hit) * broken)[:, None]
+    assert trained.probabilities(fresh) == pytest.approx(expected, abs=1e-12)
+
+
+def test_an_outcome_alone_beyond_its_boundary_has_its_latents_probability(fresh):
+    X = SPACE.latin_hypercube(60, np.random.default_rng(0))
+    two = train(X, (outcome_of(X) > 0).astype(np.int8), ("calm", "hit"), feature_map("design", SPACE), "rbf")
+    moments = two.latent("hit").moments(two.features(fresh))
     expected = norm.cdf(moments.mean / np.sqrt(1.0 + moments.sd**2))
-    assert trained.probabilities(fresh)[:, 2] == pytest.approx(expected, abs=1e-12)
+    assert two.probabilities(fresh)[:, 1] == pytest.approx(expected, abs=1e-12)
+
+
+class Fixed(NamedTuple):
+    """A latent of known mean, the same everywhere, without doubt."""
+
+    mean: float
+
+    def moments(self, F):
+        return Moments(np.full(len(F), self.mean), np.zeros(len(F)))
+
+
+def test_boundaries_that_contradict_each_other_share_the_blame():
+    classifier = Classifier(OUTCOMES, feature_map("design", SPACE), (Fixed(-50.0), Fixed(50.0)))
+    p = classifier.probabilities(SPACE.low[None])[0]
+    assert p == pytest.approx([0.5, 0.0, 0.5], abs=1e-12)
 
 
 def test_smooth_boundaries_are_learned(trained, fresh):
