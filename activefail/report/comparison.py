@@ -35,6 +35,12 @@ def _needed(points: list[Point], level: float) -> str:
     return f"> {points[-1].simulations}" if needed is None else f"{needed:.0f}"
 
 
+def _command(plan: Plan) -> str:
+    lists = {"criteria": plan.criteria, "features": plan.features, "static": plan.static}
+    options = " ".join(f"--{name} {','.join(map(str, values))}" for name, values in lists.items())
+    return f"activefail compare CAMPAIGN.toml --seeds {plan.seeds} {options} --test {plan.test} --out DIR"
+
+
 def _row(cells: list[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
@@ -52,7 +58,9 @@ def comparison_text(plan: Plan, scores: list[Score]) -> str:
         f"Boundary sought: {boundary}. Median over {plan.seeds} seeds (least to largest), on {plan.test} fresh designs "
         f"that all share. *Near the boundary*: designs for which one of {NEIGHBOURS} designs displaced by "
         f"{DISPLACEMENT:.0%} of the ranges is on the other side. *Small regions*: designs beyond the boundary "
-        "for which half of these are not.",
+        "for which half of these are not. Written by",
+        "",
+        "    " + _command(plan),
         "",
         _row(["features", "sampling", "simulations", *titles.values()]),
         "|" + "---|" * (3 + len(titles)),

@@ -95,14 +95,18 @@ class Plan:
             )
         ]
 
-    def campaign(self, arm: Arm) -> Campaign:
-        """The campaign of an arm, or the one whose static design it is."""
+    def settings_of(self, arm: Arm) -> CampaignSettings:
+        """Settings of an arm's campaign, or of the one whose static design it is.
+
+        Raises:
+            InputError: if one of them breaks a rule.
+        """
         changes: dict[str, Any] = {"seed": arm.seed, "validation.size": 0}
         if arm.features != OWN:
             changes["classifier.features"] = arm.features
         if arm.sampling != STATIC:
             changes["acquisition.criterion"] = arm.sampling
-        return Campaign.of(self.settings.changed(changes))
+        return self.settings.changed(changes)
 
     def checkpoints(self) -> list[int]:
         """Numbers of simulations at which a campaign is scored: five steps and the first fifth."""
@@ -280,7 +284,9 @@ def compare_seeds(
         SimulationError: if a worker process dies.
     """
     arms = plan.arms()
-    campaigns = {arm: plan.campaign(arm) for arm in arms}
+    settings = {arm: plan.settings_of(arm) for arm in arms}
+    for arm in {(arm.features, arm.sampling): arm for arm in arms}.values():
+        Campaign.of(settings[arm])  # before anything is written: do the pieces fit?
     prepare(folder, plan)
     scores = {arm: _saved(folder / "scores" / f"{arm.name}.json") for arm in arms}
     left = [arm for arm in arms if scores[arm] is None]
@@ -295,7 +301,7 @@ def compare_seeds(
                     _score_arm,
                     _Job(
                         arm,
-                        campaigns[arm].settings.text(),
+                        settings[arm].text(),
                         tuple(plan.checkpoints()),
                         folder,
                         test,
