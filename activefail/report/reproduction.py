@@ -234,7 +234,7 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
         "printed_bounds": named(_printed_bounds(table2)),
         "d_ratio_factor": _significant(1.0 / table2[0].factor),
         "k_norm_factor": _significant(1.0 / table2[5].factor),
-        "odd_lengths": int(np.sum(claims.process(draws, "laplace", "switched_off")[:, significant_ones].any(axis=1))),
+        "ordered": sum(paper.orders_as_the_paper(draw.processes["laplace"]) for draw in draws),
         "significant_names": named(significant_ones),
         "tilted": paper.TILTED,
         "logistic": [

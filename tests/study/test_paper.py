@@ -222,13 +222,21 @@ def test_medians_are_judged_in_the_papers_units(study):
     assert not {2, 3} & set(medians_outside(closer))
 
 
-def test_the_process_that_is_drawn_is_the_median_one_of_its_draws(study):
-    drawn = paper.typical_process(study, 3)
-    fresh = [draw.processes["laplace"].fresh for draw in study.draws]
-    draw = fresh.index(sorted(fresh)[1])
-    train, _ = paper.split(np.random.default_rng([3, 2, draw, 0]), 250)
-    assert np.array_equal(drawn.F, paper_features(study.data.X[draw][train]))
-    assert np.array_equal(drawn.failed, study.data.label[draw][train] == 2)
+def test_the_process_that_is_drawn_is_the_median_one_of_those_that_order_the_features_as_the_paper(study):
+    def draws(fresh, lengths):
+        return [
+            with_process(made(), "laplace", fresh=value, length_scales=np.array(scales))
+            for value, scales in zip(fresh, lengths, strict=True)
+        ]
+
+    ordered, other = [1.0, 2.0, 3.0, 4.0, 9.0, 9.0], [1.0, 5.0, 3.0, 4.0, 9.0, 9.0]
+    assert paper.orders_as_the_paper(draws([0.9], [ordered])[0].processes["laplace"])
+    assert not paper.orders_as_the_paper(draws([0.9], [other])[0].processes["laplace"])
+    for lengths, expected in (([ordered, other], 0), ([other, ordered], 1), ([other, other], 0)):
+        drawn = paper.typical_process(replace(study, draws=draws([0.95, 0.94], lengths)), 3)
+        train, _ = paper.split(np.random.default_rng([3, 2, expected, 0]), 250)
+        assert np.array_equal(drawn.F, paper_features(study.data.X[expected][train]))
+        assert np.array_equal(drawn.failed, study.data.label[expected][train] == 2)
 
 
 def test_the_command_writes_the_page_and_says_every_verdict(study, tmp_path, monkeypatch, capsys):
