@@ -1,0 +1,101 @@
+"""How the latents of two nested boundaries become probabilities of three outcomes.
+
+    python benchmarks/outcomes.py collision --static 500 --seeds 1000 1001 --fresh 778 8
+
+No impact < impact < failure. Latent 1 says P1 = P(impact or worse), latent 2 P2 = P(failure), each learned from all
+designs; Pc is a failure's probability given an impact, learned from the designs with one, and Pb that of an impact
+given no failure, learned from those without. Judged on fresh designs: mean log probability of what happened [nat, times
+100], and the shares [%] of right outcomes, of right sides of the failure boundary and of the impact boundary.
+"""
+
+import argparse
+
+import numpy as np
+import torch
+
+from activefail.acquisition.batch import propose
+from activefail.acquisition.criteria import entropy
+from activefail.bearing import TABLE_1, simulate
+from activefail.features import feature_map
+from activefail.surrogate.classifier import Latent
+from activefail.surrogate.fitting import fit
+
+INITIAL, BATCH, FRESH = 250, 10, 8000
+
+
+def outcome_of(X):
+    """0 no impact, 1 impact, 2 failure, (n,)."""
+    return simulate(X, threads=1).label
+
+
+def learn(features, X, beyond, warm=None):
+    start = None if warm is None else warm.trained
+    return Latent(fit(torch.from_numpy(features(X)), torch.from_numpy(np.where(beyond, 1.0, -1.0)), "matern52", start))
+
+
+def designs(features, n, active, seed):
+    """A Latin hypercube of n designs, or one of 250 that entropy at the failure boundary extends to n."""
+    start = INITIAL if active else n
+    X = TABLE_1.latin_hypercube(start, np.random.default_rng([seed, start]))
+    outcome, latent = outcome_of(X), None
+    while len(X) < n:
+        latent = learn(features, X, outcome == 2, latent)
+        batch = propose(latent, features, TABLE_1, entropy, BATCH, np.random.default_rng([seed, len(X)]))
+        X, outcome = np.concatenate([X, batch]), np.concatenate([outcome, outcome_of(batch)])
+    return X, outcome
+
+
+def couplings(P1, P2, Pc, Pb):
+    """Probabilities of the three outcomes, (n, 3), by the name of the coupling."""
+
+    def nested(first, second):
+        return np.column_stack([1.0 - first, first - second, second])
+
+    joint = np.column_stack([(1.0 - P1) * (1.0 - P2), P1 * (1.0 - P2), P1 * P2])
+    return {
+        "maximum": nested(np.maximum(P1, P2), P2),
+        "consistent": joint / joint.sum(axis=1, keepdims=True),
+        "product": nested(P1, P1 * P2),
+        "continued forward": nested(P1, P1 * Pc),
+        "continued backward": nested(1.0 - (1.0 - P2) * (1.0 - Pb), P2),
+    }
+
+
+def judged(p, outcome):
+    said = np.clip(p[np.arange(len(p)), outcome], 1e-12, None)
+    return (
+        np.log(said).mean(),
+        np.mean(p.argmax(axis=1) == outcome),
+        np.mean((p[:, 2] > 0.5) == (outcome == 2)),
+        np.mean((p[:, 0] < 0.5) == (outcome >= 1)),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sets", nargs="+", help="feature sets: paper, design, sliding, collision")
+    parser.add_argument("--static", nargs="*", type=int, default=[], help="sizes of static samples")
+    parser.add_argument("--active", nargs="*", type=int, default=[], help="budgets of active learning")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1000])
+    parser.add_argument("--fresh", nargs="+", type=int, default=[777, 8], help="seed of the fresh designs")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+
+    X_fresh = TABLE_1.from_unit(np.random.default_rng(arguments.fresh).random((FRESH, TABLE_1.dimension)))
+    happened = outcome_of(X_fresh)
+    for name in arguments.sets:
+        features = feature_map(name, TABLE_1)
+        F = features(X_fresh)
+        for n, active in [(n, False) for n in arguments.static] + [(n, True) for n in arguments.active]:
+            for seed in arguments.seeds:
+                X, outcome = designs(features, n, active, seed)
+                among = [(outcome >= 0, 1), (outcome >= 0, 2), (outcome >= 1, 2), (outcome <= 1, 1)]
+                p = [learn(features, X[r], outcome[r] >= least).moments(F).probability for r, least in among]
+                for coupling, probabilities in couplings(*p).items():
+                    figures = "  ".join(f"{100.0 * figure:8.3f}" for figure in judged(probabilities, happened))
+                    how = "active" if active else "static"
+                    print(f"{name:10} {how} {n} seed {seed}  {coupling:18}  {figures}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
