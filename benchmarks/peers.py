@@ -3,7 +3,8 @@
 Every peer starts from the same Latin hypercube of a seed, asks for the rest in batches, and is judged on the same fresh
 designs: the share on the right side of the failure boundary, and the mean log probability [nat] of the true side. Each
 sees the same scaled features; all but activefail, which searches the design space, choose from the same fresh Sobol'
-pool of designs, since features are no independent variables over which an optimiser of theirs could run.
+pool of designs (AEPsych from its first quarter), since features are no independent variables over which an optimiser of
+theirs could run. `activefail-pool` is activefail without its search.
 
     python benchmarks/peers.py --seeds 3 --cache fresh.npz --results peers.jsonl
     python benchmarks/peers.py --peers activefail,boosting --features collision --results peers.jsonl
@@ -19,7 +20,6 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -28,7 +28,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.acquisition.batch import POOL, propose
+from activefail.acquisition.batch import POOL, SHORTLIST, greedy_batch, propose
 from activefail.acquisition.criteria import entropy
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
@@ -93,8 +93,13 @@ def pool(features: FeatureMap, rng: np.random.Generator) -> tuple[Array, Array]:
 
 @dataclass
 class Activefail:
-    """Matérn-5/2 classifier, entropy: `activefail` with its defaults but the kernel."""
+    """Matérn-5/2 classifier, entropy: `activefail` with its defaults but the kernel.
 
+    Attributes:
+        search: whether the pool's best are improved by searches of the design space, as `activefail` does.
+    """
+
+    search: bool = True
     latent: Latent | None = None
 
     def learn(self, F: Array, answers: Answers, last: bool) -> None:
@@ -103,7 +108,11 @@ class Activefail:
         self.latent = Latent(fit(torch.from_numpy(F), y, "matern52", start))
 
     def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
-        return propose(self.latent, features, TABLE_1, entropy, q, rng)
+        if self.search:
+            return propose(self.latent, features, TABLE_1, entropy, q, rng)
+        X, F = pool(features, rng)
+        best = np.argsort(-entropy(*self.latent.moments(F)), kind="stable")[:SHORTLIST]
+        return X[best[greedy_batch(*self.latent.joint(F[best]), q, entropy)]]
 
     def probability(self, F: Array) -> Array:
         return self.latent.moments(F).probability
@@ -278,41 +287,44 @@ class Entry:
     static: Callable[[int, np.random.Generator], Array] | None = None
 
 
+def uniform(n: int, rng: np.random.Generator) -> Array:
+    """n independent designs."""
+    return TABLE_1.from_unit(rng.random((n, TABLE_1.dimension)))
+
+
 def sobol(n: int, rng: np.random.Generator) -> Array:
     """The first n of a scrambled Sobol' sequence."""
     return TABLE_1.sobol(1 << (n - 1).bit_length(), rng)[:n]
 
 
 def entries(fit_seconds: float) -> dict[str, Entry]:
-    activefail = lambda seed: Activefail()  # noqa: E731
-    aepsych, activeml = ("aepsych",), ("skactiveml", "sklearn")
+    """All peers by name, in the order in which they are run."""
+
+    def ours(seed: int) -> Peer:
+        return Activefail()
+
+    skl = ("skactiveml", "sklearn")
     return {
-        "activefail": Entry("activefail, entropy", activefail),
-        "random": Entry("random designs, our classifier", activefail, (), _uniform),
-        "lhs": Entry("static LHS, our classifier", activefail, (), TABLE_1.latin_hypercube),
-        "sobol": Entry("static Sobol', our classifier", activefail, (), sobol),
-        "boosting": Entry("gradient boosting, entropy", lambda s: UncertaintySampling(s, boosted_trees), activeml),
-        "gpc": Entry("Laplace GP, entropy", lambda s: UncertaintySampling(s, laplace_classifier), activeml),
+        "activefail": Entry("activefail, entropy", ours),
+        "activefail-pool": Entry("activefail without its search", lambda seed: Activefail(search=False)),
+        "random": Entry("random designs, our classifier", ours, static=uniform),
+        "lhs": Entry("static LHS, our classifier", ours, static=TABLE_1.latin_hypercube),
+        "sobol": Entry("static Sobol', our classifier", ours, static=sobol),
+        "boosting": Entry("gradient boosting, entropy", lambda seed: UncertaintySampling(seed, boosted_trees), skl),
+        "gpc": Entry("Laplace GP, entropy", lambda seed: UncertaintySampling(seed, laplace_classifier), skl),
         "ak": Entry("AK-MCS on the margin, U", AdaptiveKriging, ("UQpy", "sklearn")),
-        "aepsych": Entry("AEPsych, EAVC", lambda s: AEPsych(False, fit_seconds), aepsych),
-        "aepsych-scale": Entry("AEPsych, output scale, EAVC", lambda s: AEPsych(True, fit_seconds), aepsych),
+        "aepsych": Entry("AEPsych, EAVC", lambda seed: AEPsych(False, fit_seconds), ("aepsych",)),
+        "aepsych-scale": Entry("AEPsych, output scale, EAVC", lambda seed: AEPsych(True, fit_seconds), ("aepsych",)),
     }
-
-
-def _uniform(n: int, rng: np.random.Generator) -> Array:
-    return TABLE_1.from_unit(rng.random((n, TABLE_1.dimension)))
-
-
-PACKAGES = {
-    "aepsych": "aepsych", "aepsych-scale": "aepsych", "gpc": "scikit-activeml", "boosting": "scikit-activeml", "ak": "UQpy"
-}  # fmt: skip
 
 
 def missing(entry: Entry) -> str | None:
     """Why a peer cannot be run here; None where it can."""
     for module in entry.needs:
         try:
-            __import__(module)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                __import__(module)
         except ImportError as error:
             return f"{module}: {error}"
     return None
@@ -369,7 +381,7 @@ def fresh_answers(n: int, cache: Path | None) -> Answers:
         with np.load(cache) as saved:
             if saved["asked"] == n:
                 return Answers(saved["X"], saved["failed"], saved["margin"])
-    answers = simulated(_uniform(n, np.random.default_rng(FRESH)))
+    answers = simulated(uniform(n, np.random.default_rng(FRESH)))
     if cache is not None:
         np.savez(cache, asked=n, **answers._asdict())
     return answers
@@ -464,8 +476,6 @@ def run(
                     peer, seconds = campaign(named[name], maps[features], seed, sizes)
                     verdict = judged(peer, F[features], fresh.failed)
                 line = {"peer": name, "features": features, "seed": seed, **setting, **verdict, "seconds": seconds}
-                if name in PACKAGES:
-                    line["version"] = f"{PACKAGES[name]} {version(PACKAGES[name])}"
                 with arguments.results.open("a") as file:
                     file.write(json.dumps(line) + "\n")
                 print(
