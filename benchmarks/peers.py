@@ -233,19 +233,33 @@ def boosted_trees(seed: int, m: int, before: Any) -> Any:
 
 @dataclass
 class AdaptiveKriging:
-    """AK-MCS (Echard et al. 2011): a kriging of the failure margin, UQpy's U function over the pool."""
+    """AK-MCS (Echard et al. 2011): a kriging of the failure margin, UQpy's U function over the pool.
+
+    With a nugget that is learned: the paper's six features do not determine what happens, so that the interpolation of
+    the original would follow noise. The margin is divided, on either side of zero, by its mean size there over the
+    first designs: a simulation ends at failure, which leaves failures margins of a few hundredths, and a mean of both
+    sides would otherwise be negative nearly everywhere.
+    """
 
     seed: int
     surrogate: Any = None
+    sizes: tuple[float, float] | None = None  # of the margins of survival and of failure
+    margin_sd: float = 1.0
 
     def learn(self, F: Array, answers: Answers, last: bool) -> None:
         from sklearn.gaussian_process import GaussianProcessRegressor
-        from sklearn.gaussian_process.kernels import Matern
+        from sklearn.gaussian_process.kernels import Matern, WhiteKernel
 
-        kernel = 1.0 * Matern(np.ones(F.shape[1]), nu=2.5) if self.surrogate is None else self.surrogate.kernel_
-        # A nugget: outcomes a step of the integrator apart need not be smooth.
-        self.surrogate = GaussianProcessRegressor(kernel, alpha=1e-6, normalize_y=True, random_state=self.seed)
-        self.surrogate.fit(F, answers.margin)
+        m = F.shape[1]
+        fresh = 1.0 * Matern(np.ones(m), nu=2.5) + WhiteKernel(0.1)
+        kernel = fresh if self.surrogate is None else self.surrogate.kernel_
+        self.surrogate = GaussianProcessRegressor(kernel, normalize_y=True, random_state=self.seed)
+        if self.sizes is None:
+            by_side = answers.margin[~answers.failed], answers.margin[answers.failed]
+            self.sizes = float(np.abs(by_side[0]).mean()), float(np.abs(by_side[1]).mean())
+        margin = answers.margin / np.where(answers.failed, self.sizes[1], self.sizes[0])
+        self.surrogate.fit(F, margin)
+        self.margin_sd = float(margin.std())
 
     def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
         from UQpy.sampling import UFunction
@@ -253,21 +267,18 @@ class AdaptiveKriging:
         X, F = pool(features, rng)
         # UQpy answers with rows, not with their numbers: these ride along as a last column.
         numbered = np.column_stack([F, np.arange(len(F))])
-        rows, _, _ = UFunction().evaluate_function(None, q, _WithoutNumber(self.surrogate), numbered)
+        rows, _, _ = UFunction().evaluate_function(None, q, self, numbered)
         return X[rows[:, -1].astype(int)]
+
+    def predict(self, numbered: Array, return_std: bool) -> tuple[Array, Array]:
+        """What UQpy asks: mean and standard deviation, without the nugget's."""
+        mean, sd = self.surrogate.predict(numbered[:, :-1], return_std=True)
+        nugget = self.surrogate.kernel_.k2.noise_level * self.margin_sd**2
+        return mean, np.sqrt(np.maximum(sd**2 - nugget, 1e-12))
 
     def probability(self, F: Array) -> Array:
         mean, sd = self.surrogate.predict(F, return_std=True)
         return ndtr(mean / np.maximum(sd, 1e-12))
-
-
-@dataclass(frozen=True)
-class _WithoutNumber:
-    surrogate: Any
-
-    def predict(self, numbered: Array, return_std: bool) -> tuple[Array, Array]:
-        mean, sd = self.surrogate.predict(numbered[:, :-1], return_std=return_std)
-        return mean, np.maximum(sd, 1e-12)
 
 
 @dataclass(frozen=True)
