@@ -224,11 +224,11 @@ class Tolerance:
             raise InputError(f"`most_steps` must be a whole number of at least 1, got {self.most_steps!r}.")
 
 
-def check_designs(X: Array) -> Array:
-    """X as a contiguous (n, 9) array of finite positive designs in Table 1's order and units.
+def table_1_rows(X: Array) -> Array:
+    """X as a contiguous (n, 9) array of numbers, whatever they are.
 
     Raises:
-        InputError: naming the row, the column, the rule and the value of the first bad entry.
+        InputError: if it is none.
     """
     try:
         X = np.ascontiguousarray(X, dtype=np.float64)
@@ -238,6 +238,16 @@ def check_designs(X: Array) -> Array:
         raise InputError(
             f"Designs must be an (n, {TABLE_1.dimension}) array of {', '.join(TABLE_1.names)}; got shape {X.shape}."
         )
+    return X
+
+
+def check_designs(X: Array) -> Array:
+    """X as a contiguous (n, 9) array of finite positive designs in Table 1's order and units.
+
+    Raises:
+        InputError: naming the row, the column, the rule and the value of the first bad entry.
+    """
+    X = table_1_rows(X)
     bad = np.argwhere(~(np.isfinite(X) & (X > 0.0)))
     if len(bad):
         row, column = bad[0]

@@ -189,8 +189,8 @@ def advance(problem, state, control, longest):
         squares = error_sum(trial.error_q, q, trial.q, control.scale_q)
         squares += error_sum(trial.error_v, v, trial.v, control.scale_v)
         error = math.sqrt(squares / (2 * len(q))) / control.tolerance
-        # An estimate of order three: the fourth root. 0.9 is the customary safety factor; the bounds keep one odd
-        # estimate from spoiling the step.
+        # An estimate of order three: the fourth root. The safety factor is 0.8 for the customary 0.9, and growth
+        # threefold at most: fewer steps are rejected where a contact begins.
         factor = min(3.0, max(0.2, 0.8 / math.sqrt(math.sqrt(error)))) if math.isfinite(error) else 0.1
         if error <= 1.0:
             step_next = step * (min(factor, 1.0) if rejected else factor)

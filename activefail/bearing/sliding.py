@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from activefail.bearing.design import GRAVITY, TABLE_1, Model
+from activefail.bearing.design import GRAVITY, Model, table_1_rows
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
-from activefail.errors import InputError
 from activefail.space import Array
 
 STEPS = 400
@@ -148,14 +147,10 @@ def sliding_features(X: Array, model: Model | None = None) -> Array:
         model: its slider diameter and restitution coefficient are used.
 
     Raises:
-        InputError: if X has another shape.
+        InputError: if X has another shape or holds no numbers.
     """
     model = model or Model()
-    X = np.ascontiguousarray(X, dtype=np.float64)
-    if X.ndim != 2 or X.shape[1] != TABLE_1.dimension:
-        raise InputError(
-            f"Designs must be an (n, {TABLE_1.dimension}) array of {', '.join(TABLE_1.names)}; got shape {X.shape}."
-        )
+    X = table_1_rows(X)
     out = np.full((len(X), len(SLIDING_FEATURES)), np.nan)
     _features(X, model.slider_diameter, model.restitution_coefficient, STEPS, out)
     return out

@@ -23,6 +23,14 @@ def training_rows(batches: tuple[Batch, ...], through: int | None = None) -> tup
     return X[answered], outcome[answered]
 
 
+def first_rows(batches: tuple[Batch, ...], n: int) -> tuple[Array, NDArray[np.int8]]:
+    """Designs and outcomes of the first n simulations, without numerical failures."""
+    X = np.concatenate([batch.designs for batch in batches])[:n]
+    outcome = np.concatenate([batch.results.outcome for batch in batches])[:n]
+    answered = outcome != NUMERICAL_FAILURE
+    return X[answered], outcome[answered]
+
+
 def learn(campaign: Campaign, batches: tuple[Batch, ...], iteration: int, warm: Classifier | None) -> Classifier:
     """The classifier of an iteration: trained on the seed and the first `iteration` chosen batches."""
     X, outcome = training_rows(batches, iteration)

@@ -9,10 +9,10 @@ from scipy.stats import binomtest
 
 from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.executor import Executor
+from activefail.campaign.learning import first_rows
 from activefail.campaign.loop import one_thread, standing
-from activefail.campaign.record import Batch, Store
+from activefail.campaign.record import Store
 from activefail.campaign.sets import simulated_set
-from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
@@ -77,14 +77,6 @@ def default_budgets(initial: int, done: int) -> list[int]:
     return sorted({round(float(step)) for step in steps})
 
 
-def _first(batches: tuple[Batch, ...], n: int) -> tuple[Array, NDArray[np.int8]]:
-    """The first n simulations, without those that failed numerically."""
-    X = np.concatenate([batch.designs for batch in batches])[:n]
-    outcome = np.concatenate([batch.results.outcome for batch in batches])[:n]
-    answered = outcome != NUMERICAL_FAILURE
-    return X[answered], outcome[answered]
-
-
 def _answers(
     campaign: Campaign, store: Store, executor: Executor, name: str, X: Array
 ) -> tuple[Array, NDArray[np.int8]]:
@@ -127,7 +119,7 @@ def compare(
         scores = []
         for n in budgets:
             stage(f"learning from {n} active simulations")
-            X, outcome = _first(store.batches, n)
+            X, outcome = first_rows(store.batches, n)
             classifier = train(X, outcome, outcomes, features, kernel)
             scores.append(score("active", classifier, severity, n, X_test, outcome_test))
         for n in budgets:

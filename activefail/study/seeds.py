@@ -24,8 +24,8 @@ from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.config import CampaignSettings, parse_settings
 from activefail.campaign.executor import ThreadExecutor, local_executor
 from activefail.campaign.folder import create_run, open_campaign
+from activefail.campaign.learning import first_rows
 from activefail.campaign.loop import Observer, one_thread, run
-from activefail.campaign.record import Batch
 from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.errors import InputError, SimulationError
@@ -109,7 +109,7 @@ class Plan:
         return self.settings.changed(changes)
 
     def checkpoints(self) -> list[int]:
-        """Numbers of simulations at which a campaign is scored: five steps and the first fifth."""
+        """Numbers of simulations at which a campaign is scored: initial, five steps, a fifth of the first."""
         initial, budget = self.settings.sampling.initial, self.settings.sampling.budget
         step = (budget - initial) / 5
         return sorted({initial, *(round(initial + step * part) for part in (0.2, 1, 2, 3, 4, 5))})
@@ -151,14 +151,6 @@ def _stopping() -> bool:
     return _stop is not None and _stop.is_set()
 
 
-def _first(batches: tuple[Batch, ...], n: int) -> tuple[Array, NDArray[np.int8]]:
-    """The first n simulations, without those that failed numerically."""
-    X = np.concatenate([batch.designs for batch in batches])[:n]
-    outcome = np.concatenate([batch.results.outcome for batch in batches])[:n]
-    answered = outcome != NUMERICAL_FAILURE
-    return X[answered], outcome[answered]
-
-
 def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, NDArray[np.int8]]]:
     """Take an arm's campaign to its budget; what it had at each checkpoint. Nothing when asked to stop."""
     folder = job.folder / "runs" / job.arm.name
@@ -168,7 +160,7 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
         if not run(recorded, store, executor, job.arm.size, Observer(stop=_stopping)):
             return
         for n in job.checkpoints:
-            yield (n, *_first(store.batches, n))
+            yield (n, *first_rows(store.batches, n))
 
 
 def _score_arm(job: _Job) -> list[Score] | None:
