@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/paper
 
-.PHONY: paper test check reproduction benchmark clean help
+.PHONY: paper test check faults reproduction benchmark clean help
 
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
 	@echo "make test         install, run all checks"
+	@echo "make faults       install, try every state of the fault suite (docs/reliability.md)"
 	@echo "make reproduction install, write docs/reproduction.md and its figures anew"
 	@echo "make benchmark    install, measure the simulator against SciPy's solvers"
 	@echo "make clean        remove the virtual environment (run folders stay)"
@@ -37,6 +38,10 @@ check: $(VENV)/.installed
 
 test: check
 	$(BIN)/pytest -n 2 --dist loadfile
+
+# Every state, where `make test` tries a few of each kind. With strace (Debian: apt install strace) it also kills.
+faults: $(VENV)/.installed
+	$(BIN)/pytest -n 2 --dist loadfile -m faults --every-fault
 
 reproduction: $(VENV)/.installed
 	$(BIN)/activefail paper --out docs

@@ -19,3 +19,11 @@ class BusyError(StoreError):
 
 class SimulationError(ActivefailError):
     """The simulator did not do its work: too many numerical failures, or workers that keep dying."""
+
+
+def place_of(error: BaseException) -> str:
+    """Where something was raised, as " (file:line)": what a user needs to find it in code of their own."""
+    place, trace = "", error.__traceback__
+    while trace is not None:
+        place, trace = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})", trace.tb_next
+    return place

@@ -1,6 +1,8 @@
 """What the classifier sees of a design: the paper's six features, the variables themselves, or physics beside them."""
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,7 +11,8 @@ import numpy as np
 from activefail.bearing.collision import COLLISION_FEATURES, collision_features
 from activefail.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
-from activefail.errors import InputError
+from activefail.errors import InputError, place_of
+from activefail.expressions import parse_expression
 from activefail.space import Array, DesignSpace
 
 FeatureSet = Literal["paper", "design", "sliding", "collision"]
@@ -37,6 +40,10 @@ def _paper_formula(columns: Sequence[Any]) -> list[Any]:
 def paper_features(X: Array) -> Array:
     """The paper's six features (section 3.1) of designs in Table 1's order and units, (n, 9) -> (n, 6), SI units."""
     return np.column_stack(_paper_formula(list(np.asarray(X).T)))
+
+
+_LEAST_PART = 64
+"""Designs below which their features are not worth a thread: some 10 ms."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +95,14 @@ class OwnFeatures:
         """The function's features of designs, (n, d) -> (n, m), with its answer's type and shape checked.
 
         Raises:
-            InputError: if they are no (n, m) numbers.
+            InputError: if it raises, or they are no (n, m) numbers.
         """
-        answer = self.function(X.copy(), space)
+        try:
+            answer = self.function(X.copy(), space)
+        except Exception as error:
+            raise InputError(
+                f"classifier.features: {self.name} raised {type(error).__name__}: {error}{place_of(error)}."
+            ) from error
         try:
             F = np.asarray(answer, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -103,7 +115,32 @@ class OwnFeatures:
         return F
 
 
-def feature_map(features: FeatureSet | OwnFeatures, space: DesignSpace, model: Model | None = None) -> FeatureMap:
+@dataclass(frozen=True)
+class ExpressionFeatures:
+    """Features as arithmetic on the variables and the fixed quantities.
+
+    Attributes:
+        expressions: by the features' names (`activefail.expressions`).
+        variables: whether the variables themselves come before them.
+    """
+
+    expressions: Mapping[str, str]
+    variables: bool = True
+
+
+def _on_all_cores(function: Callable[[Array], Array], X: Array) -> Array:
+    """function(X) of compiled kernels, which hold no lock and take each row for itself: X in parts, on all cores."""
+    cores = os.cpu_count() or 1
+    if cores == 1 or len(X) < 2 * _LEAST_PART:
+        return function(X)
+    parts = np.array_split(X, min(len(X) // _LEAST_PART, 4 * cores))
+    with ThreadPoolExecutor(cores) as pool:
+        return np.concatenate(list(pool.map(function, parts)))
+
+
+def feature_map(
+    features: FeatureSet | OwnFeatures | ExpressionFeatures, space: DesignSpace, model: Model | None = None
+) -> FeatureMap:
     """A feature set on a design space, scaled by its mean and standard deviation over the design measure.
 
     Scaling by the design measure, not by the training points, keeps the features of a design the same all through a
@@ -112,6 +149,7 @@ def feature_map(features: FeatureSet | OwnFeatures, space: DesignSpace, model: M
     Args:
         features: "paper"; "design", the variables themselves; "sliding", these and what the sliding block says;
             "collision", these and what the reduced model of the collision says; or a user's own.
+            Variables with a uniform logarithm enter by it.
         space: the design space.
         model: settings of the bearing model that the sliding block and the reduced model share.
 
@@ -119,41 +157,54 @@ def feature_map(features: FeatureSet | OwnFeatures, space: DesignSpace, model: M
         InputError: if the paper's features or those of a bearing are asked of a space without the paper's nine
             variables, or if features are not finite, or constant, over the space.
     """
+    if features in ("paper", "sliding", "collision"):
+        for name in TABLE_1.names:
+            if name not in (*space.names, *space.fixed):
+                raise InputError(
+                    f"classifier.features: {features!r} needs the variables of a bearing, and space lacks the variable "
+                    f"{name!r}; it has {', '.join((*space.names, *space.fixed))}."
+                )
     match features:
         case "design":
-            return _scaled(space.names, np.asarray, space, formula=list)
+            return _scaled(space.names, np.asarray, space, _logarithms(space), list)
 
         case "paper":
-            columns = space.select(TABLE_1.names)
-            if np.any(space.low[columns] <= 0.0):
+            if np.any(space.table(space.low[None], TABLE_1.names) <= 0.0):
                 raise InputError("The paper's features need positive variables; a lower bound of the space is not.")
             return _scaled(
                 PAPER_FEATURES,
-                lambda X: paper_features(np.asarray(X)[:, columns]),
+                lambda X: paper_features(space.table(X, TABLE_1.names)),
                 space,
                 PAPER_LOGARITHMIC,
-                lambda variables: _paper_formula([variables[i] for i in columns]),
+                lambda variables: _paper_formula(space.pick(variables, TABLE_1.names)),
             )
 
         case "sliding":
-            columns = space.select(TABLE_1.names)
             return _scaled(
                 (*space.names, *SLIDING_FEATURES),
-                lambda X: np.column_stack([X, sliding_features(np.asarray(X)[:, columns], model)]),
+                lambda X: np.column_stack(
+                    [X, _on_all_cores(lambda table: sliding_features(table, model), space.table(X, TABLE_1.names))]
+                ),
                 space,
+                _logarithms(space),
             )
 
         case "collision":
-            columns = space.select(TABLE_1.names)
+
+            def physics(table: Array) -> Array:
+                return np.column_stack([sliding_features(table, model), collision_features(table, model)])
 
             def with_collision(X: Array) -> Array:
-                table = np.asarray(X)[:, columns]
-                return np.column_stack([X, sliding_features(table, model), collision_features(table, model)])
+                return np.column_stack([X, _on_all_cores(physics, space.table(X, TABLE_1.names))])
 
-            return _scaled((*space.names, *SLIDING_FEATURES, *COLLISION_FEATURES), with_collision, space)
+            names = (*space.names, *SLIDING_FEATURES, *COLLISION_FEATURES)
+            return _scaled(names, with_collision, space, _logarithms(space))
 
         case OwnFeatures():
             return _own(features, space)
+
+        case ExpressionFeatures():
+            return _of_expressions(features, space)
 
         case _:
             raise InputError(f"`features` must be paper, design, sliding or collision, got {features!r}.")
@@ -172,7 +223,10 @@ def _own(own: OwnFeatures, space: DesignSpace) -> FeatureMap:
         return np.column_stack([X, F]) if own.variables else F
 
     names = tuple(f"{own.name}[{column}]" for column in range(width))
-    scaled = _scaled((*space.names, *names) if own.variables else names, raw, space)
+    if own.variables:
+        scaled = _scaled((*space.names, *names), raw, space, _logarithms(space))
+    else:
+        scaled = _scaled(names, raw, space)
     # A function that normalises over the rows it is given would call one design by many names.
     X = space.sobol(64, np.random.default_rng(1))
     if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
@@ -182,14 +236,48 @@ def _own(own: OwnFeatures, space: DesignSpace) -> FeatureMap:
     return scaled
 
 
+def _of_expressions(given: ExpressionFeatures, space: DesignSpace) -> FeatureMap:
+    known = (*space.names, *space.fixed)
+    expressions = []
+    for name, text in given.expressions.items():
+        if name in space.names:
+            raise InputError(f"classifier.features.expressions.{name}: is the name of a variable.")
+        try:
+            expressions.append(parse_expression(text, known))
+        except ValueError as broken:
+            raise InputError(f"classifier.features.expressions.{name}: {broken}.") from None
+
+    def formula(variables: Sequence[Any]) -> list[Any]:
+        quantities = dict(zip(known, space.pick(variables, known), strict=True))
+        values = [expression(quantities) for expression in expressions]
+        return [*variables, *values] if given.variables else values
+
+    def raw(X: Array) -> Array:
+        X = np.asarray(X, dtype=np.float64)
+        with np.errstate(all="ignore"):  # what is not finite is told of with its design
+            return np.column_stack([np.broadcast_to(column, len(X)) for column in formula(list(X.T))])
+
+    names = tuple(given.expressions)
+    if given.variables:
+        return _scaled((*space.names, *names), raw, space, _logarithms(space), formula)
+    return _scaled(names, raw, space, formula=formula)
+
+
+def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
+    """Which variables the classifier sees by their logarithm."""
+    return tuple(parameter.distribution == "log_uniform" for parameter in space.parameters)
+
+
 def _scaled(
     names: tuple[str, ...],
     raw: Callable[[Array], Array],
     space: DesignSpace,
-    logarithmic: tuple[bool, ...] | None = None,
+    logarithmic: tuple[bool, ...] = (),
     formula: Callable[[Sequence[Any]], list[Any]] | None = None,
 ) -> FeatureMap:
-    which = np.array(logarithmic or (False,) * len(names))
+    # The first ones may be told alone.
+    which = np.arange(len(names)) < 0
+    which[: len(logarithmic)] = logarithmic
     unscaled = FeatureMap(names, raw, which, np.zeros(len(names)), np.ones(len(names)))
     # A fixed sample: the scaling is part of the feature set's definition, not a random choice of a campaign.
     X = space.sobol(4096, np.random.default_rng(0))

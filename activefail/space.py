@@ -1,7 +1,9 @@
 """The design space: named variables with ranges and units, and samples of it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import NormalDist
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,24 +13,93 @@ from activefail.errors import InputError
 Array = NDArray[np.float64]
 
 
+Distribution = Literal["uniform", "log_uniform", "truncated_normal"]
+
+_LEAST_MASS = 1e-6
+"""Of a normal between its bounds: far out in a tail its quantiles are lost to rounding."""
+
+
 @dataclass(frozen=True)
 class Parameter:
-    """One variable of the design space, uniform between `low` and `high` (in `unit`).
+    """One variable of the design space, between `low` and `high` (in `unit`).
+
+    Attributes:
+        distribution: uniform; with a uniform logarithm; or normal, cut off at the bounds.
+        mean, sd: of the normal before it is cut off; None for the others.
 
     Raises:
-        InputError: if the name is not an identifier or `low < high` does not hold.
+        InputError: if the name is not an identifier or the numbers make no distribution.
     """
 
     name: str
     low: float
     high: float
     unit: str = ""
+    distribution: Distribution = "uniform"
+    mean: float | None = None
+    sd: float | None = None
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise InputError(f"A variable's name must be an identifier, got {self.name!r}.")
         if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
             raise InputError(f"`low < high` must hold for {self.name!r}, got {self.low} and {self.high}.")
+        if self.distribution == "log_uniform" and self.low <= 0.0:
+            raise InputError(f"`low > 0` must hold for {self.name!r} with a uniform logarithm, got {self.low}.")
+        if (self.distribution == "truncated_normal") != (self.mean is not None and self.sd is not None):
+            raise InputError(
+                f"A mean and an sd belong to a truncated normal, and to it alone; "
+                f"got {self.distribution}, mean {self.mean} and sd {self.sd} for {self.name!r}."
+            )
+        if self.mean is not None and self.sd is not None:
+            if not (np.isfinite(self.mean) and np.isfinite(self.sd) and self.sd > 0.0):
+                raise InputError(f"`sd > 0` must hold for {self.name!r}, got {self.sd}.")
+            _, mass = self._normal()
+            if not mass >= _LEAST_MASS:
+                raise InputError(
+                    f"{self.low} to {self.high} must hold at least {_LEAST_MASS:g} of the normal for {self.name!r}, "
+                    f"got {mass:.1g}."
+                )
+
+    def _normal(self) -> tuple[float, float]:
+        """Mass of the normal below the lower bound, and between the bounds."""
+        assert self.mean is not None
+        assert self.sd is not None
+        normal = NormalDist(self.mean, self.sd)
+        return normal.cdf(self.low), normal.cdf(self.high) - normal.cdf(self.low)
+
+    def quantile(self, u: Any, ndtri: Callable[[Any], Any]) -> Any:
+        """Values below which the shares u of the distribution lie.
+
+        Args:
+            u: an array of any library.
+            ndtri: that library's quantiles of the standard normal.
+        """
+        match self.distribution:
+            case "uniform":
+                return self.low + u * (self.high - self.low)
+            case "log_uniform":
+                return self.low * (self.high / self.low) ** u
+            case "truncated_normal":
+                assert self.mean is not None
+                assert self.sd is not None
+                below, mass = self._normal()
+                return self.mean + self.sd * ndtri(below + u * mass)
+
+    def share(self, x: Array) -> Array:
+        """The share of the distribution below values: what `quantile` undoes."""
+        match self.distribution:
+            case "uniform":
+                return (x - self.low) / (self.high - self.low)
+            case "log_uniform":
+                return np.asarray(np.log(x / self.low) / np.log(self.high / self.low))
+            case "truncated_normal":
+                from scipy.special import ndtr
+
+                assert self.mean is not None
+                assert self.sd is not None
+                below, mass = self._normal()
+                return np.asarray((ndtr((x - self.mean) / self.sd) - below) / mass)
 
     @property
     def label(self) -> str:
@@ -38,20 +109,30 @@ class Parameter:
 
 @dataclass(frozen=True)
 class DesignSpace:
-    """A box of named variables; the design measure is uniform on it.
+    """A box of named variables, independent of each other; the design measure is their joint distribution.
+
+    Attributes:
+        parameters: the variables.
+        fixed: values of further quantities that a simulator needs and that are the same for every design.
 
     Raises:
         InputError: if there is no variable or a name comes twice.
     """
 
     parameters: tuple[Parameter, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.parameters:
-            raise InputError("A design space needs at least one variable.")
+            raise InputError("A design space needs at least one variable that is not fixed.")
         for name in self.names:
-            if self.names.count(name) > 1:
+            if self.names.count(name) > 1 or name in self.fixed:
                 raise InputError(f"The variable {name!r} is defined twice.")
+        for name, value in self.fixed.items():
+            if not name.isidentifier():
+                raise InputError(f"A variable's name must be an identifier, got {name!r}.")
+            if not np.isfinite(value):
+                raise InputError(f"The value of {name!r} must be finite, got {value}.")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -74,13 +155,19 @@ class DesignSpace:
         return np.array([parameter.high for parameter in self.parameters])
 
     def from_unit(self, U: Array) -> Array:
-        """Points of the unit cube, shape (n, d), as designs in the variables' units."""
+        """Points of the unit cube, shape (..., d), as designs in the variables' units."""
+        # Here, as below: importing SciPy takes longer than simulating a bearing.
+        from scipy.special import ndtri
+
+        columns = np.moveaxis(np.asarray(U), -1, 0)
+        X = np.stack([p.quantile(u, ndtri) for p, u in zip(self.parameters, columns, strict=True)], axis=-1)
         # Clipped: low + u (high - low) can leave the box by one rounding.
-        return np.clip(self.low + np.asarray(U) * (self.high - self.low), self.low, self.high)
+        return np.asarray(np.clip(X, self.low, self.high))
 
     def to_unit(self, X: Array) -> Array:
-        """Designs, shape (n, d), as points of the unit cube."""
-        return (np.asarray(X) - self.low) / (self.high - self.low)
+        """Designs, shape (..., d), as points of the unit cube."""
+        columns = np.moveaxis(np.asarray(X), -1, 0)
+        return np.stack([p.share(x) for p, x in zip(self.parameters, columns, strict=True)], axis=-1)
 
     def contains(self, X: Array) -> NDArray[np.bool_]:
         """Which rows of X, shape (n, d), lie in the box; shape (n,)."""
@@ -88,7 +175,6 @@ class DesignSpace:
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
         """A Latin hypercube of n designs, shape (n, d) (McKay 1979; scipy.stats.qmc)."""
-        # Here: importing scipy.stats takes longer than simulating a bearing.
         from scipy.stats import qmc
 
         return self.from_unit(qmc.LatinHypercube(self.dimension, rng=rng).random(n))
@@ -99,13 +185,23 @@ class DesignSpace:
 
         return self.from_unit(qmc.Sobol(self.dimension, rng=rng).random(n))
 
-    def select(self, names: Sequence[str]) -> NDArray[np.intp]:
-        """The columns of the named variables, in the order asked for.
+    def pick(self, columns: Sequence[Any], names: Sequence[str]) -> list[Any]:
+        """Of d columns of designs those of the named quantities, in the order asked for; numbers for the fixed ones.
 
         Raises:
-            InputError: if a name is not a variable of this space.
+            InputError: if a name is neither a variable of this space nor fixed.
         """
-        missing = [name for name in names if name not in self.names]
-        if missing:
-            raise InputError(f"space: lacks the variable {missing[0]!r}; it has {', '.join(self.names)}.")
-        return np.array([self.names.index(name) for name in names], dtype=np.intp)
+        known: dict[str, Any] = {**dict(zip(self.names, columns, strict=True)), **self.fixed}
+        for name in names:
+            if name not in known:
+                raise InputError(f"space: lacks the variable {name!r}; it has {', '.join(known)}.")
+        return [known[name] for name in names]
+
+    def table(self, X: Array, names: Sequence[str]) -> Array:
+        """The named quantities of designs, (n, d) -> (n, len(names)), fixed ones included.
+
+        Raises:
+            InputError: as `pick` does.
+        """
+        X = np.asarray(X)
+        return np.column_stack([np.broadcast_to(column, len(X)) for column in self.pick(list(X.T), names)])

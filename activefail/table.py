@@ -138,11 +138,11 @@ def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Se
         InputError: if the folder cannot be written to or is full.
     """
     temporary = None
-    # A link keeps pointing where it did.
-    path = path.resolve()
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise InputError(f"{path}: must be a file, and is something else.")
     try:
+        # A link keeps pointing where it did.
+        path = Path(os.path.realpath(path))
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path}: must be a file, and is something else.")
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(descriptor, "w", encoding="utf-8", newline="") as file:
             plain = csv.writer(file, lineterminator="\n")

@@ -1,7 +1,6 @@
 """The command line: every command does what its help says, and every mistake ends in one message, not a traceback."""
 
-import csv
-import io
+import ctypes
 import os
 import re
 import shlex
@@ -9,16 +8,15 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+import urllib.request
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
 import typer
+from commandline import Said, activefail, record, refused, started, table, wait_for
 
 from activefail import __version__
 from activefail.bearing import TABLE_1, simulate
@@ -29,7 +27,7 @@ from activefail.campaign.folder import open_campaign
 from activefail.campaign.loop import Observer
 from activefail.campaign.loop import run as run_loop
 from activefail.campaign.store import FolderStore
-from activefail.cli import app, main
+from activefail.cli import app
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
 
@@ -50,55 +48,10 @@ HEADER = ",".join(TABLE_1.names)
 TINY = "seed = 3\nsampling = { initial = 20, budget = 30, batch = 5 }\n"
 
 
-@dataclass(frozen=True)
-class Said:
-    code: int
-    out: str
-    err: str
-
-
-def activefail(*words: str | Path) -> Said:
-    """What the program says to a command line, in this process; an exception that it lets through is a failure."""
-    out, err = io.StringIO(), io.StringIO()
-    code: object = 0
-    with (
-        mock.patch.object(sys, "argv", ["activefail", *map(str, words)]),
-        mock.patch.dict(os.environ, {"COLUMNS": "200", "TERMINAL_WIDTH": "200"}),
-        redirect_stdout(out),
-        redirect_stderr(err),
-    ):
-        try:
-            main()
-        except SystemExit as left:
-            code = left.code or 0
-    assert isinstance(code, int)
-    return Said(code, out.getvalue(), err.getvalue())
-
-
 def design(**other: str) -> list[str]:
     """The options of a design, some of them other than usual: `design(t_b="5")`."""
     options = DESIGN | {f"--{name.replace('_', '-')}": value for name, value in other.items()}
     return [word for option in options.items() for word in option]
-
-
-def refused(said: Said, *parts: str, code: int = 2) -> None:
-    """Assert that the program ended in one message on stderr with all these parts."""
-    assert (said.code, said.out) == (code, "")
-    assert said.err.startswith("activefail: ")
-    assert "Traceback" not in said.err
-    assert [part for part in parts if part not in said.err] == []
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file, strict=True))
-
-
-def record(folder: Path) -> list[dict[str, str]]:
-    """All that a campaign has recorded, as `export` writes it, without the wall times."""
-    target = folder.with_suffix(".csv")
-    assert activefail("export", folder, "--csv", target).code == 0
-    return [{name: cell for name, cell in row.items() if name != "seconds"} for row in table(target)]
 
 
 @pytest.fixture(scope="session")
@@ -263,6 +216,7 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
         (design(mu="0"), ["`mu > 0` must hold, got 0.0"]),
         (design(mu="nan"), ["`mu > 0` must hold, got nan"]),
         (design(t_p="-1"), ["> 0` must hold, got -1.0"]),
+        (design(t_b="1e308"), ["`-1e+75 <= T_b <= 1e+75` must hold, got 1e+308"]),
         (design(a_p="inf"), ["must be finite, got inf"]),
         (design(d_tot="20"), ["`dish_diameter < 2 radius`", "20.3"]),
         ([*design(), "--restitution", "elastic"], ["`restitution` must be one of pairwise, assembly, got 'elastic'"]),
@@ -368,7 +322,14 @@ def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tiny: Path, 
 
 def test_a_run_folder_that_cannot_be_made_is_named(tiny: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    refused(activefail("run", tiny, "--out", tmp_path / "file" / "run"), str(tmp_path / "file" / "run"), code=1)
+    (tmp_path / "loop").symlink_to("loop")
+    for place, reason in (
+        (tmp_path / "file", "cannot be a run folder: Not a directory"),
+        (tmp_path / "file" / "run", "cannot be a run folder: Not a directory"),
+        (tmp_path / "loop", "cannot be a run folder: File exists"),
+        (tmp_path / ("n" * 300), "File name too long"),
+    ):
+        refused(activefail("run", tiny, "--out", place), str(place), reason)
 
 
 @pytest.mark.parametrize(
@@ -432,6 +393,8 @@ COMMANDS_ON_FOLDERS = {
     "export": ["--csv", "out.csv"],
     "compare": [],
     "verify": [],
+    "report": [],
+    "explore": ["--port", "0"],
 }
 
 
@@ -444,8 +407,11 @@ def test_what_is_no_run_folder_is_refused_by_every_command_and_left_alone(comman
         refused(said, f"{tmp_path / name}: is not a run folder")
     assert sorted(os.listdir(tmp_path)) == ["empty", "file"]
     assert os.listdir(tmp_path / "empty") == []
+    long = tmp_path / ("n" * 300)
+    refused(activefail(command, long, *COMMANDS_ON_FOLDERS[command]), str(long), "File name too long")
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("command", COMMANDS_ON_FOLDERS)
 def test_settings_that_were_changed_afterwards_are_refused_by_every_command_with_the_change(
     command: str, folder: Path
@@ -456,6 +422,7 @@ def test_settings_that_were_changed_afterwards_are_refused_by_every_command_with
     refused(said, "settings were changed", "-seed = 3", "+seed = 4", code=1)
 
 
+@pytest.mark.faults
 def test_a_folder_that_another_process_writes_to_can_be_read_and_not_written_to(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
     with open_campaign(folder, write=True):
@@ -558,12 +525,18 @@ def test_a_campaign_without_simulations_predicts_and_compares_nothing(tiny: Path
     said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     refused(said, f"{folder}: has no simulations to learn from yet")
     refused(activefail("compare", folder), "no simulations to compare yet")
+    refused(activefail("report", folder), "no simulations to report yet", f"activefail resume {folder}")
+    refused(activefail("explore", folder), "no simulations to learn from yet")
     assert record(folder) == []
 
 
 def test_where_a_table_cannot_be_written_its_name_and_the_reason_are_told(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
-    for target, reason in ((tmp_path / "none" / "out.csv", "No such file or directory"), (folder, "Is a directory")):
+    for target, reason in (
+        (tmp_path / "none" / "out.csv", "No such file or directory"),
+        (folder, "Is a directory"),
+        (tmp_path / ("n" * 300), "File name too long"),
+    ):
         part = f"{target}: cannot be written: {reason}."
         refused(activefail("export", folder, "--csv", target), part)
         refused(activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", target), part)
@@ -668,6 +641,53 @@ def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Pat
     assert sorted((folder / "sets").iterdir()) == before
 
 
+def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_compared(folder: Path) -> None:
+    verified = activefail("verify", folder, "--simulations", "30")
+    error = re.search(r"error +(\d+\.\d\d %)", verified.out)
+    assert error is not None
+    assert activefail("compare", folder, "--budgets", "20,30", "--test", "50").code == 0
+    said = activefail("report", folder)
+    assert (said.code, said.out) == (0, f"report     {folder / 'report.html'}\n")
+    page = (folder / "report.html").read_text()
+    assert f"<dd>{error[1]} of the design space" in page
+    assert "<td>static Latin hypercube</td>" in page
+    assert "Missing" not in page
+    before = record(folder)
+    elsewhere = folder.with_name("page.html")
+    assert activefail("report", folder, "--out", elsewhere).code == 0
+    assert elsewhere.read_text() == page
+    assert record(folder) == before
+
+
+def test_a_campaign_is_explored_on_this_machine_until_ctrl_c(folder: Path) -> None:
+    words = [sys.executable, "-m", "activefail.cli", "explore", str(folder), "--port", "0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        said = server.stdout.readline()
+        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C ends it\)\n", said)
+        assert address is not None, said
+        with urllib.request.urlopen(address[1], timeout=60) as page:
+            assert "This design" in page.read().decode()
+        server.send_signal(signal.SIGINT)
+        _, err = server.communicate(timeout=60)
+    assert server.returncode == 0
+    assert err.splitlines()[-1] == "ended"
+    assert "Traceback" not in err
+
+
+def test_a_port_that_is_none_is_refused(folder: Path) -> None:
+    assert activefail("explore", folder, "--port", "70000").code == 2
+
+
+def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, tmp_path: Path) -> None:
+    refused(activefail("report", folder, "--out", tmp_path / "page.pdf"), "--out: must end in .html", "page.pdf")
+    refused(activefail("report", folder, "--out", tmp_path / "none" / "page.html"), "--out: the folder", "none")
+    (folder / "report.html").mkdir()
+    said = activefail("report", folder)
+    assert said.code == 2
+    assert said.err.splitlines()[-1] == f"activefail: {folder / 'report.html'}: cannot be written: Is a directory."
+
+
 def test_where_a_comparison_cannot_be_written_the_place_is_named(folder: Path) -> None:
     (folder / "compare").touch()
     said = activefail("compare", folder, "--budgets", "20", "--test", "10")
@@ -676,35 +696,6 @@ def test_where_a_comparison_cannot_be_written_the_place_is_named(folder: Path) -
 
 
 # --- signals and pipes -------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def started(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
-    """The program in a process of its own, ended with the block."""
-    # A shell has its background jobs ignore Ctrl-C, and what they start would too.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "activefail.cli", *map(str, words)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-    finally:
-        signal.signal(signal.SIGINT, before)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def wait_for(lines: io.TextIOBase, start: str) -> None:
-    """Read lines until one begins so."""
-    for line in lines:
-        if line.startswith(start):
-            return
-    pytest.fail(f"the program ended before it said {start!r}")
 
 
 @pytest.fixture(scope="module")
@@ -716,13 +707,14 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str,
     return path, record(path.with_name("straight"))
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names_completes_it(
     long: tuple[Path, list[dict[str, str]]], tmp_path: Path, number: signal.Signals
 ) -> None:
     folder = tmp_path / "run"
     with started("run", long[0], "--out", folder, "--workers", "2") as process:
-        wait_for(process.stdout, "20/80 simulations")  # type: ignore[arg-type]
+        wait_for(process.stdout, "20/80 simulations")
         process.send_signal(number)
         out, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
@@ -739,21 +731,147 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
     assert record(folder) == long[1]
 
 
-def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(tmp_path: Path) -> None:
+@pytest.mark.faults
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGTERM), (signal.SIGINT, signal.SIGTERM)],
+)
+def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
+    tmp_path: Path, first: signal.Signals, second: signal.Signals
+) -> None:
     (tmp_path / "slow.toml").write_text(
         "sampling = { initial = 500, budget = 500, batch = 500 }\nbearing.tolerance = 1e-9\n"
     )
     with started("run", tmp_path / "slow.toml", "--out", tmp_path / "run", "--workers", "2") as process:
-        wait_for(process.stdout, "0/500 simulations")  # type: ignore[arg-type]
-        process.send_signal(signal.SIGINT)
-        wait_for(process.stderr, "stopping after this batch")  # type: ignore[arg-type]
-        process.send_signal(signal.SIGINT)
+        wait_for(process.stdout, "0/500 simulations")
+        # Into the batch, which takes many times as long: before it begins there is nothing to finish.
+        time.sleep(1.0)
+        process.send_signal(first)
+        wait_for(process.stderr, "stopping after this batch")
+        process.send_signal(second)
         _, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
     assert err.splitlines()[-1] == (
         f"stopped; batches that were recorded are safe. Go on with: activefail resume {tmp_path / 'run'}"
     )
     assert record(tmp_path / "run") == []
+
+
+@pytest.mark.faults
+def test_a_ctrl_c_while_the_program_is_ending_has_no_traceback() -> None:
+    script = (
+        "import atexit, os, signal, sys, time\n"
+        "atexit.register(lambda: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60.0)))\n"
+        "from activefail.cli import main\n"
+        "sys.argv = ['activefail', '--version']\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("command", COMMANDS_ON_FOLDERS)
+def test_a_ctrl_c_ends_every_command_without_a_traceback(
+    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def struck(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    for place in ("activefail.campaign.recovery.read_segments", "activefail.campaign.summary.read_summary"):
+        module, _, name = place.rpartition(".")
+        monkeypatch.setattr(f"{module}.{name}", struck)
+    monkeypatch.setattr("activefail.campaign.store.read_segments", struck)
+    said = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
+    assert said.code == 130
+    assert said.err == "activefail: stopped; what was recorded is safe\n"
+
+
+def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def struck() -> None:
+        raise KeyboardInterrupt
+
+    def compiling(*arguments: object) -> None:
+        ctypes.CFUNCTYPE(None)(struck)()
+        threading.Event().wait(60.0)
+        pytest.fail("nothing came")
+
+    monkeypatch.setattr("activefail.study.paper.run_study", compiling)
+    said = activefail("paper", "--out", tmp_path / "paper")
+    assert (said.code, said.err) == (130, "stopped; nothing is kept of it. The same command begins anew.\n")
+
+
+def struck_as_by_a_terminal(process: subprocess.Popen[str]) -> str:
+    """Send Ctrl-C to a process and all that it has started; what it says then. None of them may be left."""
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    give_up = time.monotonic() + 60.0
+    while time.monotonic() < give_up:
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            return err
+        time.sleep(0.05)
+    pytest.fail("something that it had started is left")
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("stage", ["simulating 4 draws", "regressions"])
+def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, stage: str) -> None:
+    with started("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper") as process:
+        wait_for(process.stderr, stage)
+        err = struck_as_by_a_terminal(process)
+    assert err.splitlines()[-1] == "stopped; nothing is kept of it. The same command begins anew."
+    assert list((tmp_path / "paper").iterdir()) == []
+
+
+@pytest.mark.faults
+def test_a_worker_process_that_is_killed_ends_the_reproduction_with_a_message(tmp_path: Path) -> None:
+    with started("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper") as process:
+        wait_for(process.stderr, "what depends on the choices")
+        workers = [
+            int(child)
+            for task in Path(f"/proc/{process.pid}/task").iterdir()
+            for child in (task / "children").read_text().split()
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()
+        ]
+        os.kill(workers[0], signal.SIGKILL)
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 1, err
+    assert err.splitlines()[-1].startswith("activefail: A worker process died")
+    assert "Traceback" not in err
+
+
+@pytest.mark.faults
+def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the_same_command_goes_on(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
+    words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
+    with started(*words, "--static", "20", "--jobs", "2") as process:
+        wait_for(process.stderr, "campaigns and classifiers")
+        err = struck_as_by_a_terminal(process)
+    assert (
+        err.splitlines()[-1]
+        == f"stopped; what was scored is kept in {tmp_path / 'compared'}. The same command goes on."
+    )
+    said = activefail(*words, "--static", "20")
+    assert said.code == 0, said.err
+
+
+@pytest.mark.faults
+def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_on(folder: Path) -> None:
+    words = ("compare", folder, "--test", "10")
+    with started(*words) as process:
+        wait_for(process.stderr, "learning from")
+        err = struck_as_by_a_terminal(process)
+    assert err.splitlines()[-1] == "activefail: stopped; what was recorded is safe"
+    assert not (folder / "compare").exists()
+    assert activefail(*words).code == 0
 
 
 def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_path: Path) -> None:
@@ -768,6 +886,31 @@ def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert os.listdir(tmp_path) == ["in.csv"]
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_what_the_terminal_has_no_letters_for_is_written_by_its_number(
+    tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.toml").write_text(f'description = "Brücke 桥"\n{TINY}', encoding="utf-8")
+    folder = tmp_path / os.fsdecode(b"run-\xff")
+    assert activefail("run", tmp_path / "mine.toml", "--out", folder, "--budget", "20").code == 0
+    monkeypatch.setenv("PYTHONIOENCODING", f"{encoding}:strict")
+    said = ""
+    for words in (["status", folder], ["export", folder, "--csv", folder / "all.csv"]):
+        done = subprocess.run([sys.executable, "-m", "activefail.cli", *words], capture_output=True, check=False)
+        assert (done.returncode, done.stderr) == (0, b"")
+        said += done.stdout.decode(encoding)
+    assert ("桥" if encoding == "utf-8" else r"\u6865") in said
+    assert r"run-\udcff/all.csv" in said
+
+
+def test_without_an_output_a_fault_is_told_all_the_same(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "activefail.cli", "status", str(tmp_path / ("n" * 300))]
+    done = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.endswith(": File name too long")
 
 
 def test_a_reader_that_goes_away_is_no_reason_for_a_traceback(ran: tuple[Path, Said]) -> None:

@@ -200,6 +200,7 @@ def test_a_function_of_ones_own_cannot_change_the_designs() -> None:
         (lambda X, space: X[:, :0], r"got shape \(8, 0\)"),
         (lambda X, space: None, r"got shape \(\)"),
         (lambda X, space: [["a"]] * len(X), r"must return numbers"),
+        (lambda X, space: 1 // 0, r"mine raised ZeroDivisionError: .* \(.*test_features\.py:\d+\)"),
         (lambda X, space: X[:, : 1 + (len(X) > 8)], r"always return as many features; got 1, then 2"),
         (
             lambda X, space: np.where(X > 2.0, np.nan, X),
@@ -212,3 +213,15 @@ def test_a_function_of_ones_own_cannot_change_the_designs() -> None:
 def test_a_function_that_gives_no_features_is_refused_with_key_rule_and_value(function: object, says: str) -> None:
     with pytest.raises(InputError, match=rf"^classifier\.features: mine.*{says}|^classifier\.features: {says}"):
         feature_map(OwnFeatures("mine", function), SQUARE)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["sliding", "collision"])
+def test_features_do_not_depend_on_how_many_cores_there_are(name, monkeypatch):
+    features = feature_map(name, TABLE_1)
+    X = TABLE_1.latin_hypercube(301, np.random.default_rng(6))
+    answers = []
+    for cores in (1, 2, 5):
+        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
+        answers.append(features(X))
+    assert np.array_equal(answers[0], answers[1])
+    assert np.array_equal(answers[0], answers[2])

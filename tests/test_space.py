@@ -1,11 +1,13 @@
 """The design space: samples that are what they are called, and bounds that hold to the last bit."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from activefail.bearing import TABLE_1
 from activefail.errors import InputError
@@ -66,8 +68,10 @@ def test_no_point_of_the_unit_cube_leaves_the_box_whatever_the_rounding(bounds: 
 @given(bounds=bounds, u=st.floats(0.0, 1.0))
 def test_the_unit_cube_and_the_box_map_to_each_other(bounds: list[float], u: float) -> None:
     space = DesignSpace((Parameter("x", *bounds),))
-    # What subtracting a bound can lose: the rounding of the bound in units of the range.
-    lost = 1e-15 * (1.0 + max(map(abs, bounds)) / (bounds[1] - bounds[0]))
+    # What subtracting a bound can lose: the rounding of the bound in units of the range, which near 0 ends at the
+    # least number there is.
+    rounding = 1e-15 * max(map(abs, bounds)) + np.finfo(float).smallest_subnormal
+    lost = 1e-15 + rounding / (bounds[1] - bounds[0])
     assert abs(float(space.to_unit(space.from_unit(np.array([[u]])))[0, 0]) - u) <= 4.0 * lost
 
 
@@ -85,14 +89,61 @@ def test_a_design_with_a_nan_is_not_contained() -> None:
     assert SPACE.contains(np.array([[np.nan, 1e9, 0.05]])).tolist() == [False]
 
 
-def test_columns_are_selected_in_the_order_asked_for() -> None:
-    assert SPACE.select(["mu", "x"]).tolist() == [2, 0]
-    assert SPACE.select(SPACE.names).tolist() == [0, 1, 2]
+WIND = Parameter("wind", 10.0, 60.0, "m/s", "truncated_normal", mean=20.0, sd=12.0)
+SHAPED = DesignSpace((Parameter("x", -2.0, 3.0), Parameter("k", 1e6, 1e9, distribution="log_uniform"), WIND))
 
 
-def test_selecting_a_variable_that_is_missing_names_it_and_those_that_there_are() -> None:
+def test_the_quantiles_of_a_variable_are_those_of_its_distribution() -> None:
+    u = np.linspace(0.0, 1.0, 101)
+    X = SHAPED.from_unit(np.column_stack([u, u, u]))
+    normal = stats.truncnorm((10.0 - 20.0) / 12.0, (60.0 - 20.0) / 12.0, 20.0, 12.0)
+    np.testing.assert_allclose(X[:, 0], stats.uniform(-2.0, 5.0).ppf(u), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(X[:, 1], stats.loguniform(1e6, 1e9).ppf(u), rtol=1e-12)
+    np.testing.assert_allclose(X[:, 2], normal.ppf(u), rtol=1e-10)
+    np.testing.assert_allclose(SHAPED.to_unit(X), np.column_stack([u, u, u]), atol=1e-12)
+    assert SHAPED.contains(X).all()
+
+
+def test_a_uniform_variable_is_sampled_to_the_bit_as_low_plus_u_times_the_width() -> None:
+    U = np.random.default_rng(0).random((64, 3))
+    assert SPACE.from_unit(U).tobytes() == (SPACE.low + U * (SPACE.high - SPACE.low)).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"distribution": "log_uniform", "low": 0.0}, "`low > 0` must hold for 'x' with a uniform logarithm, got 0.0"),
+        ({"distribution": "truncated_normal"}, "belong to a truncated normal"),
+        ({"mean": 0.5, "sd": 0.1}, "belong to a truncated normal"),
+        ({"distribution": "truncated_normal", "mean": 0.5, "sd": 0.0}, "`sd > 0` must hold for 'x', got 0.0"),
+        ({"distribution": "truncated_normal", "mean": 50.0, "sd": 0.5}, "must hold at least 1e-06 of the normal"),
+    ],
+)
+def test_numbers_that_make_no_distribution_are_refused(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        Parameter(**{"name": "x", "low": -1.0, "high": 1.0} | given)
+
+
+@pytest.mark.parametrize(
+    ("fixed", "says"),
+    [({"x": 1.0}, "'x' is defined twice"), ({"a b": 1.0}, "identifier"), ({"T": math.nan}, "must be finite")],
+)
+def test_a_fixed_quantity_needs_a_name_of_its_own_and_a_number(fixed: dict[str, float], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        DesignSpace(SPACE.parameters, fixed)
+
+
+def test_quantities_are_picked_in_the_order_asked_for_with_those_that_are_fixed() -> None:
+    space = DesignSpace(SPACE.parameters, {"storeys": 3.0})
+    X = space.latin_hypercube(4, np.random.default_rng(0))
+    assert space.table(X, ["mu", "storeys", "x"]).tolist() == [[mu, 3.0, x] for x, _, mu in X.tolist()]
+    assert space.table(X, space.names).tolist() == X.tolist()
+    assert space.pick(["a", "b", "c"], ["storeys", "k"]) == [3.0, "b"]
+
+
+def test_picking_a_variable_that_is_missing_names_it_and_those_that_there_are() -> None:
     with pytest.raises(InputError, match=r"lacks the variable 'A_p'; it has x, k, mu"):
-        SPACE.select(["x", "A_p"])
+        SPACE.table(np.zeros((1, 3)), ["x", "A_p"])
 
 
 @pytest.mark.parametrize(

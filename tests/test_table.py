@@ -238,6 +238,13 @@ def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:
     assert (tmp_path / "real.csv").read_text() == "a\n1\n"
 
 
+def test_a_link_that_leads_to_itself_becomes_the_table(tmp_path: Path) -> None:
+    (tmp_path / "loop.csv").symlink_to("loop.csv")
+    with writing(tmp_path / "loop.csv", ["a"]) as write:
+        write([["1"]])
+    assert (tmp_path / "loop.csv").read_text() == "a\n1\n"
+
+
 def test_what_is_no_regular_file_is_neither_read_nor_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="must be a regular file"):

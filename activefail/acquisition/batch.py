@@ -13,7 +13,7 @@ from activefail.acquisition.criteria import LookAhead, Pointwise, bald
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent
-from activefail.surrogate.fitting import Sites
+from activefail.surrogate.sites import Sites
 
 POOL = 4096
 """Designs of the Sobol' pool that is screened first; a power of two."""
@@ -152,6 +152,7 @@ def propose(
     q: int,
     rng: np.random.Generator,
     pending: Array | None = None,
+    failed: Array | None = None,
 ) -> Array:
     """q designs, (q, d), where one more label is worth most for the latent's boundary.
 
@@ -160,12 +161,14 @@ def propose(
 
     Args:
         pending: (k, d) designs in flight, whose labels are not known yet: fantasised by their sites before.
+        failed: (k, d) designs that were simulated and have no label: not proposed again.
     """
     if pending is not None and len(pending) > 0:
         latent = fantasised(latent, features(pending))
     if isinstance(criterion, LookAhead):
+        # Its candidates are drawn anew for each batch: none of them is one of before.
         return _propose_ahead(latent, features, space, criterion, q, rng)
-    return _propose_pointwise(latent, features, space, criterion, q, rng)
+    return _propose_pointwise(latent, features, space, criterion, q, rng, failed)
 
 
 def _propose_pointwise(
@@ -175,6 +178,7 @@ def _propose_pointwise(
     criterion: Pointwise,
     q: int,
     rng: np.random.Generator,
+    failed: Array | None,
 ) -> Array:
     pool = space.sobol(POOL, rng)
     values = criterion(*latent.moments(features(pool)))
@@ -187,8 +191,33 @@ def _propose_pointwise(
         improved = moved_values > values[best]
         pool = np.where(improved[:, None], moved, pool[best])
         values = np.where(improved, moved_values, values[best])
-    mean, covariance = latent.joint(features(pool))
-    return np.asarray(pool[greedy_batch(mean, covariance, min(q, len(pool)), criterion)])
+    F = features(pool)
+    new = _not_seen(pool, F, latent, failed)
+    if len(new) < q:
+        # All searches ended at a few corners that are known: elsewhere, then.
+        pool = np.concatenate([pool[new], space.sobol(POOL, rng)])
+        F = features(pool)
+        new = _not_seen(pool, F, latent, failed)[:SHORTLIST]
+    pool, F = pool[new], F[new]
+    mean, covariance = latent.joint(F)
+    return np.asarray(pool[greedy_batch(mean, covariance, q, criterion)])
+
+
+def _not_seen(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArray[np.intp]:
+    """Rows of designs X, (n, d), of features F, (n, m), not among the latent's points, failed designs or rows before.
+
+    A search may end in a corner where a design has been simulated or is in flight: a second time would tell nothing.
+    """
+    seen = {row.tobytes() for row in latent.trained.features.numpy()}
+    # By the design itself: what fails may hang on a variable that the features leave out.
+    failures = set() if failed is None else {row.tobytes() for row in failed}
+    rows = []
+    for row, (design, feature) in enumerate(zip(X, F, strict=True)):
+        content = feature.tobytes()
+        if content not in seen and design.tobytes() not in failures:
+            rows.append(row)
+            seen.add(content)
+    return np.array(rows, dtype=np.intp)
 
 
 def _propose_ahead(
@@ -234,6 +263,7 @@ def propose_shared(
     q: int,
     rng: np.random.Generator,
     pending: Array | None = None,
+    failed: Array | None = None,
 ) -> Array:
     """q designs, (q, d), shared out between exploration and the boundaries.
 
@@ -244,7 +274,7 @@ def propose_shared(
         boundaries: outcome -> its share of what is not exploration; of sum 1.
         exploration: share of the designs that no classifier has a say in, 0 to 1.
         first: designs that were proposed in batches before this one.
-        pending: as for `propose`.
+        pending, failed: as for `propose`.
     """
     shares = [exploration, *((1.0 - exploration) * share for share in boundaries.values())]
     explored, *counts = apportion(shares, first, q)
@@ -253,6 +283,6 @@ def propose_shared(
         if count:
             known = chosen if pending is None else np.concatenate([pending, chosen])
             latent = classifier.latent(outcome)
-            more = propose(latent, classifier.features, space, criterion, count, rng, known)
+            more = propose(latent, classifier.features, space, criterion, count, rng, known, failed)
             chosen = np.concatenate([chosen, more])
     return chosen

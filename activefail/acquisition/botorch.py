@@ -21,7 +21,6 @@ from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Latent
-from activefail.surrogate.fitting import prior_covariance
 
 _C2 = 0.5 * math.pi * math.log(2.0)
 _LEAST = 1e-12
@@ -43,12 +42,15 @@ class TorchFeatures(torch.nn.Module):
         self._formula = features.formula
         self._logarithmic = torch.from_numpy(np.asarray(features.logarithmic, dtype=bool))
         self._center, self._spread = torch.from_numpy(features.center), torch.from_numpy(features.spread)
-        self._low, self._width = torch.from_numpy(space.low), torch.from_numpy(space.high - space.low)
+        self._space = space
 
     def forward(self, U: Tensor) -> Tensor:
         """Scaled features."""
-        X = self._low + U * self._width
-        F = torch.stack(self._formula(X.unbind(-1)), dim=-1)
+        columns = [
+            parameter.quantile(u, torch.special.ndtri)
+            for parameter, u in zip(self._space.parameters, U.unbind(-1), strict=True)
+        ]
+        F = torch.stack(self._formula(columns), dim=-1)
         F = torch.where(self._logarithmic, torch.where(self._logarithmic, F, 1.0).log(), F)
         return (F - self._center) / self._spread
 
@@ -189,22 +191,20 @@ class _LookAhead(DesignAcquisition):
         mean, sd = latent.moments(self._reference_features.numpy())
         self._reference_sd = torch.from_numpy(sd).clamp_min(_LEAST)
         self._b = -torch.from_numpy(mean) / self._reference_sd
-        # Σ_xq = k(x, q) − k(x, Z) M, M = W^½ B⁻¹ W^½ k(Z, q), B = I + W^½ K W^½, at the training points Z: so that a
-        # value costs k(x, Z) and k(x, q), and not a joint posterior of all references.
-        trained, kernel = latent.trained, self.model.model.covar_module
-        root = trained.sites.precision.sqrt().unsqueeze(-1)
-        B = root * prior_covariance(trained.features, trained.kernel, trained.hyperparameters) * root.mT
-        B.diagonal().add_(1.0)
+        # Σ_xq = k(x, q) − k(x, Z) M, M = CᵀC k(Z, q), at the points of support Z: so that a value costs k(x, Z) and
+        # k(x, q), and not a joint posterior of all references.
+        readout, kernel = latent.readout, self.model.model.covar_module
         with torch.no_grad():
-            scaled = root * kernel(trained.features, self._reference_features).to_dense()
-        self._explained = root * torch.cholesky_solve(scaled, torch.linalg.cholesky(B))
-        self._training_features = trained.features
+            self._explained = readout.root.T @ (
+                readout.root @ kernel(readout.support, self._reference_features).to_dense()
+            )
+        self._support = readout.support
 
     def _covariance(self, F: Tensor) -> Tensor:
         """Σ between scaled features, (b, m), and the references, (b, R)."""
         kernel = self.model.model.covar_module
         covariance = kernel(F, self._reference_features).to_dense()
-        covariance = covariance - kernel(F, self._training_features).to_dense() @ self._explained
+        covariance = covariance - kernel(F, self._support).to_dense() @ self._explained
         return torch.as_tensor(covariance)
 
     def _value(self, F: Tensor) -> Tensor:

@@ -29,10 +29,20 @@ TABLE_1 = DesignSpace(
 """The nine sampled variables and their ranges (paper, Table 1)."""
 
 
+LARGEST = 1e75
+"""Of a variable of Table 1: its fourth power is still a number."""
+
+
 def _require_positive(**values: float) -> None:
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0.0):
             raise InputError(f"`{name} > 0` must hold, got {value}.")
+
+
+def _require_in_bounds(**values: float) -> None:
+    for name, value in values.items():
+        if abs(value) > LARGEST:
+            raise InputError(f"`{-LARGEST:g} <= {name} <= {LARGEST:g}` must hold, got {value}.")
 
 
 @dataclass(frozen=True)
@@ -73,7 +83,9 @@ class Bearing:
                 f"A dish must be less than a hemisphere, `dish_diameter < 2 radius`; "
                 f"got {self.dish_diameter} and {2.0 * self.radius:.4g} m."
             )
-        if not self.slider_height < 2.0 * math.sqrt(self.radius**2 - self.slider_diameter**2 / 4.0):
+        # A product may be infinite, where a power would raise.
+        half = self.slider_diameter / 2.0
+        if not self.slider_height < 2.0 * math.sqrt(self.radius * self.radius - half * half):
             raise InputError(
                 f"The slider must be lower than the distance of the dishes' centres, "
                 f"got a height of {self.slider_height} m for a radius of {self.radius:.4g} m."
@@ -96,7 +108,9 @@ class Bearing:
         Raises:
             InputError: as the class does.
         """
-        _require_positive(T_b=T_b, mu=mu, D_tot=D_tot, h_sl_ratio=h_sl_ratio, h_rim_ratio=h_rim_ratio, p=p, k=k)
+        values = {"T_b": T_b, "mu": mu, "D_tot": D_tot, "h_sl_ratio": h_sl_ratio, "h_rim_ratio": h_rim_ratio}
+        _require_positive(**values, p=p, k=k)
+        _require_in_bounds(**values, p=p, k=k)
         return cls(
             radius=GRAVITY * (T_b / (2.0 * math.pi)) ** 2 / 2.0,
             mu=mu,
@@ -151,6 +165,7 @@ class Pulse:
         _require_positive(T_p=T_p)
         if not math.isfinite(A_p):
             raise InputError(f"`A_p` must be finite, got {A_p}.")
+        _require_in_bounds(T_p=T_p, A_p=A_p)
         return cls(T_p, A_p * GRAVITY)
 
 

@@ -1,22 +1,29 @@
 """A campaign put together from its settings: design space, simulator, features, and where randomness comes from."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from activefail.acquisition.batch import propose_shared
 from activefail.acquisition.criteria import criterion
+from activefail.campaign import config
 from activefail.campaign.config import CampaignSettings
 from activefail.campaign.dfp import DfpSimulator
+from activefail.campaign.own import CommandSimulator, PythonSimulator
 from activefail.campaign.plugin import load_function
 from activefail.campaign.record import Schema
 from activefail.campaign.simulator import Simulator
 from activefail.errors import InputError
-from activefail.features import FeatureMap, FeatureSet, OwnFeatures, feature_map
+from activefail.features import ExpressionFeatures, FeatureMap, FeatureSet, OwnFeatures, feature_map
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
+
+SIMULATIONS = "simulations"
+"""Of a run folder: where programs that simulate have their folders."""
+
+_COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
+"""Of an exported table, beside variables and margins."""
 
 STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5, "verification": 6}
 """Independent streams of random numbers; a number never changes its meaning, so that old campaigns replay."""
@@ -36,6 +43,7 @@ class Campaign:
 
     Attributes:
         sources: digests of the sources of a user's own functions, by the key that names them.
+        code: folder of the user's own code; None if none may be run.
     """
 
     settings: CampaignSettings
@@ -43,27 +51,70 @@ class Campaign:
     simulator: Simulator
     features: FeatureMap
     sources: dict[str, str] = field(default_factory=dict)
+    code: Path | None = None
 
     @classmethod
-    def of(cls, settings: CampaignSettings, folders: Sequence[Path] = ()) -> "Campaign":
+    def of(
+        cls, settings: CampaignSettings, code: Path | None = None, run: Path | None = None, features: bool = True
+    ) -> "Campaign":
         """The campaign that settings describe.
 
         Args:
             settings: of the campaign.
-            folders: where a user's own functions are looked for, before the current folder.
+            code: folder of the user's own code that the settings name, which is then run. None: none of it is, and
+                features that need it cannot be had, nor simulations.
+            run: folder of the run, in which programs that simulate have theirs, and no code is looked for; the current
+                one if None.
+            features: whether they are needed. The variables stand in for a function of the user's own if not.
 
         Raises:
             InputError: if simulator, design space, features and boundary do not fit each other.
         """
+        # Workers and programs that simulate have other current folders.
+        code, run = (None if folder is None else folder.absolute() for folder in (code, run))
         space = settings.design_space()
-        simulator = DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration())
-        return cls.with_simulator(settings, simulator, folders)
+        simulator: Simulator
+        sources = {}
+        match settings.simulator:
+            case config.PythonSimulator() as named:
+                simulator = PythonSimulator(
+                    space, named.python, code, tuple(named.outcomes), tuple(named.margins), folder=run
+                )
+                if code is not None:
+                    sources["simulator.python"] = simulator.load()
+                    simulator = replace(simulator, source=sources["simulator.python"])
+            case config.CommandSimulator() as named:
+                simulator = CommandSimulator(
+                    space,
+                    named.command,
+                    code,
+                    (run or Path.cwd()) / SIMULATIONS,
+                    tuple(named.outcomes),
+                    tuple(named.margins),
+                    named.retries,
+                    named.keep,
+                )
+            case _:
+                simulator = DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration())
+        for name in space.names:
+            if name in _COLUMNS:
+                raise InputError(f"space.{name}: is the name of another column of the exported table; rename it.")
+        for name in simulator.margins:
+            if name in (*space.names, *_COLUMNS):
+                raise InputError(f"simulator.margins: {name!r} is the name of another column of the exported table.")
+        assembled = cls.with_simulator(settings, simulator, code, features, run)
+        return replace(assembled, sources=sources | assembled.sources)
 
     @classmethod
     def with_simulator(
-        cls, settings: CampaignSettings, simulator: Simulator, folders: Sequence[Path] = ()
+        cls,
+        settings: CampaignSettings,
+        simulator: Simulator,
+        code: Path | None = None,
+        own_features: bool = True,
+        run: Path | None = None,
     ) -> "Campaign":
-        """The campaign that settings describe, on a simulator of one's own.
+        """The campaign that settings describe, on another simulator than they name.
 
         Raises:
             InputError: as `of` does.
@@ -75,14 +126,25 @@ class Campaign:
                     f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
                 )
         named, sources = settings.classifier.features, {}
-        features: FeatureSet | OwnFeatures
-        if isinstance(named, str):
-            features = named
-        else:
-            key = "classifier.features.python"
-            function, sources[key] = load_function(named.python, [*folders, Path.cwd()], key)
-            features = OwnFeatures(named.python.partition(":")[2], function, named.variables)
-        return cls(settings, space, simulator, feature_map(features, space, settings.bearing.model()), sources)
+        features: FeatureSet | OwnFeatures | ExpressionFeatures
+        match named:
+            case config.PythonFeatures() if not own_features:
+                features = "design"
+            case config.PythonFeatures():
+                key = "classifier.features.python"
+                function, sources[key] = load_function(named.python, code, key, run)
+                features = OwnFeatures(named.python.partition(":")[2], function, named.variables)
+            case config.ExpressionFeatures():
+                features = ExpressionFeatures(named.expressions, named.variables)
+            case _:
+                features = named
+        return cls(settings, space, simulator, feature_map(features, space, settings.bearing.model()), sources, code)
+
+    @property
+    def time_limit(self) -> float | None:
+        """Seconds that one simulation may take; None where it bounds itself, or may take for ever."""
+        named = self.settings.simulator
+        return None if isinstance(named, str) else named.time_limit
 
     @property
     def schema(self) -> Schema:
@@ -95,19 +157,36 @@ class Campaign:
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
 
 
-def initial_designs(campaign: Campaign) -> Array:
-    """The Latin hypercube that a campaign starts from, (initial, d)."""
+def initial_designs(campaign: Campaign, sets: int = 1) -> Array:
+    """The Latin hypercubes that a campaign starts from, (sets · initial, d); one, unless the first found no answer."""
     settings = campaign.settings
-    return campaign.space.latin_hypercube(settings.sampling.initial, stream(settings.seed, "initial"))
+    return np.concatenate(
+        [
+            campaign.space.latin_hypercube(settings.sampling.initial, stream(settings.seed, "initial", number))
+            for number in range(sets)
+        ]
+    )
 
 
 def next_batch(
-    campaign: Campaign, classifier: Classifier, iteration: int, q: int, pending: Array | None = None
+    campaign: Campaign,
+    classifier: Classifier,
+    iteration: int,
+    q: int,
+    chosen: int,
+    pending: Array | None = None,
+    failed: Array | None = None,
 ) -> Array:
     """The designs, (q, d), of an iteration: those that the classifier so far asks for.
 
     Args:
+        campaign: that they are for.
+        classifier: of all that is known.
+        iteration: for which they are chosen, from 1 on.
+        q: how many.
+        chosen: before them: what weights and exploration share out is carried over from one batch to the next.
         pending: (k, d) designs in flight, whose outcomes the classifier does not know yet.
+        failed: (k, d) numerical failures, which would fail again.
     """
     settings = campaign.settings
     return propose_shared(
@@ -116,8 +195,9 @@ def next_batch(
         criterion(settings.acquisition.criterion),
         settings.acquisition.boundaries,
         settings.acquisition.exploration,
-        (iteration - 1) * settings.sampling.batch,
+        chosen,
         q,
         stream(settings.seed, "propose", iteration),
         pending,
+        failed,
     )

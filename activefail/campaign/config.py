@@ -1,6 +1,8 @@
 """A campaign's settings: TOML in, checked and frozen."""
 
-import math
+import json
+import re
+import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,10 +21,11 @@ from pydantic import (
 )
 
 from activefail.acquisition.criteria import Criterion
-from activefail.bearing.design import TABLE_1, Model, Tolerance
+from activefail.bearing.design import LARGEST, TABLE_1, Model, Tolerance
+from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import InputError
 from activefail.features import FeatureSet
-from activefail.space import DesignSpace, Parameter
+from activefail.space import DesignSpace, Distribution, Parameter
 
 
 class _Section(BaseModel):
@@ -31,17 +34,40 @@ class _Section(BaseModel):
 
 
 class Variable(_Section):
-    """One variable of the design space, uniform between its bounds."""
+    """One variable of the design space, between its bounds (`activefail.space.Parameter`)."""
 
     low: float
     high: float
     unit: str = ""
+    distribution: Distribution = "uniform"
+    mean: float | None = None
+    sd: float | None = None
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _is_a_distribution(self) -> Self:
         if not self.low < self.high:
             raise ValueError(f"`low < high` must hold, got {self.low} and {self.high}")
+        if max(-self.low, self.high) > LARGEST:
+            raise ValueError(
+                f"`{-LARGEST:g} <= low` and `high <= {LARGEST:g}` must hold, got {self.low} and {self.high}"
+            )
+        try:
+            self.parameter("x")
+        except InputError as broken:
+            # The key says which.
+            raise ValueError(str(broken).replace(" for 'x'", "").rstrip(".")) from None
         return self
+
+    def parameter(self, name: str) -> Parameter:
+        """The variable of the design space, under a name."""
+        return Parameter(name, self.low, self.high, self.unit, self.distribution, self.mean, self.sd)
+
+
+class FixedVariable(_Section):
+    """A quantity that the simulator needs and that is the same for every design."""
+
+    value: float = Field(ge=-LARGEST, le=LARGEST)
+    unit: str = ""
 
 
 class BearingSettings(_Section):
@@ -64,17 +90,79 @@ class BearingSettings(_Section):
         return Tolerance(relative=self.tolerance)
 
 
+_Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$")]
+"""A function of a module, "module:function"."""
+
+
+class OwnSimulator(_Section):
+    """What a simulator of one's own answers.
+
+    Attributes:
+        outcomes: two or three names, the least severe first.
+        margins: names of the numbers that it tells beside the outcome.
+        time_limit: of one simulation [s]; for ever if None.
+    """
+
+    outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
+    margins: list[str] = Field([], max_length=100)
+    time_limit: float | None = Field(None, gt=0.0, le=1e9)
+
+    @field_validator("outcomes", "margins")
+    @classmethod
+    def _are_names(cls, names: list[str]) -> list[str]:
+        for name in names:
+            if not name.isidentifier():
+                raise ValueError(f"must be identifiers, got {name!r}")
+            if names.count(name) > 1:
+                raise ValueError(f"must differ from each other, got {name!r} twice")
+        if "numerical_failure" in names:
+            raise ValueError("'numerical_failure' is what a simulation without an answer is called")
+        return names
+
+
+class PythonSimulator(OwnSimulator):
+    """A simulator that is a function (`activefail.campaign.own`); its module is looked for as those of features."""
+
+    python: _Reference
+
+
+class CommandSimulator(OwnSimulator):
+    """A simulator that is a program (`activefail.campaign.own`).
+
+    Attributes:
+        command: with the values of the variables in braces.
+        retries: how often it is run again where it fails.
+        keep: whether the folders of the simulations that it answered are kept.
+    """
+
+    command: str = Field(min_length=1)
+    retries: int = Field(0, ge=0, le=100)
+    keep: bool = True
+
+
 class Sampling(_Section):
-    """How many simulations, and how they are shared out."""
+    """How many simulations, and how they are shared out.
+
+    Attributes:
+        initial: of the Latin hypercube that a campaign starts from.
+        budget: in all.
+        batch: proposed at a time; of an asynchronous campaign, in flight at a time.
+        asynchronous: whether each answer is learned from and followed by another proposal as soon as it comes.
+    """
 
     initial: int = Field(250, ge=2, le=1_000_000)
     budget: int = Field(500, ge=2, le=1_000_000)
     batch: int = Field(10, ge=1, le=500)
+    asynchronous: bool = False
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.budget < self.initial:
             raise ValueError(f"`initial <= budget` must hold, got {self.initial} and {self.budget}")
+        if self.asynchronous and 2 * self.batch > self.initial:
+            raise ValueError(
+                f"`2 batch <= initial` must hold where asynchronous, got batch {self.batch} and initial {self.initial}"
+            )
         return self
 
 
@@ -82,26 +170,56 @@ class PythonFeatures(_Section):
     """A function of one's own that says what the classifier sees.
 
     Attributes:
-        python: "module:function"; the module is looked for beside the campaign's file, then where Python looks.
+        python: the function; its module is looked for beside the campaign's file, then where Python looks.
         variables: whether the variables themselves come before what the function returns.
     """
 
-    python: str = Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$")
+    python: _Reference
     variables: bool = True
 
 
-_TAGS = ("a name", "a table")
+class ExpressionFeatures(_Section):
+    """Features as arithmetic on the variables.
+
+    Attributes:
+        expressions: by the features' names (`activefail.expressions`).
+        variables: whether the variables themselves come before them.
+    """
+
+    expressions: dict[str, str] = Field(min_length=1)
+    variables: bool = True
 
 
-def _kind(features: Any) -> str:
-    return _TAGS[isinstance(features, (dict, PythonFeatures))]
+_NAME, _RANGE = "a name", "a range"
+_WITH = "a table with "
+
+
+def _range_or_value(given: Any) -> str:
+    is_fixed = isinstance(given, FixedVariable) or (isinstance(given, dict) and "value" in given)
+    return f"{_WITH}value" if is_fixed else _RANGE
+
+
+def _by_key(*sections: tuple[str, type[_Section]]) -> Discriminator:
+    """Tells a name from tables, and the tables from each other by a key that one of them alone has."""
+
+    def kind(value: Any) -> str:
+        for key, section in sections:
+            if isinstance(value, section) or (isinstance(value, dict) and key in value):
+                return f"{_WITH}{key}"
+        return "" if isinstance(value, dict) else _NAME
+
+    keys = " or ".join(f"{_WITH}`{key}`" for key, _ in sections)
+    return Discriminator(kind, "no_such_table", f"must be a name, {keys}")
 
 
 class ClassifierSettings(_Section):
     """What the classifier sees and how smooth it takes the boundary to be."""
 
     features: Annotated[
-        Annotated[FeatureSet, Tag(_TAGS[0])] | Annotated[PythonFeatures, Tag(_TAGS[1])], Discriminator(_kind)
+        Annotated[FeatureSet, Tag(_NAME)]
+        | Annotated[PythonFeatures, Tag(f"{_WITH}python")]
+        | Annotated[ExpressionFeatures, Tag(f"{_WITH}expressions")],
+        _by_key(("python", PythonFeatures), ("expressions", ExpressionFeatures)),
     ] = "paper"
     kernel: Literal["rbf", "matern52"] = "rbf"
 
@@ -118,23 +236,20 @@ class AcquisitionSettings(_Section):
     def _one_outcome_or_weights(cls, boundary: object) -> object:
         if isinstance(boundary, dict):
             if not boundary:
-                raise ValueError("must name at least one outcome")
+                raise ValueError("must name at least one outcome, got {}")
             for name, weight in boundary.items():
                 number = isinstance(weight, int | float) and not isinstance(weight, bool)
-                if not (number and 0.0 < weight < math.inf):
-                    raise ValueError(f"the weight of {name!r} must be a positive finite number, got {weight!r}")
+                # A whole number of TOML may be larger than any that can be computed with.
+                if not (number and 0.0 < weight <= sys.float_info.max):
+                    raise ValueError(f"the weight of {name!r} must be a positive finite number, got {_shown(weight)}")
         elif not isinstance(boundary, str):
-            raise ValueError(f"must be an outcome, or a table of outcomes and weights, got {boundary!r}")
+            raise ValueError(f"must be an outcome, or a table of outcomes and weights, got {_shown(boundary)}")
         return boundary
 
     @property
     def boundaries(self) -> dict[str, float]:
         """The outcomes whose boundaries are sought, and each one's share of the chosen designs; their sum is 1."""
-        weights = {self.boundary: 1.0} if isinstance(self.boundary, str) else self.boundary
-        # By the largest first: the sum of huge weights must not overflow.
-        largest = max(weights.values())
-        scaled = {name: weight / largest for name, weight in weights.items()}
-        return {name: weight / sum(scaled.values()) for name, weight in scaled.items()}
+        return boundary_shares(self.boundary)
 
     @property
     def main_boundary(self) -> str:
@@ -167,16 +282,28 @@ class Stop(_Section):
     every: int = Field(5, ge=1, le=1000)
 
 
+_AnyVariable = Annotated[
+    Annotated[Variable, Tag(_RANGE)] | Annotated[FixedVariable, Tag(f"{_WITH}value")], Discriminator(_range_or_value)
+]
+
+
+def _table_1() -> dict[str, Variable | FixedVariable]:
+    return {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
+
+
 class CampaignSettings(_Section):
     """All that defines a campaign; with the same versions and threads it gives the same bits."""
 
     description: str = ""
     seed: int = Field(0, ge=0, lt=2**63)
-    simulator: Literal["dfp"] = "dfp"
+    simulator: Annotated[
+        Annotated[Literal["dfp"], Tag(_NAME)]
+        | Annotated[PythonSimulator, Tag(f"{_WITH}python")]
+        | Annotated[CommandSimulator, Tag(f"{_WITH}command")],
+        _by_key(("python", PythonSimulator), ("command", CommandSimulator)),
+    ] = "dfp"
     bearing: BearingSettings = BearingSettings()
-    space: Annotated[dict[str, Variable], Field(min_length=1)] = Field(
-        default_factory=lambda: {p.name: Variable(low=p.low, high=p.high, unit=p.unit) for p in TABLE_1.parameters}
-    )
+    space: Annotated[dict[str, _AnyVariable], Field(min_length=1)] = Field(default_factory=_table_1)
     sampling: Sampling = Sampling()
     classifier: ClassifierSettings = ClassifierSettings()
     acquisition: AcquisitionSettings = AcquisitionSettings()
@@ -184,9 +311,29 @@ class CampaignSettings(_Section):
     limits: Limits = Limits()
     stop: Stop | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _with_features_that_any_simulator_has(cls, values: Any) -> Any:
+        """The default of `classifier.features` is for bearings; for a simulator of one's own it is the variables."""
+        if isinstance(values, dict) and isinstance(values.get("simulator"), dict):
+            classifier = values.get("classifier", {})
+            if isinstance(classifier, dict):
+                return values | {"classifier": {"features": "design"} | classifier}
+        return values
+
+    @field_validator("space")
+    @classmethod
+    def _named(cls, space: dict[str, Variable | FixedVariable]) -> dict[str, Variable | FixedVariable]:
+        for name in space:
+            if not name.isidentifier():
+                raise ValueError(f"a variable's name must be an identifier, got {name!r}")
+        return space
+
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
-        return DesignSpace(tuple(Parameter(name, v.low, v.high, v.unit) for name, v in self.space.items()))
+        variables = {name: given for name, given in self.space.items() if isinstance(given, Variable)}
+        fixed = {name: given.value for name, given in self.space.items() if isinstance(given, FixedVariable)}
+        return DesignSpace(tuple(given.parameter(name) for name, given in variables.items()), fixed)
 
     def text(self) -> str:
         """The settings as TOML, defaults written out: the frozen copy of a run folder."""
@@ -217,9 +364,28 @@ class CampaignSettings(_Section):
         return _checked(values, "command line")
 
 
+def _key(name: str) -> str:
+    """A key as TOML writes it: quoted where it is not of letters, digits, `_` and `-` alone."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+
+
+_SHOWN = 200
+"""Most characters of a value in a message."""
+
+
+def _shown(value: object) -> str:
+    """A value as messages write it."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return "a number of thousands of digits"
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
 def _rule(error: Any) -> str:
     """One line of a validation error: key path, rule and value."""
-    path = ".".join(str(part) for part in error["loc"] if part not in _TAGS) or "the file"
+    parts = [part for part in error["loc"] if part not in (_NAME, _RANGE) and not str(part).startswith(_WITH)]
+    path = ".".join(_key(str(part)) for part in parts) or "the file"
     message = error["msg"].removeprefix("Value error, ")
     match error["type"]:
         case "extra_forbidden":
@@ -229,10 +395,16 @@ def _rule(error: Any) -> str:
         case "value_error":
             return f"{path}: {message}"
         case "string_pattern_mismatch":
-            return f'{path}: must be "module:function", got {error["input"]!r}'
+            return f'{path}: must be "module:function", got {_shown(error["input"])}'
+        case "model_type" | "dict_type":
+            return f"{path}: must be a table, got {_shown(error['input'])}"
+        case "too_short" | "too_long" if "actual_length" in error["ctx"]:
+            least, most = error["ctx"].get("min_length"), error["ctx"].get("max_length")
+            rule = f"at least {least}" if most is None else f"at most {most}"
+            return f"{path}: must hold {rule}, got {_shown(error['input'])}"
         case _:
             message = message.replace("Input should be", "must be")
-            return f"{path}: {message}, got {error['input']!r}"
+            return f"{path}: {message}, got {_shown(error['input'])}"
 
 
 def _checked(values: dict[str, Any], source: str) -> "CampaignSettings":
@@ -253,6 +425,10 @@ def parse_settings(text: str, source: str) -> CampaignSettings:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as malformed:
         raise InputError(f"{source}: not valid TOML: {malformed}") from None
+    except RecursionError:
+        raise InputError(f"{source}: not valid TOML: tables and lists within each other, hundreds deep.") from None
+    except ValueError:
+        raise InputError(f"{source}: not valid TOML: a whole number of thousands of digits.") from None
     return _checked(values, source)
 
 

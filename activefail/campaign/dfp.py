@@ -17,12 +17,12 @@ class DfpSimulator:
     """The bearing model over the nine variables of Table 1, whatever ranges a campaign gives them.
 
     Attributes:
-        columns: of a design, in Table 1's order.
+        space: of the designs.
     """
 
+    space: DesignSpace
     model: Model
     tolerance: Tolerance
-    columns: tuple[int, ...]
 
     outcomes = o.OUTCOMES
     causes = o.CAUSES
@@ -36,31 +36,31 @@ class DfpSimulator:
         Raises:
             InputError: if the space lacks a variable of Table 1, has another one, or reaches to zero or below.
         """
-        columns = space.select(TABLE_1.names)
-        for parameter in space.parameters:
-            if parameter.name not in TABLE_1.names:
+        lowest, highest = space.table(np.array([space.low, space.high]), TABLE_1.names)
+        for name in (*space.names, *space.fixed):
+            if name not in TABLE_1.names:
                 raise InputError(
-                    f"space.{parameter.name}: the dfp simulator has no such variable; "
-                    f"it has {', '.join(TABLE_1.names)}."
+                    f"space.{name}: the dfp simulator has no such variable; it has {', '.join(TABLE_1.names)}."
                 )
+        for parameter in space.parameters:
             unit = TABLE_1.parameters[TABLE_1.names.index(parameter.name)].unit
             if parameter.unit not in ("", unit):
                 raise InputError(f"space.{parameter.name}.unit: must be {unit!r} or left out, got {parameter.unit!r}.")
-            if parameter.low <= 0.0:
-                raise InputError(
-                    f"space.{parameter.name}.low: must be positive for the dfp simulator, got {parameter.low}."
-                )
-        low, high = space.low[columns], space.high[columns]
+        for name, low in zip(TABLE_1.names, lowest.tolist(), strict=True):
+            if low <= 0.0:
+                key = "value" if name in space.fixed else "low"
+                raise InputError(f"space.{name}.{key}: must be positive for the dfp simulator, got {low}.")
         try:
             # The hardest to build of all: small radius, wide dish, high slider.
-            Bearing.from_row([low[0], high[1], high[2], high[3], *high[4:7]], model.slider_diameter)
+            Bearing.from_row([lowest[0], *highest[1:7]], model.slider_diameter)
         except InputError as impossible:
             raise InputError(
-                f"space: the corner of least T_b, largest D_tot and h_sl_ratio cannot be built. {impossible}"
+                f"space: the corner of least T_b, largest D_tot and h_sl_ratio cannot be built with a "
+                f"bearing.slider_diameter of {model.slider_diameter:g} m. {impossible}"
             ) from None
-        return cls(model, tolerance, tuple(columns.tolist()))
+        return cls(space, model, tolerance)
 
     def run(self, X: Array) -> Results:
-        """Simulate designs, (n, 9), on the calling thread."""
-        answers = simulate(np.asarray(X)[:, self.columns], self.model, self.tolerance, threads=1)
+        """Simulate designs, (n, d), on the calling thread."""
+        answers = simulate(self.space.table(X, TABLE_1.names), self.model, self.tolerance, threads=1)
         return Results(answers.label, answers.cause, answers.margins, answers.seconds)

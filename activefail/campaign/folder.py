@@ -11,15 +11,28 @@ from activefail.campaign.store import FolderStore
 from activefail.errors import InputError
 
 
-def read_campaign(path: Path, seed: int | None = None, budget: int | None = None) -> Campaign:
+def read_campaign(
+    path: Path,
+    seed: int | None = None,
+    budget: int | None = None,
+    *,
+    code: Path | None = None,
+    run: Path | None = None,
+    features: bool = True,
+) -> Campaign:
     """The campaign of a file, with a command line's seed and budget instead of its own where they are given.
+
+    Args:
+        path: of the file.
+        seed, budget: of the command line.
+        code, run, features: see `Campaign.of`.
 
     Raises:
         InputError: naming the file and the rule, if the file cannot be read, is not valid, or its pieces do not fit.
     """
     settings = read_settings(path).with_overrides(seed, budget)
     try:
-        return Campaign.of(settings, [path.absolute().parent])
+        return Campaign.of(settings, code, run, features)
     except InputError as unfit:
         raise InputError(f"{path}: {unfit}") from None
 
@@ -36,8 +49,16 @@ def create_run(folder: Path, campaign: Campaign) -> FolderStore:
 
 
 @contextmanager
-def open_campaign(folder: Path, write: bool) -> Iterator[tuple[Campaign, FolderStore]]:
+def open_campaign(
+    folder: Path, write: bool, code: Path | None = None, features: bool = True
+) -> Iterator[tuple[Campaign, FolderStore]]:
     """The campaign of a run folder and its record; with `write`, this process becomes its only writer.
+
+    Args:
+        folder: of the run.
+        write: whether to.
+        code: folder of the user's own code, which is then run (see `Campaign.of`).
+        features: whether they are needed; who only counts does without those that are a function of the user's own.
 
     Raises:
         InputError: if there is no campaign in the folder or its settings are not valid.
@@ -47,6 +68,6 @@ def open_campaign(folder: Path, write: bool) -> Iterator[tuple[Campaign, FolderS
     path = folder / "campaign.toml"
     if not path.is_file():
         raise InputError(f"{folder}: is not a run folder; there is no campaign.toml in it.")
-    campaign = read_campaign(path)
+    campaign = read_campaign(path, code=code, run=folder, features=features)
     with FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources) as store:
         yield campaign, store

@@ -7,6 +7,7 @@ disk: it dies of SIGSEGV on a full one and returns wrong values for a flipped bi
 
 import errno
 import hashlib
+import io
 import os
 import re
 import secrets
@@ -112,15 +113,16 @@ class Image:
     """A verified file, open for reading; each demand is checked before its bytes are read."""
 
     def __init__(self, root: h5py.File, size: int) -> None:
-        for name in root:
-            link = root.get(name, getlink=True)
-            if not isinstance(link, h5py.HardLink):
-                raise DamagedError(f"holds the {type(link).__name__} {name!r}, which is never followed")
-            if root.get(name, getclass=True) is not h5py.Dataset:
-                raise DamagedError(f"holds {name!r}, which is not a dataset")
         self._root = root
         self._size = size
         self.names: tuple[str, ...] = tuple(root)
+        # By the library's own calls: h5py's would take longer than all the rest of a small file.
+        for name in self.names:
+            if root.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
+                link = root.get(name, getlink=True)
+                raise DamagedError(f"holds the {type(link).__name__} {name!r}, which is never followed")
+            if h5py.h5o.get_info(root.id, name.encode()).type != h5py.h5o.TYPE_DATASET:
+                raise DamagedError(f"holds {name!r}, which is not a dataset")
 
     def attribute(self, name: str) -> str:
         """The text of an attribute.
@@ -144,27 +146,30 @@ class Image:
             DamagedError: if reading it would leave this file, need a filter other than fletcher32, run Python's
                 object types or fill memory with more than the file holds.
         """
-        dataset = self._root[name]
+        dataset = h5py.h5d.open(self._root.id, name.encode())
         # The creation list first: asking a virtual dataset for its shape can already open other files.
-        plan = dataset.id.get_create_plist()
+        plan = dataset.get_create_plist()
         if plan.get_layout() not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS):
             raise DamagedError(f"stores {name!r} as a virtual or compact dataset, which is never read")
         if plan.get_external_count():
             raise DamagedError(f"stores {name!r} in another file, which is never read")
         if any(plan.get_filter(i)[0] != h5py.h5z.FILTER_FLETCHER32 for i in range(plan.get_nfilters())):
             raise DamagedError(f"stores {name!r} behind a filter other than fletcher32")
-        if dataset.shape is None or dataset.dtype.hasobject:
-            raise DamagedError(f"declares {name!r} with type {dataset.dtype} and shape {dataset.shape}")
+        dtype = dataset.dtype
+        empty = dataset.get_space().get_simple_extent_type() == h5py.h5s.NULL
+        shape: tuple[int, ...] = dataset.shape
+        if empty or dtype.hasobject:
+            raise DamagedError(f"declares {name!r} with type {dtype} and shape {None if empty else shape}")
         count = 1
-        for length in dataset.shape:
+        for length in shape:
             count *= length  # Python's integers: the product of hostile lengths may pass 64 bits
         # Chunks that were never written read as zeros: a file of a kilobyte could ask for a terabyte.
-        if count * dataset.dtype.itemsize > min(self._size, dataset.id.get_storage_size()):
-            raise DamagedError(f"declares {name!r} with shape {dataset.shape}, more than the file holds")
-        return dataset.dtype, dataset.shape
+        if count * dtype.itemsize > min(self._size, dataset.get_storage_size()):
+            raise DamagedError(f"declares {name!r} with shape {shape}, more than the file holds")
+        return dtype, shape
 
-    def array(self, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
-        """The dataset, which must declare this type and shape.
+    def check(self, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> None:
+        """Check that a dataset may be read and is of this type and shape; nothing of it is read.
 
         Raises:
             DamagedError: if it is missing, declares anything else or may not be read (see `declared`).
@@ -174,6 +179,14 @@ class Image:
         declared = self.declared(name)
         if declared != (np.dtype(dtype), shape):
             raise DamagedError(f"declares {name!r} as {declared}, expected {(np.dtype(dtype), shape)}")
+
+    def array(self, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+        """The dataset, which must be of this type and shape.
+
+        Raises:
+            DamagedError: as `check` does.
+        """
+        self.check(name, dtype, shape)
         return np.asarray(self._root[name][()])
 
     def text(self, name: str) -> str:
@@ -194,7 +207,8 @@ def opened(data: bytes) -> Iterator[Image]:
     """
     verify(data)
     try:
-        with h5py.File(h5py.h5f.open_file_image(data)) as root:
+        # As a file object: HDF5 would copy all of an image, and of many files only a part is wanted.
+        with h5py.File(io.BytesIO(data), "r") as root:
             yield Image(root, len(data))
     except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
         raise DamagedError(f"does not hold what activefail writes ({error})") from error

@@ -7,11 +7,13 @@ import torch
 from numpy.typing import NDArray
 
 from activefail.campaign.campaign import Campaign
-from activefail.campaign.record import Batch, Store
+from activefail.campaign.record import SEED, Batch, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent, train
-from activefail.surrogate.fitting import Fit, Hyperparameters, Sites
+from activefail.surrogate.covariance import Hyperparameters
+from activefail.surrogate.fitting import Fit
+from activefail.surrogate.sites import Sites
 
 
 def training_rows(batches: tuple[Batch, ...], through: int | None = None) -> tuple[Array, NDArray[np.int8]]:
@@ -21,6 +23,37 @@ def training_rows(batches: tuple[Batch, ...], through: int | None = None) -> tup
     outcome = np.concatenate([batch.results.outcome for batch in kept])
     answered = outcome != NUMERICAL_FAILURE
     return X[answered], outcome[answered]
+
+
+def leading_failures(batches: tuple[Batch, ...]) -> int:
+    """How many simulations of a record failed before the first that gave an answer."""
+    failed = 0
+    for batch in batches:
+        answered = np.flatnonzero(batch.results.outcome != NUMERICAL_FAILURE)
+        if len(answered):
+            return failed + int(answered[0])
+        failed += len(batch)
+    return failed
+
+
+def initial_sets(campaign: Campaign, batches: tuple[Batch, ...]) -> int:
+    """How many initial sets of designs a record calls for: one, and one more for each that found no answer at all.
+
+    There a campaign stops. When it goes on, the simulator was mended, and there is still nothing to learn from.
+    """
+    return 1 + leading_failures(batches) // campaign.settings.sampling.initial
+
+
+def failed_designs(batches: tuple[Batch, ...]) -> Array:
+    """Designs, (n, d), of the numerical failures of all batches."""
+    return np.concatenate([batch.designs[batch.results.outcome == NUMERICAL_FAILURE] for batch in batches])
+
+
+def in_initial_design(batches: tuple[Batch, ...]) -> NDArray[np.bool_]:
+    """Which rows of `training_rows` are of the initial hypercube: a sample of the design space, unlike chosen ones."""
+    origin = np.concatenate([batch.origin for batch in batches])
+    outcome = np.concatenate([batch.results.outcome for batch in batches])
+    return np.asarray(origin[outcome != NUMERICAL_FAILURE] == SEED)
 
 
 def first_rows(batches: tuple[Batch, ...], n: int) -> tuple[Array, NDArray[np.int8]]:
@@ -52,6 +85,8 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
             f"{name}/evaluations": np.int64(trained.evaluations),
             f"{name}/learned_on": np.int64(trained.learned_on),
         }
+        if trained.inducing is not None:
+            state[f"{name}/inducing"] = trained.inducing.numpy()
     return {name: np.asarray(array) for name, array in state.items()}
 
 
@@ -62,6 +97,7 @@ def classifier_from_state(
     F = torch.from_numpy(campaign.features(X))
     latents = []
     for severity, name in enumerate(campaign.simulator.outcomes[1:], start=1):
+        inducing = state.get(f"{name}/inducing")
         trained = Fit(
             campaign.settings.classifier.kernel,
             F,
@@ -75,6 +111,7 @@ def classifier_from_state(
             float(state[f"{name}/elbo"]),
             int(state[f"{name}/evaluations"]),
             int(state[f"{name}/learned_on"]),
+            None if inducing is None else torch.from_numpy(inducing),
         )
         latents.append(Latent(trained))
     return Classifier(campaign.simulator.outcomes, campaign.features, tuple(latents))

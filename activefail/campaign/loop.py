@@ -10,12 +10,21 @@ import torch
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from activefail.campaign.asynchronous import resumed
 from activefail.campaign.campaign import Campaign, initial_designs, next_batch, stream
-from activefail.campaign.executor import Executor
-from activefail.campaign.learning import accuracy, classifier_state, current_classifier, learn
+from activefail.campaign.executor import AsynchronousExecutor, Executor
+from activefail.campaign.learning import (
+    accuracy,
+    classifier_state,
+    current_classifier,
+    failed_designs,
+    initial_sets,
+    leading_failures,
+    learn,
+)
 from activefail.campaign.record import ACTIVE, SEED, Batch, Store
 from activefail.campaign.sets import simulated_set
-from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, cause_name
 from activefail.campaign.verification import ErrorEstimate, expected_error, verify
 from activefail.errors import SimulationError
 from activefail.space import Array
@@ -91,19 +100,24 @@ def _simulate_and_record(
     store.commit(Batch(iteration, designs, np.full(len(designs), origin, dtype=np.int8), results))
 
 
-def _check_numerical_failures(progress: Progress, limit: float) -> None:
-    if progress.done >= _LEAST_FOR_RATE and progress.numerical_failures > limit * progress.done:
+def _check_numerical_failures(done: int, failures: int, limit: float, first_fault: str) -> None:
+    if done >= _LEAST_FOR_RATE and failures > limit * done:
         raise SimulationError(
-            f"{progress.numerical_failures} of {progress.done} simulations failed numerically, more than the share of "
+            f"{failures} of {done} simulations failed numerically, more than the share of "
             f"{limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops here. "
             f"`activefail export` shows their causes; `activefail resume DIR --numerical-failures SHARE` allows more."
+            + _told(first_fault)
         )
+
+
+def _told(first_fault: str) -> str:
+    return f" The first that was given up: {first_fault}" if first_fault else ""
 
 
 def run(
     campaign: Campaign,
     store: Store,
-    executor: Executor,
+    executor: AsynchronousExecutor,
     budget: int,
     observer: Observer | None = None,
     failure_limit: float | None = None,
@@ -122,55 +136,149 @@ def run(
         StoreError: if a batch cannot be recorded.
     """
     observer = observer or Observer()
-    batch = campaign.settings.sampling.batch
     limit = campaign.settings.limits.numerical_failures if failure_limit is None else failure_limit
+    take = _without_batches if campaign.settings.sampling.asynchronous else _in_batches
     with one_thread():
         validation = _validation_set(campaign, store, executor, observer)
-        initial = initial_designs(campaign)
-        while (progress := standing(campaign, store.batches, budget)).done < len(initial):
-            observer.progress(progress)
-            _check_numerical_failures(progress, limit)
-            if progress.done >= budget:
-                # Nothing is learned from a part of the initial design: a later resume would start from it.
-                return True
-            if observer.stop():
-                return False
-            observer.stage("simulating the initial design")
-            designs = initial[progress.done : min(progress.done + batch, budget)]
-            _simulate_and_record(campaign, store, executor, 0, SEED, designs)
+        initial = initial_designs(campaign, initial_sets(campaign, store.batches))
+        # What failed before the first answer was the fault of a simulator that was mended since.
+        forgiven = leading_failures(store.batches)
+        return take(
+            _Task(campaign, store, executor, budget, observer, limit, good_enough, validation, initial, forgiven)
+        )
 
-        observer.stage("learning")
-        classifier = current_classifier(campaign, store, write=True)
-        seconds = None
-        while True:
-            progress = standing(campaign, store.batches, budget)
-            left = max(0, budget - progress.done)
-            error = None
-            if good_enough:
-                error = _verified(campaign, store, executor, classifier, progress.iteration, observer)
-            observer.progress(
-                replace(
-                    progress,
-                    accuracy=None if validation is None else accuracy(classifier, campaign.severity, *validation),
-                    seconds_left=None if seconds is None else seconds * -(-left // batch),
-                    error=error,
-                )
+
+@dataclass(frozen=True)
+class _Task:
+    """What `run` was asked for, and the designs that it starts from."""
+
+    campaign: Campaign
+    store: Store
+    executor: AsynchronousExecutor
+    budget: int
+    observer: Observer
+    failure_limit: float
+    good_enough: bool
+    validation: tuple[Array, NDArray[np.int8]] | None
+    initial: Array
+    forgiven: int  # failures that do not count to the limit
+
+    def check(self, progress: Progress) -> None:
+        """Stop where too many simulations have failed numerically, or all have and there is nothing to learn from."""
+        size = self.campaign.settings.sampling.initial
+        if progress.done >= min(len(self.initial), self.budget) and not progress.counts.any():
+            first = cause_name(self.campaign.simulator.causes, int(self.store.batches[0].results.cause[0]))
+            needed = (progress.done // size + 1) * size
+            raise SimulationError(
+                f"None of the {progress.done} simulations gave an answer: there is nothing to learn from. They are "
+                f"recorded; the campaign stops here. The cause of the first is {first or 'not named'}. Once the "
+                f"simulator is mended, `activefail resume DIR{f' --budget {needed}' if self.budget < needed else ''}` "
+                f"goes on with other initial designs." + _told(self.executor.first_fault)
             )
-            _check_numerical_failures(progress, limit)
-            if left == 0 or _is_good_enough(campaign, error):
-                return True
-            if observer.stop():
-                return False
-            began = time.monotonic()
-            iteration = progress.iteration + 1
-            observer.stage("proposing")
-            designs = next_batch(campaign, classifier, iteration, min(batch, left))
+        done, failures = progress.done - self.forgiven, progress.numerical_failures - self.forgiven
+        _check_numerical_failures(done, failures, self.failure_limit, self.executor.first_fault)
+
+    def judged(self, progress: Progress, classifier: Classifier, verify_now: bool) -> Progress:
+        """The progress with what is known of the classifier's accuracy."""
+        error = None
+        if self.good_enough and verify_now:
+            error = _verified(self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer)
+        known = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
+        return replace(progress, accuracy=known, error=error)
+
+
+def _in_batches(task: _Task) -> bool:
+    campaign, store, observer, budget = task.campaign, task.store, task.observer, task.budget
+    batch, rule = campaign.settings.sampling.batch, campaign.settings.stop
+    initial = task.initial
+    while (progress := standing(campaign, store.batches, budget)).done < len(initial):
+        observer.progress(progress)
+        task.check(progress)
+        if progress.done >= budget:
+            # Nothing is learned from a part of the initial design: a later resume would start from it.
+            return True
+        if observer.stop():
+            return False
+        observer.stage("simulating the initial design")
+        designs = initial[progress.done : min(progress.done + batch, budget)]
+        _simulate_and_record(campaign, store, task.executor, 0, SEED, designs)
+
+    task.check(progress)
+    observer.stage("learning")
+    classifier = current_classifier(campaign, store, write=True)
+    seconds = None
+    while True:
+        progress = standing(campaign, store.batches, budget)
+        left = max(0, budget - progress.done)
+        verify_now = rule is not None and progress.iteration % rule.every == 0
+        progress = task.judged(progress, classifier, verify_now)
+        observer.progress(replace(progress, seconds_left=None if seconds is None else seconds * -(-left // batch)))
+        task.check(progress)
+        if left == 0 or _is_good_enough(campaign, progress.error):
+            return True
+        if observer.stop():
+            return False
+        began = time.monotonic()
+        iteration = progress.iteration + 1
+        observer.stage("proposing")
+        chosen, failed = (iteration - 1) * batch, failed_designs(store.batches)
+        designs = next_batch(campaign, classifier, iteration, min(batch, left), chosen, failed=failed)
+        observer.stage("simulating")
+        _simulate_and_record(campaign, store, task.executor, iteration, ACTIVE, designs)
+        observer.stage("learning")
+        classifier = learn(campaign, store.batches, iteration, classifier)
+        store.write_state(iteration, classifier_state(classifier))
+        seconds = time.monotonic() - began
+
+
+def _without_batches(task: _Task) -> bool:
+    campaign, store, observer, executor = task.campaign, task.store, task.observer, task.executor
+    rule, size = campaign.settings.stop, campaign.settings.sampling.batch
+    initial = {design.tobytes() for design in task.initial}
+    observer.stage("learning")
+    course = resumed(campaign, store)
+    started: dict[bytes, Array] = {}
+    tickets: dict[int, Array] = {}
+    every = np.inf if rule is None else size * rule.every
+    # What was looked at before the last commit is not due again, nor was anything before there was a classifier.
+    looked = 0 if course.iteration < 1 else sum(len(batch) for batch in store.batches[:-1]) // every
+    began, before = time.monotonic(), standing(campaign, store.batches, task.budget).done
+    ending = False
+    while True:
+        progress = standing(campaign, store.batches, task.budget)
+        left = task.budget - progress.done
+        if course.classifier is not None:
+            # As often as with batches.
+            looks = progress.done // every
+            progress = task.judged(progress, course.classifier, looks > looked)
+            looked = max(looked, looks)
+        rate = (progress.done - before) / (time.monotonic() - began)
+        observer.progress(replace(progress, seconds_left=left / rate if rate and course.classifier else None))
+        task.check(progress)
+        enough = left <= 0 or _is_good_enough(campaign, progress.error)
+        ending = ending or enough
+        stopping = False
+        while True:
+            stopping = stopping or observer.stop()
+            if not (ending or stopping):
+                for design in course.flight[: task.budget - progress.done]:
+                    if design.tobytes() not in started:
+                        tickets[len(tickets)] = started[design.tobytes()] = design
+                        executor.start(campaign.simulator, len(tickets) - 1, design)
+            if not started:
+                return ending
             observer.stage("simulating")
-            _simulate_and_record(campaign, store, executor, iteration, ACTIVE, designs)
-            observer.stage("learning")
-            classifier = learn(campaign, store.batches, iteration, classifier)
-            store.write_state(iteration, classifier_state(classifier))
-            seconds = time.monotonic() - began
+            if answers := executor.answered(0.5):
+                break
+        designs = np.stack([tickets[ticket] for ticket, _ in answers])
+        for design in designs:
+            del started[design.tobytes()]
+        origin = np.array([SEED if design.tobytes() in initial else ACTIVE for design in designs], dtype=np.int8)
+        results = Results.concatenate([answer for _, answer in answers])
+        store.commit(Batch(course.next_iteration, designs, origin, results))
+        observer.stage("learning")
+        course = course.after(campaign, store.batches)
+        course.save(store)
 
 
 def _validation_set(
@@ -189,7 +297,7 @@ def _verified(
 ) -> ErrorEstimate | None:
     """The verified error, where the campaign's rule asks for it now and the classifier itself believes it may do."""
     rule = campaign.settings.stop
-    if rule is None or iteration % rule.every or expected_error(campaign, classifier) > rule.error:
+    if rule is None or expected_error(campaign, classifier) > rule.error:
         return None
     observer.stage("verifying")
     return verify(

@@ -11,7 +11,8 @@ _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
 def provenance() -> dict[str, str]:
     """Versions of Python, of the packages that compute and of the physics, threads of a sum, and the processor."""
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
-    record |= {name: version(name) for name in _PACKAGES}
+    # None where a package's metadata is there and cannot be read.
+    record |= {name: version(name) or "unknown" for name in _PACKAGES}
     import llvmlite.binding as llvm
 
     record["bearing_sources"] = sources_digest()

@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
+from activefail.campaign.simulator import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results
 from activefail.errors import InputError, StoreError
 from activefail.space import Array
 
@@ -67,7 +67,7 @@ class Schema:
     Attributes:
         variables: names of the columns of the designs.
         outcomes: names of the outcomes 0, 1, ...; NUMERICAL_FAILURE stands beside them.
-        causes: names of the causes 0, 1, ...
+        causes: names of the causes 0, 1, ...; EXECUTION_CAUSES stand beside them.
         margins: names of the columns of the margins.
 
     Raises:
@@ -108,10 +108,25 @@ class Schema:
         for name, names in (("designs", self.variables), ("margins", self.margins)):
             if columns[name].shape[1] != len(names):
                 raise InputError(f"`{name}` must have {len(names)} columns {names}, got {columns[name].shape[1]}.")
-        for name, names, low in (("outcome", self.outcomes, NUMERICAL_FAILURE), ("cause", self.causes, 0)):
-            codes = columns[name]
-            if len(codes) and not (low <= codes.min() and codes.max() < len(names)):
-                raise InputError(f"`{low} <= {name} < {len(names)}` must hold, got {codes.min()} to {codes.max()}.")
+        if not np.isfinite(designs).all():
+            row, column = np.argwhere(~np.isfinite(designs))[0].tolist()
+            raise InputError(
+                f"`designs` must be finite, got {designs[row, column]} for {self.variables[column]!r} in row {row}."
+            )
+        self.check_codes("outcome", results.outcome)
+        self.check_codes("cause", results.cause)
+
+    def check_codes(self, column: str, codes: NDArray[np.int8]) -> None:
+        """Check that all codes of the column "outcome" or "cause" have a name.
+
+        Raises:
+            InputError: if one has not.
+        """
+        names, low = {"outcome": (self.outcomes, NUMERICAL_FAILURE), "cause": (self.causes, min(EXECUTION_CAUSES))}[
+            column
+        ]
+        if len(codes) and not (low <= codes.min() and codes.max() < len(names)):
+            raise InputError(f"`{low} <= {column} < {len(names)}` must hold, got {codes.min()} to {codes.max()}.")
 
 
 class Store(Protocol):
@@ -241,6 +256,11 @@ def answers_of(results: Results) -> dict[str, NDArray[Any]]:
     }
 
 
+def results_of(columns: Mapping[str, NDArray[Any]]) -> Results:
+    """The results among the columns of a batch."""
+    return Results(**{name: array for name, array in columns.items() if name not in ("designs", "origin")})
+
+
 def copied(results: Results) -> Results:
     """Results that share no array with the given ones."""
     return Results(**{name: array.copy() for name, array in answers_of(results).items()})
@@ -255,8 +275,7 @@ def batch_of(iteration: int, columns: Mapping[str, NDArray[Any]]) -> Batch:
     """The batch of these columns; its arrays are made read-only."""
     for array in columns.values():
         array.flags.writeable = False
-    answers = {name: array for name, array in columns.items() if name not in ("designs", "origin")}
-    return Batch(iteration, columns["designs"], columns["origin"], Results(**answers))
+    return Batch(iteration, columns["designs"], columns["origin"], results_of(columns))
 
 
 def own_copy(batch: Batch, schema: Schema) -> Batch:

@@ -1,19 +1,18 @@
 """Segments: whole batches in one immutable file each, in a chain of digests that begins with settings and schema."""
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
-from itertools import groupby
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from activefail import __version__
 from activefail.campaign.image import DamagedError, Image, encode, opened
-from activefail.campaign.record import COLUMNS, Batch, Schema, batch_of, columns_of
+from activefail.campaign.record import COLUMNS, Batch, Schema, batch_of, columns_of, results_of
 from activefail.errors import StoreError
 
 SCHEMA_VERSION = 1
@@ -74,7 +73,12 @@ class Segment:
     @property
     def name(self) -> str:
         """Name of the file."""
-        return f"{self.first:09d}-{self.last:09d}.h5"
+        return segment_name(self.first, self.last)
+
+
+def segment_name(first: int, last: int) -> str:
+    """Name of the file with the designs of these ids."""
+    return f"{first:09d}-{last:09d}.h5"
 
 
 def encode_segment(segment: Segment) -> bytes:
@@ -98,6 +102,38 @@ def encode_segment(segment: Segment) -> bytes:
     return encode(content, attributes | {f"provenance.{name}": text for name, text in segment.provenance.items()})
 
 
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """What a segment's file says of itself and of its outcomes; see Segment.
+
+    Attributes:
+        iterations, sizes: (number of batches,) int64.
+        origin, outcome: (n,) int8.
+    """
+
+    settings: str
+    schema: Schema
+    first: int
+    last: int
+    before: str
+    after: str
+    iterations: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    origin: NDArray[np.int8]
+    outcome: NDArray[np.int8]
+
+
+def decode_outline(name: str, data: bytes) -> Outline:
+    """The outline of the segment in a file of this name; every bit of the file is checked, not the chain within it.
+
+    Raises:
+        DamagedError: if the file is not whole or not what its name says.
+        StoreError: if it was written in another version.
+    """
+    with opened(data) as image:
+        return _outline(name, image)
+
+
 def decode_segment(name: str, data: bytes) -> Segment:
     """The segment in a file of this name.
 
@@ -106,30 +142,58 @@ def decode_segment(name: str, data: bytes) -> Segment:
         StoreError: if it was written in another version.
     """
     with opened(data) as image:
-        check_version(image)
-        settings, schema = image.text("settings"), Schema.from_text(image.text("schema"))
-        first, n = int(image.attribute("first")), int(image.attribute("last")) - int(image.attribute("first")) + 1
-        columns = read_columns(image, list(COLUMNS), n, schema)
-        _, sizes_shape = image.declared("size")
-        sizes, iterations = (image.array(key, "<i8", sizes_shape) for key in ("size", "iteration"))
-        if sizes.ndim != 1 or sizes.min() < 1 or sum(sizes.tolist()) != n:
-            raise DamagedError(f"holds {n} designs in batches of {sizes.tolist()}")
-        parts = {key: np.split(array, np.cumsum(sizes)[:-1]) for key, array in columns.items()}
+        outline = _outline(name, image)
+        known = {"origin": outline.origin, "outcome": outline.outcome}
+        others = [column for column in COLUMNS if column not in known]
+        columns = read_columns(image, others, len(outline.outcome), outline.schema) | known
+        outline.schema.check(columns["designs"], results_of(columns))
+        ends = [0, *np.cumsum(outline.sizes).tolist()]
         batches = tuple(
-            batch_of(int(iteration), {key: part[i] for key, part in parts.items()})
-            for i, iteration in enumerate(iterations)
+            batch_of(iteration, {key: column[begin:end] for key, column in columns.items()})
+            for iteration, (begin, end) in zip(outline.iterations.tolist(), pairwise(ends), strict=True)
         )
-        before, after = image.attribute("chain_before"), image.attribute("chain_after")
-        segment = Segment(settings, schema, first, before, batches, image.attributes("provenance."))
-        if (segment.name, segment.after, sha256(settings)) != (name, after, image.attribute("settings_sha256")):
-            raise DamagedError("is not the file that its name, its chain and its settings' SHA-256 say")
+        provenance = image.attributes("provenance.")
+        segment = Segment(outline.settings, outline.schema, outline.first, outline.before, batches, provenance)
+        if segment.after != outline.after:
+            raise DamagedError(_MISNAMED)
     return segment
+
+
+def _outline(name: str, image: Image) -> Outline:
+    check_version(image)
+    settings, schema = image.text("settings"), Schema.from_text(image.text("schema"))
+    first, last = int(image.attribute("first")), int(image.attribute("last"))
+    n = last - first + 1
+    for column, dtype in COLUMNS.items():
+        image.check(column, dtype, _shape(column, n, schema))
+    origin, outcome = read_columns(image, ["origin", "outcome"], n, schema).values()
+    schema.check_codes("outcome", outcome)
+    _, sizes_shape = image.declared("size")
+    sizes, iterations = (image.array(key, "<i8", sizes_shape) for key in ("size", "iteration"))
+    if sizes.ndim != 1 or sizes.min() < 1 or sum(sizes.tolist()) != n:
+        raise DamagedError(f"holds {n} designs in batches of {sizes.tolist()}")
+    if (name, image.attribute("settings_sha256")) != (segment_name(first, last), sha256(settings)):
+        raise DamagedError(_MISNAMED)
+    before, after = image.attribute("chain_before"), image.attribute("chain_after")
+    return Outline(settings, schema, first, last, before, after, iterations, sizes, origin, outcome)
+
+
+_MISNAMED = "is not the file that its name, its chain and its settings' SHA-256 say"
 
 
 def read_columns(image: Image, names: Sequence[str], n: int, schema: Schema) -> dict[str, NDArray[Any]]:
     """The named columns of n designs, their declared types and shapes checked before they are read."""
-    widths = {"designs": len(schema.variables), "margins": len(schema.margins)}
-    return {name: image.array(name, COLUMNS[name], (n, widths[name]) if name in widths else (n,)) for name in names}
+    return {name: image.array(name, COLUMNS[name], _shape(name, n, schema)) for name in names}
+
+
+def _shape(column: str, n: int, schema: Schema) -> tuple[int, ...]:
+    match column:
+        case "designs":
+            return n, len(schema.variables)
+        case "margins":
+            return n, len(schema.margins)
+        case _:
+            return (n,)
 
 
 def check_version(image: Image) -> None:
@@ -139,80 +203,5 @@ def check_version(image: Image) -> None:
         program = image.attributes("provenance.").get("activefail", "of an unknown version")
         raise StoreError(
             f"was written in schema version {written} by activefail {program}; "
-            f"this program (activefail {program_version()}) reads schema version {SCHEMA_VERSION}."
+            f"this program (activefail {__version__}) reads schema version {SCHEMA_VERSION}."
         )
-
-
-def program_version() -> str:
-    """The version of activefail that runs."""
-    try:
-        return version("activefail")
-    except PackageNotFoundError:
-        return "unknown"
-
-
-def merge(segments: Sequence[Segment]) -> Segment:
-    """One segment with the batches of consecutive ones."""
-    provenance = {}
-    for key in sorted({key for segment in segments for key in segment.provenance}):
-        # Where the programs changed in between, the merged file says from which design on.
-        changes = {
-            run[0].first: text
-            for text, group in groupby(segments, key=lambda segment: segment.provenance.get(key, ""))
-            if (run := list(group))
-        }
-        provenance[key] = next(iter(changes.values())) if len(changes) == 1 else json.dumps(changes)
-    start = segments[0]
-    batches = tuple(batch for segment in segments for batch in segment.batches)
-    return Segment(start.settings, start.schema, start.first, start.before, batches, provenance)
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """What a folder's segments come to: the chain, and what can go without losing a design."""
-
-    chain: tuple[Segment, ...]
-    covered: tuple[str, ...]  # inputs of a compaction that was interrupted
-    damaged: Mapping[str, str]  # name -> reason; none of them stands before a valid segment
-
-
-def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str) -> Recovery:
-    """The longest chain of segments from design 0 on, where the widest one wins.
-
-    Raises:
-        StoreError: if designs are missing before valid segments, or segments contradict each other.
-    """
-    chain: list[Segment] = []
-    digests = {0: start}
-    end = 0
-    while fits := [segment for segment in segments if segment.first == end and segment.before == digests[end]]:
-        chain.append(max(fits, key=lambda segment: segment.last))
-        digests |= chain[-1].chain
-        end = max(digests)
-    covered, beyond, strays = [], [], {}
-    for segment in segments:
-        if segment.first > end:
-            beyond.append(segment)
-        elif segment.first == end:
-            strays[segment.name] = "does not continue the chain of this campaign"
-        elif segment in chain:
-            continue
-        elif segment.chain.items() <= digests.items():
-            covered.append(segment.name)
-        else:
-            rivals = [other.name for other in chain if other.first <= segment.last and segment.first <= other.last]
-            raise StoreError(
-                f"Two writers have written different designs under the same ids: {segment.name} against "
-                f"{', '.join(rivals)}. Nothing was changed. Move the wrong one out of segments/ to go on."
-            )
-    damaged = {**damaged, **strays}
-    if beyond:
-        later = min(beyond, key=lambda segment: segment.first)
-        bad = "; ".join(f"{name} {reason}" for name, reason in sorted(damaged.items()))
-        raise StoreError(
-            f"Designs {end} to {later.first - 1} are missing ({bad or 'there is no file with them'}), yet there "
-            f"{'are' if len(beyond) > 1 else 'is'} {', '.join(sorted(segment.name for segment in beyond))}. Nothing "
-            f"was changed. Restore the missing file from a copy, or move the later ones out of segments/ to go on "
-            f"from design {end}."
-        )
-    return Recovery(tuple(chain), tuple(covered), damaged)

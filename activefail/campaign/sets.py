@@ -9,6 +9,7 @@ from activefail.campaign.campaign import Campaign
 from activefail.campaign.executor import Executor
 from activefail.campaign.record import Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.errors import SimulationError
 from activefail.space import Array
 
 _PART = 500
@@ -21,6 +22,10 @@ def simulated_outcomes(
     """Outcomes, (n,), of the designs of a set, (n, d), simulated once and then read; -1 without an answer.
 
     The set is kept in parts, so that an interruption loses one part at most. None when it was asked to stop.
+
+    Raises:
+        SimulationError: if none of a part's simulations gives an answer: a fault of the simulator's. The part is not
+            kept: it would stand for the set when the fault is mended.
     """
     outcomes = [np.empty(0, dtype=np.int8)]
     for part, first in enumerate(range(0, len(X), _PART)):
@@ -30,6 +35,11 @@ def simulated_outcomes(
             if stop():
                 return None
             saved = (rows, executor.run(campaign.simulator, rows))
+            if (saved[1].outcome == NUMERICAL_FAILURE).all():
+                fault = f" The first that was given up: {executor.first_fault}" if executor.first_fault else ""
+                raise SimulationError(
+                    f"None of the {len(rows)} simulations for {name} gave an answer; they are not kept.{fault}"
+                )
             store.write_set(key, *saved)
         outcomes.append(saved[1].outcome)
     return np.concatenate(outcomes)

@@ -1,5 +1,6 @@
 """The simulator seam: rows of a design space in, outcomes and margins out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -12,14 +13,35 @@ NUMERICAL_FAILURE = -1
 """The outcome of a simulation that gave no answer: never a training point, always counted."""
 
 
+WORKER_DIED, TIME_LIMIT, OUT_OF_MEMORY, RAISED, UNUSABLE_ANSWER = -1, -2, -3, -4, -5
+"""Causes of a numerical failure beside every simulator's own: what befell the simulation, not its numbers."""
+
+EXECUTION_CAUSES = {
+    WORKER_DIED: "worker_died",
+    TIME_LIMIT: "time_limit",
+    OUT_OF_MEMORY: "out_of_memory",
+    RAISED: "raised",
+    UNUSABLE_ANSWER: "unusable_answer",
+}
+
+
+def cause_name(causes: Sequence[str], code: int) -> str:
+    """The name of a cause: one of the simulator's, or of what befell the simulation."""
+    return EXECUTION_CAUSES[code] if code < 0 else causes[code]
+
+
+class UnusableAnswerError(Exception):
+    """What a simulator returned is no answer to what it was asked."""
+
+
 @dataclass(frozen=True)
 class Results:
     """What a simulator answered for n designs.
 
     Attributes:
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
-        cause: (n,) int8, index into the simulator's causes.
-        margins: (n, k) float64, one column for each of the simulator's margins.
+        cause: (n,) int8, index into the simulator's causes, or one of EXECUTION_CAUSES.
+        margins: (n, k) float64, one column for each of the simulator's margins; NaN where one has no meaning.
         seconds: (n,) float64, wall time of each simulation [s].
     """
 
@@ -77,3 +99,13 @@ class Simulator(Protocol):
     def run(self, X: Array) -> Results:
         """Simulate the designs X, shape (n, d); rows do not depend on each other."""
         ...
+
+
+def unanswered(simulator: Simulator, n: int, cause: int = 0) -> Results:
+    """Results of n simulations that gave no answer, for a cause."""
+    return Results(
+        np.full(n, NUMERICAL_FAILURE, dtype=np.int8),
+        np.full(n, cause, dtype=np.int8),
+        np.full((n, len(simulator.margins)), np.nan),
+        np.zeros(n),
+    )

@@ -10,134 +10,38 @@ Every batch extends a chain of digests that begins with the settings and the sch
 altered or from another campaign is noticed; merging segments leaves the chain as it is.
 """
 
-import difflib
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import fields
-from itertools import groupby
 from pathlib import Path
 from typing import Any, Self
-from urllib.parse import quote, unquote
 
-import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from activefail.campaign.image import (
-    TEMPORARY,
-    DamagedError,
-    Image,
-    SyncError,
-    encode,
-    opened,
-    publish,
-    replace,
-    sync_folder,
-)
-from activefail.campaign.record import (
-    COLUMNS,
-    STATES_KEPT,
-    Batch,
-    Schema,
-    answers_of,
-    check_set,
-    checked_state,
-    own_copy,
-)
-from activefail.campaign.segment import (
-    SCHEMA_VERSION,
+from activefail import __version__
+from activefail.campaign import compaction
+from activefail.campaign.beside import decode_set, decode_state, encode_set, encode_state
+from activefail.campaign.image import TEMPORARY, DamagedError, SyncError, publish, replace, sync_folder
+from activefail.campaign.record import STATES_KEPT, Batch, Schema, check_set, checked_state, own_copy
+from activefail.campaign.recovery import (
+    QUARANTINE,
     Recovery,
-    Segment,
-    chain_start,
-    check_version,
-    decode_segment,
-    encode_segment,
-    merge,
-    program_version,
-    read_columns,
+    check_campaign,
+    is_segment,
+    plain_files,
+    read_segments,
+    reading,
     recover,
+    set_aside,
 )
+from activefail.campaign.segment import Segment, chain_start, encode_segment
 from activefail.campaign.simulator import Results
 from activefail.errors import BusyError, InputError, StoreError
 from activefail.space import Array
 
-COMPACT_AT = 64
-QUARANTINE = ".quarantine"
 FOLDERS = ("segments", "state", "sets")
-
-
-def _plain_files(folder: Path) -> list[str]:
-    try:
-        with os.scandir(folder) as entries:
-            return sorted(entry.name for entry in entries if entry.is_file(follow_symlinks=False))
-    except FileNotFoundError:
-        return []  # a copied run folder may have lost its empty folders
-    except OSError as error:
-        raise StoreError(f"Cannot read {folder}: {error.strerror or error}.") from error
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Name the file in what stops its reading; that it is damaged or gone is for the caller to judge."""
-    try:
-        yield
-    except (DamagedError, FileNotFoundError):
-        raise
-    except StoreError as error:
-        raise StoreError(f"{path} {error}") from error
-    except OSError as error:
-        raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
-
-
-def _is_segment(name: str) -> bool:
-    return re.fullmatch(r"\d{9,}-\d{9,}\.h5", name) is not None
-
-
-def _read_segments(folder: Path) -> tuple[list[Segment], dict[str, str]]:
-    """The segments in a folder, and the files that are damaged with their reasons.
-
-    Raises:
-        StoreError: if a file cannot be read or was written in another version.
-    """
-    read: dict[str, Segment | str] = {}
-    # Until the folder stands still: a reader holds no lock, and a writer may commit or compact meanwhile.
-    while (names := {name for name in _plain_files(folder) if _is_segment(name)}) != read.keys():
-        read = {name: read[name] for name in names & read.keys()}
-        for name in sorted(names - read.keys()):
-            try:
-                with _reading(folder / name):
-                    read[name] = decode_segment(name, (folder / name).read_bytes())
-            except FileNotFoundError:
-                continue
-            except DamagedError as error:
-                read[name] = str(error)
-    segments = [value for value in read.values() if isinstance(value, Segment)]
-    return segments, {name: value for name, value in read.items() if isinstance(value, str)}
-
-
-def _check_campaign(segments: Sequence[Segment], settings: str, schema: Schema | None) -> None:
-    """Check that segments are of the campaign with these settings and this schema (of the first one if None)."""
-    for segment in segments:
-        if segment.settings != settings:
-            lines = difflib.unified_diff(
-                segment.settings.splitlines(), settings.splitlines(), f"in {segment.name}", "campaign.toml", lineterm=""
-            )
-            raise StoreError(
-                f"The settings were changed after the campaign began: the SHA-256 of campaign.toml is not the one in "
-                f"segments/{segment.name}. Restore the frozen copy (the segment holds its text, in the dataset "
-                f"'settings'), or begin a new campaign in another folder. What was changed:\n"
-                + ("\n".join(lines) or "only line ends")
-            )
-        schema = schema or segment.schema
-        for field in fields(schema):
-            ours, theirs = getattr(schema, field.name), getattr(segment.schema, field.name)
-            if ours != theirs:
-                raise StoreError(
-                    f"The {field.name} are not those of the campaign: segments/{segment.name} holds {theirs}, "
-                    f"the settings give {ours}."
-                )
 
 
 def _lock(folder: Path) -> FileLock:
@@ -169,12 +73,14 @@ class FolderStore:
         self.folder = folder
         self.settings = settings
         self.schema = schema
-        self._provenance = {"activefail": program_version(), **provenance}
+        self._provenance = {"activefail": __version__, **provenance}
         self._lock = lock
         self._warnings: list[str] = []
         self._segments: list[Segment] = []
         self._start = ""
-        self._batches: tuple[Batch, ...] = ()
+        self._batches: list[Batch] = []
+        # Made when asked for: a commit must not copy all that was committed before.
+        self._batches_read: tuple[Batch, ...] | None = None
         # Why this object may not write; empty if it may.
         self._refusal = "" if lock else f"{folder} was opened for reading only."
 
@@ -193,7 +99,7 @@ class FolderStore:
 
         Raises:
             BusyError: if another process is creating it.
-            InputError: if the folder is not empty, or the settings hold a NUL; nothing was changed.
+            InputError: if the folder is not empty or none, or the settings hold a NUL; nothing was changed.
             StoreError: if the folder cannot be written.
         """
         folder = Path(folder).absolute()
@@ -208,6 +114,8 @@ class FolderStore:
                     f"Resume the campaign in it, if there is one, or choose another folder."
                 )
             folder.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise InputError(f"{folder}: cannot be a run folder: {error.strerror}.") from None
         except OSError as error:
             raise StoreError(f"Cannot create {folder}: {error.strerror or error}.") from error
         store = cls(folder, settings, schema, _lock(folder), provenance or {})
@@ -242,7 +150,7 @@ class FolderStore:
         try:
             settings = path.read_bytes().decode()
         except FileNotFoundError:
-            kept = [name for name in _plain_files(folder / "segments") if _is_segment(name)]
+            kept = [name for name in plain_files(folder / "segments") if is_segment(name)]
             hint = f" Restore it: segments/{kept[0]} holds its text, in the dataset 'settings'." if kept else ""
             raise StoreError(f"{folder} is not a run folder: campaign.toml is missing.{hint}") from None
         except OSError as error:
@@ -260,8 +168,8 @@ class FolderStore:
     def _load(self) -> None:
         """Read and check everything; only then, and only under the lock, tidy up."""
         folder = self.folder / "segments"
-        segments, damaged = _read_segments(folder)
-        _check_campaign(segments, self.settings, self.schema)
+        segments, damaged = read_segments(folder)
+        check_campaign(segments, self.settings, self.schema)
         if self.schema is None and segments:
             self.schema = segments[0].schema
         if self.schema is None and self._lock:
@@ -273,9 +181,9 @@ class FolderStore:
         except StoreError as error:
             raise StoreError(f"{self.folder}: {error}") from error
         self._segments = list(recovery.chain)
-        self._batches = tuple(batch for segment in recovery.chain for batch in segment.batches)
-        for name in _plain_files(folder):
-            if not _is_segment(name) and not name.startswith(TEMPORARY) and QUARANTINE not in name:
+        self._batches = [batch for segment in recovery.chain for batch in segment.batches]
+        for name in plain_files(folder):
+            if not is_segment(name) and not name.startswith(TEMPORARY) and QUARANTINE not in name:
                 self._warn(f"segments/{name} is not a segment's name; the file is ignored.")
         if self._lock:
             self._tidy(recovery)
@@ -285,12 +193,13 @@ class FolderStore:
                 self._warn(f"segments/{name} {reason}; it is ignored. Opening to write renames it to {QUARANTINE}.")
 
     def _compare_provenance(self) -> None:
-        before = self._segments[-1].provenance if self._segments else {}
+        provenance = self._segments[-1].provenance if self._segments else {}
+        # A merged segment may hold several, one after the other.
+        before = {name: [*compaction.history(text, 0).values()][-1] for name, text in provenance.items()}
         changes = [
             f"{name} {before[name]} -> {now}"
             for name, now in self._provenance.items()
-            # A merged segment whose parts differ holds a JSON object instead; it was told of when it was resumed.
-            if name in before and before[name] != now and not before[name].startswith("{")
+            if name in before and before[name] != now
         ]
         if changes:
             self._warn(
@@ -305,11 +214,11 @@ class FolderStore:
             for name in FOLDERS:
                 (self.folder / name).mkdir(exist_ok=True)
             for place in (self.folder, *(self.folder / name for name in FOLDERS)):
-                for name in _plain_files(place):
+                for name in plain_files(place):
                     if name.startswith(TEMPORARY):
                         os.unlink(place / name)
             for name, reason in sorted(recovery.damaged.items()):
-                self._quarantine(folder / name, reason)
+                self._warn(set_aside(folder / name, reason))
             # The merged segment must be durable under its name before its inputs go.
             sync_folder(folder)
             for name in recovery.covered:
@@ -318,18 +227,6 @@ class FolderStore:
             raise StoreError(f"Cannot write to {self.folder}: {error.strerror or error}.") from error
         sync_folder(folder)
         sync_folder(self.folder)
-
-    def _quarantine(self, path: Path, reason: str) -> None:
-        aside = path.with_name(path.name + QUARANTINE)
-        number = 1
-        while aside.exists():
-            number += 1
-            aside = path.with_name(f"{path.name}{QUARANTINE}-{number}")
-        try:
-            os.rename(path, aside)
-        except OSError as error:
-            raise StoreError(f"Cannot rename {path}: {error.strerror or error}.") from error
-        self._warn(f"{path.parent.name}/{path.name} {reason}; it was renamed to {aside.name} and is not used.")
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -343,7 +240,9 @@ class FolderStore:
     @property
     def batches(self) -> tuple[Batch, ...]:
         """All committed batches, in order."""
-        return self._batches
+        if self._batches_read is None:
+            self._batches_read = tuple(self._batches)
+        return self._batches_read
 
     @property
     def _digest(self) -> str:
@@ -378,13 +277,14 @@ class FolderStore:
         """Append a batch (see Store); merge segments if there are many small ones."""
         schema = self._writable()
         first = self._segments[-1].last + 1 if self._segments else 0
-        kept = (own_copy(batch, schema),)
-        segment = Segment(self.settings, schema, first, self._digest, kept, self._provenance)
+        kept = own_copy(batch, schema)
+        segment = Segment(self.settings, schema, first, self._digest, (kept,), self._provenance)
         data = encode_segment(segment)
         with self._writing():
             self._publish(segment, data)
             self._segments.append(segment)
-            self._batches += kept
+            self._batches.append(kept)
+            self._batches_read = None
         try:
             self.compact()
         except StoreError as error:
@@ -401,31 +301,28 @@ class FolderStore:
         # The link fences one name only. Of two overlapping names, whoever linked last sees the other one here.
         if rival := self._rival(segment):
             with suppress(StoreError):
-                self._quarantine(path, f"was written at the same time as {rival}")
+                self._warn(set_aside(path, f"was written at the same time as {rival}"))
             raise StoreError(f"Withdrew {path}: {rival} holds its designs already; {taken}")
 
     def _rival(self, segment: Segment) -> str | None:
         """A file, other than the segment's own, with ids of the segment."""
-        for name in _plain_files(self.folder / "segments"):
-            if _is_segment(name) and name != segment.name:
+        for name in plain_files(self.folder / "segments"):
+            if is_segment(name) and name != segment.name:
                 first, last = (int(number) for number in name.removesuffix(".h5").split("-"))
                 if first <= segment.last and segment.first <= last:
                     return name
         return None
 
     def compact(self) -> None:
-        """Merge each run of 64 or more segments with one batch into one segment; batches and chain stay as they are.
+        """Merge what is due (see `activefail.campaign.compaction`); batches and chain stay as they are.
 
         Raises:
-            StoreError: if the merged file cannot be written; its inputs are still there.
+            StoreError: if a merged file cannot be written; its inputs are still there.
         """
         self._writable()
         folder = self.folder / "segments"
-        runs = [list(run) for small, run in groupby(self._segments, key=lambda one: len(one.batches) == 1) if small]
-        for run in runs:
-            if len(run) < COMPACT_AT:
-                continue
-            merged = merge(run)
+        while run := compaction.due(self._segments):
+            merged = compaction.merge(run)
             if merged.after != run[-1].after:
                 raise StoreError(f"Batches of {self.folder} changed in memory; open it again.")
             data = encode_segment(merged)
@@ -442,9 +339,7 @@ class FolderStore:
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays (see Store)."""
         self._writable()
-        content = {_dataset_name(name): array for name, array in checked_state(iteration, arrays).items()}
-        attributes = {"schema_version": str(SCHEMA_VERSION), "iteration": str(iteration), "chain": self._digest}
-        data = encode(content, attributes)
+        data = encode_state(iteration, checked_state(iteration, arrays), self._digest)
         with self._writing():
             replace(self.folder / "state" / f"{iteration:09d}.h5", data)
             older = [path for i, path in self._states() if i < iteration]
@@ -455,7 +350,7 @@ class FolderStore:
     def _states(self) -> list[tuple[int, Path]]:
         """The state files, oldest first."""
         folder = self.folder / "state"
-        names = [name for name in _plain_files(folder) if re.fullmatch(r"\d{9,}\.h5", name)]
+        names = [name for name in plain_files(folder) if re.fullmatch(r"\d{9,}\.h5", name)]
         return sorted((int(name.removesuffix(".h5")), folder / name) for name in names)
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
@@ -463,12 +358,8 @@ class FolderStore:
         digests = {digest for segment in self._segments for digest in segment.chain.values()} or {self._start}
         for iteration, path in reversed(self._states()):
             try:
-                with _reading(path), opened(path.read_bytes()) as image:
-                    check_version(image)
-                    # A state may know a batch that was quarantined since.
-                    if image.attribute("chain") not in digests or image.attribute("iteration") != str(iteration):
-                        raise DamagedError("was not learned from the batches of this record")
-                    return iteration, {unquote(name): _read_state_array(image, name) for name in image.names}
+                with reading(path):
+                    return iteration, decode_state(path.read_bytes(), iteration, digests)
             except FileNotFoundError:
                 continue
             except DamagedError as error:
@@ -479,30 +370,23 @@ class FolderStore:
         """Keep a set (see Store)."""
         schema = self._writable()
         check_set(name, X, results, schema)
-        content: dict[str, NDArray[Any] | str] = {"designs": X, **answers_of(results), "schema": schema.text}
-        data = encode(content, {"schema_version": str(SCHEMA_VERSION), "campaign": self._start})
+        data = encode_set(X, results, schema, self._start)
         with self._writing():
             replace(self.folder / "sets" / f"{name}.h5", data)
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
         """The set, or None (see Store); one that is damaged or of another campaign is set aside."""
         path = self.folder / "sets" / f"{name}.h5"
-        if path.name not in _plain_files(path.parent):
+        if path.name not in plain_files(path.parent):
             return None
         try:
-            with _reading(path), opened(path.read_bytes()) as image:
-                check_version(image)
-                schema = Schema.from_text(image.text("schema"))
-                if image.attribute("campaign") != chain_start(self.settings, schema):
-                    raise DamagedError("belongs to another campaign")
-                _, shape = image.declared("outcome")
-                columns = read_columns(image, [key for key in COLUMNS if key != "origin"], shape[0], schema)
-                return columns.pop("designs"), Results(**columns)
+            with reading(path):
+                return decode_set(path.read_bytes(), self.settings)
         except DamagedError as error:
             if self._refusal:
                 self._warn(f"sets/{path.name} {error}; it is ignored.")
             else:
-                self._quarantine(path, str(error))
+                self._warn(set_aside(path, str(error)))
         return None
 
     def close(self) -> None:
@@ -517,15 +401,3 @@ class FolderStore:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-def _dataset_name(name: str) -> str:
-    """A state's name as that of a dataset, where `/` would make a group and `.` means the group itself."""
-    return "%2E" if name == "." else quote(name, safe=" ")
-
-
-def _read_state_array(image: Image, name: str) -> NDArray[Any]:
-    dtype, shape = image.declared(name)
-    if dtype not in (np.dtype("<f8"), np.dtype("<i8")):
-        raise DamagedError(f"declares {unquote(name)!r} as {dtype}")
-    return image.array(name, dtype, shape)

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.executor import Executor
+from activefail.campaign.learning import in_initial_design
 from activefail.campaign.record import Store
 from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
-from activefail.surrogate.fitting import Fit, posterior, prior_covariance
+from activefail.surrogate.fitting import Fit
+from activefail.surrogate.sites import Projection
 
 EDGES = (0.005, 0.02, 0.08, 0.25)
 """Probabilities of being wrong that divide the design space into five parts."""
@@ -76,14 +78,14 @@ def leave_one_out(trained: Fit) -> Moments:
     """Latent moments at each training point without its own label, hyperparameters kept, (n,).
 
     The posterior's site of the point is divided out: 1/v = 1/S_ii − W_ii (the cavity of Rasmussen and Williams 2006,
-    eq. 3.56).
+    eq. 3.56). With inducing points a site is one of what they say of its point; the rest is added again.
     """
-    K = prior_covariance(trained.features, trained.kernel, trained.hyperparameters)
-    with torch.no_grad():
-        state = posterior(K, trained.hyperparameters.mean, trained.labels, trained.sites)
-        precision = (1.0 / state.variance - trained.sites.precision).clamp_min(1e-12)
-        mean = (state.mean / state.variance - trained.sites.linear) / precision
-    return Moments(mean.numpy(), precision.rsqrt().numpy())
+    prior, state = trained.prior, trained.posterior
+    rest = prior.rest if isinstance(prior, Projection) else torch.zeros_like(state.variance)
+    explained = (state.variance - rest).clamp_min(1e-12)
+    precision = (1.0 / explained - trained.sites.precision).clamp_min(1e-12)
+    mean = (state.mean / explained - trained.sites.linear) / precision
+    return Moments(mean.numpy(), (1.0 / precision + rest).sqrt().numpy())
 
 
 @dataclass(frozen=True)
@@ -207,17 +209,14 @@ def verify(
     )
     if outcome is None:
         return None
-    # The first rows are the initial hypercube's: a sample of the design space, which chosen designs are not.
-    initial = sum(
-        int(np.sum(batch.results.outcome != NUMERICAL_FAILURE)) for batch in store.batches if batch.iteration == 0
-    )
+    initial = in_initial_design(store.batches)
     left_out = leave_one_out(latent.trained)
     wrong = (left_out.mean > 0.0) != (latent.trained.labels.numpy() > 0.0)
     return estimate_error(
         plan,
         outcome >= severity,
         outcome != NUMERICAL_FAILURE,
-        (part_of(probability_wrong(left_out))[:initial], wrong[:initial]),
+        (part_of(probability_wrong(left_out))[initial], wrong[initial]),
         confidence,
         stream(seed, "verification", 1_000_000 + iteration),
     )

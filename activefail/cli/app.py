@@ -1,8 +1,16 @@
 """The application: its entry, and how a fault ends it."""
 
+import atexit
+import errno
+import io
 import os
+import signal
 import sys
-from typing import Annotated
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from functools import wraps
+from typing import Annotated, Any
 
 import typer
 
@@ -21,22 +29,72 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; a user's mistake ends in one message and exit code 2, another fault in 1."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A description or a folder's name may have letters that the terminal's encoding has not.
+        sys.stdout.reconfigure(errors="backslashreplace")
+    hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     try:
         app()
     except ActivefailError as error:
         print(f"activefail: {error}", file=sys.stderr)
         sys.exit(2 if isinstance(error, InputError) else 1)
     except BrokenPipeError:
-        # `| head`, say. The rest of the output goes nowhere, so that closing it at exit does not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # `| head`, say.
+        _silence()
         print(
             "activefail: stopped, since the reader of its output went away; what was recorded is safe", file=sys.stderr
         )
         sys.exit(1)
     except OSError as error:
+        _silence()
+        print(f"activefail: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(2 if error.errno in _NO_NAMES else 1)
+    finally:
+        # It is ending. What is cleared away at exit has nothing to lose, and a Ctrl-C more ends it without a traceback.
+        for again in _coming_again:
+            again.cancel()
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
+        sys.unraisablehook = hook
+
+
+def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:
+    """A command that a Ctrl-C ends in a message and exit code 130, where it has no more to say itself."""
+
+    @wraps(command)
+    def ended(*arguments: Any, **options: Any) -> None:
+        try:
+            command(*arguments, **options)
+        except KeyboardInterrupt:
+            print("activefail: stopped; what was recorded is safe", file=sys.stderr)
+            raise typer.Exit(130) from None
+
+    return ended
+
+
+_coming_again: list[threading.Timer] = []
+"""What sends a Ctrl-C anew."""
+
+
+def _unraisable(dropped: "sys.UnraisableHookArgs") -> None:
+    """Has a Ctrl-C come again that met a call from compiled code, from which Python can raise nothing."""
+    if issubclass(dropped.exc_type, KeyboardInterrupt):
+        again = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+        again.daemon = True
+        again.start()
+        _coming_again.append(again)
+    else:
+        sys.__unraisablehook__(dropped)
+
+
+_NO_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
+"""What the system says of a name that can be no file's: a mistake of who gave it."""
+
+
+def _silence() -> None:
+    """Send the rest of the output nowhere, so that closing it at exit does not fail again."""
+    # There may be none: closed (`>&-`), or replaced by what is no file.
+    with suppress(AttributeError, io.UnsupportedOperation):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        print(f"activefail: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
-        sys.exit(1)
 
 
 def _show_version(asked: bool) -> None:

@@ -6,17 +6,29 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from activefail.cli.common import RunFolder, progress_bar, show_warnings, stop_on_signals
+from activefail.cli.common import (
+    Code,
+    ExecutorName,
+    RunFolder,
+    Scheduler,
+    Workers,
+    make_executor,
+    progress_bar,
+    show_warnings,
+    stop_on_signals,
+)
 from activefail.errors import InputError
 
 if TYPE_CHECKING:
     from activefail.campaign.campaign import Campaign
+    from activefail.campaign.executor import AsynchronousExecutor
     from activefail.campaign.loop import Observer, Progress
     from activefail.campaign.record import Store
+    from activefail.campaign.summary import Summary
     from activefail.campaign.verification import ErrorEstimate
 
 
@@ -25,16 +37,22 @@ def run(
     out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the file's.", show_default=False)] = None,
     budget: Annotated[int | None, typer.Option(help="Simulations, instead of the file's.", show_default=False)] = None,
-    workers: Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)] = None,
+    workers: Workers = None,
+    executor: ExecutorName = "local",
+    scheduler: Scheduler = None,
 ) -> None:
     """Start a campaign in a new run folder and take it to its budget."""
     from activefail.campaign.folder import create_run, read_campaign
 
-    assembled = read_campaign(campaign, seed, budget)
+    code = campaign.absolute().parent
+    assembled = read_campaign(campaign, seed, budget, code=code, run=out)
     if (out / "campaign.toml").exists():
-        raise InputError(f"{out}: holds a campaign already; `{_resume(out)}` goes on with it.")
-    with create_run(out, assembled) as store:
-        _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, workers)
+        again = f"{_resume(out)}{_code_option(assembled)}"
+        raise InputError(f"{out}: holds a campaign already; `{again}` goes on with it.")
+    # The executor first: what keeps it from working leaves no folder behind.
+    with make_executor(assembled, workers, executor, scheduler) as working, create_run(out, assembled) as store:
+        again = f"{_resume(out)}{_executor_options(executor, scheduler)}{_code_option(assembled)}"
+        _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, working, again)
 
 
 def _resume(folder: Path) -> str:
@@ -42,12 +60,25 @@ def _resume(folder: Path) -> str:
     return f"activefail resume {shlex.quote(str(folder))}"
 
 
+def _code_option(campaign: "Campaign") -> str:
+    """What a command needs to be given again so that it may run the campaign's own code."""
+    own = not isinstance(campaign.settings.simulator, str) or campaign.sources
+    return f" --code {shlex.quote(str(campaign.code))}" if own and campaign.code is not None else ""
+
+
+def _executor_options(executor: str, scheduler: str | None) -> str:
+    """The options by which a command is given the same cluster again."""
+    return "" if scheduler is None else f" --executor {executor} --scheduler {shlex.quote(scheduler)}"
+
+
 def resume(
     folder: RunFolder,
     budget: Annotated[
         int | None, typer.Option(help="Simulations in all, instead of the campaign's.", show_default=False)
     ] = None,
-    workers: Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)] = None,
+    workers: Workers = None,
+    executor: ExecutorName = "local",
+    scheduler: Scheduler = None,
     numerical_failures: Annotated[
         float | None,
         typer.Option(
@@ -55,11 +86,12 @@ def resume(
         ),
     ] = None,
     ignore_stop: Annotated[bool, typer.Option("--ignore-stop", help="Go on although it is good enough.")] = False,
+    code: Code = None,
 ) -> None:
     """Go on with a campaign that was interrupted, or beyond its budget."""
     from activefail.campaign.folder import open_campaign
 
-    with open_campaign(folder, write=True) as (assembled, store):
+    with open_campaign(folder, write=True, code=code) as (assembled, store):
         show_warnings(store.warnings)
         target = assembled.settings.sampling.budget if budget is None else budget
         if target < 2:
@@ -68,7 +100,25 @@ def resume(
         if numerical_failures is not None:
             extra += f" --numerical-failures {numerical_failures:g}"
         extra += " --ignore-stop" if ignore_stop else ""
-        _take_to_budget(assembled, store, folder, target, workers, extra, numerical_failures, not ignore_stop)
+        again = f"{_resume(folder)}{extra}{_executor_options(executor, scheduler)}{_code_option(assembled)}"
+        with make_executor(assembled, workers, executor, scheduler) as working:
+            _take_to_budget(assembled, store, folder, target, working, again, numerical_failures, not ignore_stop)
+
+
+class _Stops(NamedTuple):
+    """What is said of a campaign that is asked to stop: then, after it has, and where it had to at once."""
+
+    stopping: str
+    in_order: str
+    at_once: str
+
+
+_IN_BATCHES = _Stops("stopping after this batch", "after a whole batch", "batches that were recorded are safe")
+_WITHOUT_BATCHES = _Stops(
+    "stopping: no simulation is begun any more, those in flight are waited for and recorded",
+    "with nothing in flight",
+    "what was recorded is safe, what was in flight will be simulated again",
+)
 
 
 def _take_to_budget(
@@ -76,28 +126,28 @@ def _take_to_budget(
     store: "Store",
     folder: Path,
     budget: int,
-    workers: int | None,
-    resume_options: str = "",
+    executor: "AsynchronousExecutor",
+    again: str,
     failure_limit: float | None = None,
     good_enough: bool = True,
 ) -> None:
-    from activefail.campaign.executor import local_executor
     from activefail.campaign.loop import run as run_loop
+    from activefail.campaign.loop import standing
 
-    again = f"{_resume(folder)}{resume_options}"
+    words = _WITHOUT_BATCHES if campaign.settings.sampling.asynchronous else _IN_BATCHES
     try:
-        with (
-            stop_on_signals() as stop,
-            local_executor(campaign.simulator, workers) as executor,
-            _campaign_display(campaign, stop) as observer,
-        ):
+        with stop_on_signals(words.stopping) as stop, _campaign_display(campaign, stop) as observer:
             finished = run_loop(campaign, store, executor, budget, observer, failure_limit, good_enough)
     except KeyboardInterrupt:
-        print(f"stopped; batches that were recorded are safe. Go on with: {again}", file=sys.stderr)
+        print(f"stopped; {words.at_once}. Go on with: {again}", file=sys.stderr)
         raise typer.Exit(130) from None
     if not finished:
-        print(f"stopped after a whole batch. Go on with: {again}", file=sys.stderr)
+        print(f"stopped {words.in_order}. Go on with: {again}", file=sys.stderr)
         raise typer.Exit(130)
+    done = standing(campaign, store.batches, budget).done
+    if campaign.settings.stop is not None and done < budget:
+        rule = campaign.settings.stop
+        print(f"good       enough after {done} simulations: an error of at most {100 * rule.error:g} % is verified")
     print(f"results    {folder}")
 
 
@@ -167,40 +217,44 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
 
 def status(folder: RunFolder) -> None:
     """Show where a campaign stands; safe while it runs."""
-    from activefail.campaign.folder import open_campaign
-    from activefail.campaign.loop import standing
+    from activefail.campaign.summary import read_summary
 
-    with open_campaign(folder, write=False) as (campaign, store):
+    summary = read_summary(folder) or _opened_summary(folder)
+    plan = summary.plan
+    print(f"campaign   {plan.description or folder.name}")
+    print(f"simulator  {plan.simulator}, {plan.variables} variables, seed {plan.seed}")
+    sought = " and ".join(
+        f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
+        for name, share in plan.boundaries.items()
+    )
+    print(f"learner    {plan.kernel} on {plan.features} features, {plan.criterion} at {sought}")
+    planned = f"{summary.done} of {plan.budget} simulations"
+    if summary.done > plan.budget:
+        planned = f"{summary.done} simulations, {plan.budget} were planned"
+    print(f"done       {planned}, iteration {summary.iteration}")
+    names = (*summary.outcomes, "numerical failures")
+    for title, counts in (("initial", summary.initial), ("chosen", summary.chosen), ("all", summary.counts)):
+        print(f"{title:<10} {', '.join(f'{n} {name}' for n, name in zip(counts.tolist(), names, strict=True))}")
+    if summary.done < plan.budget:
+        print(f"go on      {_resume(folder)}")
+
+
+def _opened_summary(folder: Path) -> "Summary":
+    """The summary of a run folder whose record has to be opened for it, with what there is to warn of."""
+    from activefail.campaign.folder import open_campaign
+    from activefail.campaign.summary import Summary
+
+    with open_campaign(folder, write=False, features=False) as (campaign, store):
         show_warnings(store.warnings)
-        settings = campaign.settings
-        progress = standing(campaign, store.batches, settings.sampling.budget)
-        print(f"campaign   {settings.description or folder.name}")
-        features = settings.classifier.features
-        print(f"simulator  {settings.simulator}, {campaign.space.dimension} variables, seed {settings.seed}")
-        sought = " and ".join(
-            f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
-            for name, share in settings.acquisition.boundaries.items()
-        )
-        print(
-            f"learner    {settings.classifier.kernel} on {features if isinstance(features, str) else features.python} "
-            f"features, {settings.acquisition.criterion} at {sought}"
-        )
-        planned = f"{progress.done} of {progress.budget} simulations"
-        if progress.done > progress.budget:
-            planned = f"{progress.done} simulations, {progress.budget} were planned"
-        print(f"done       {planned}, iteration {progress.iteration}")
-        initial = tuple(batch for batch in store.batches if batch.iteration == 0)
-        chosen = tuple(batch for batch in store.batches if batch.iteration > 0)
-        for title, batches in (("initial", initial), ("chosen", chosen), ("all", store.batches)):
-            print(f"{title:<10} {_counts(campaign, standing(campaign, batches, 0))}")
-        if progress.done < progress.budget:
-            print(f"go on      {_resume(folder)}")
+        # Its text, not the file's: an older program may have left out what has a default now.
+        return Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches)
 
 
 def predict(
     folder: RunFolder,
     csv: Annotated[Path, typer.Option(help="Table of designs.", show_default=False)],
     out: Annotated[Path, typer.Option(help="Where to write it with probabilities.", show_default=False)],
+    code: Code = None,
 ) -> None:
     """Predict the outcomes of designs with a campaign's classifier."""
     from activefail.campaign.folder import open_campaign
@@ -208,7 +262,7 @@ def predict(
     from activefail.campaign.loop import one_thread
     from activefail.study.tables import predict_table
 
-    with open_campaign(folder, write=False) as (campaign, store), one_thread():
+    with open_campaign(folder, write=False, code=code) as (campaign, store), one_thread():
         show_warnings(store.warnings)
         if not store.batches:
             raise InputError(f"{folder}: has no simulations to learn from yet.")
@@ -224,22 +278,23 @@ def verify(
     folder: RunFolder,
     simulations: Annotated[int, typer.Option(help="Fresh ones, outside the budget.", min=10, max=1_000_000)] = 200,
     confidence: Annotated[float, typer.Option(help="Of the interval.", min=0.5, max=0.999)] = 0.9,
+    code: Code = None,
 ) -> None:
     """Estimate how much of the design space a campaign's classifier gets wrong, with an interval."""
     from activefail.campaign.executor import local_executor
     from activefail.campaign.folder import open_campaign
-    from activefail.campaign.learning import current_classifier
+    from activefail.campaign.learning import current_classifier, initial_sets
     from activefail.campaign.loop import one_thread, standing
     from activefail.campaign.verification import verify as verify_classifier
 
     with (
-        open_campaign(folder, write=True) as (campaign, store),
-        local_executor(campaign.simulator) as executor,
+        open_campaign(folder, write=True, code=code) as (campaign, store),
+        local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
         one_thread(),
     ):
         show_warnings(store.warnings)
         progress = standing(campaign, store.batches, 0)
-        if progress.done < campaign.settings.sampling.initial:
+        if progress.done < campaign.settings.sampling.initial * initial_sets(campaign, store.batches):
             raise InputError(f"{folder}: has not finished its initial design; there is nothing to verify yet.")
         classifier = current_classifier(campaign, store, write=True)
         error = verify_classifier(campaign, store, executor, classifier, progress.iteration, simulations, confidence)
@@ -258,12 +313,16 @@ def _error_text(error: "ErrorEstimate") -> str:
     return f"{100 * error.error:.2f} % ({100 * error.low:.2f} to {100 * error.high:.2f} %)"
 
 
-def export(folder: RunFolder, csv: Annotated[Path, typer.Option(help="Table to write.", show_default=False)]) -> None:
+def export(
+    folder: RunFolder,
+    csv: Annotated[Path, typer.Option(help="Table to write.", show_default=False)],
+    code: Code = None,
+) -> None:
     """Write every simulation of a campaign to a table."""
     from activefail.campaign.folder import open_campaign
     from activefail.study.tables import export_table
 
-    with open_campaign(folder, write=False) as (campaign, store):
+    with open_campaign(folder, write=False, code=code) as (campaign, store):
         show_warnings(store.warnings)
         number = export_table(campaign, store, csv)
     print(f"{number} simulations written to {csv}")

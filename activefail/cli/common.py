@@ -5,13 +5,60 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from activefail.errors import InputError
 
+if TYPE_CHECKING:
+    from activefail.campaign.campaign import Campaign
+    from activefail.campaign.executor import AsynchronousExecutor
+
 RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", metavar="DIR", show_default=False)]
+
+Code = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of the campaign's own code, which is then run: where its simulator or features are one's own.",
+        exists=True,
+        file_okay=False,
+        show_default=False,
+    ),
+]
+
+Workers = Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)]
+
+ExecutorName = Annotated[
+    Literal["local", "dask"], typer.Option(help="Where simulations run: this machine, or a Dask cluster.")
+]
+
+Scheduler = Annotated[
+    str | None, typer.Option(help="Of the Dask cluster, like tcp://head:8786.", metavar="ADDRESS", show_default=False)
+]
+
+
+def make_executor(
+    campaign: "Campaign", workers: int | None, name: str, scheduler: str | None
+) -> "AsynchronousExecutor":
+    """The executor that a command line asks for.
+
+    Raises:
+        InputError: if the options do not go together, or the cluster cannot be reached.
+    """
+    if name == "local":
+        from activefail.campaign.executor import local_executor
+
+        if scheduler is not None:
+            raise InputError("--scheduler: is for --executor dask.")
+        return local_executor(campaign.simulator, workers, campaign.time_limit)
+    from activefail.campaign.cluster import DaskExecutor
+
+    if scheduler is None:
+        raise InputError("--scheduler: required for --executor dask.")
+    if workers is not None:
+        raise InputError("--workers: is for --executor local; a Dask cluster has the workers that it has.")
+    return DaskExecutor(scheduler, campaign.time_limit, lambda line: print(line, file=sys.stderr, flush=True))
 
 
 @contextmanager
@@ -45,8 +92,8 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[Callable[[], bool]]:
-    """The first Ctrl-C or SIGTERM asks for a stop after the batch, the second stops at once."""
+def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Callable[[], bool]]:
+    """The first Ctrl-C or SIGTERM asks for a stop and says what is done before it, the second stops at once."""
     asked = False
 
     def ask(number: int, frame: object) -> None:
@@ -54,7 +101,7 @@ def stop_on_signals() -> Iterator[Callable[[], bool]]:
         if asked:
             raise KeyboardInterrupt
         asked = True
-        print("\nstopping after this batch; once more to stop now", file=sys.stderr)
+        print(f"\n{stopping}; once more to stop now", file=sys.stderr)
 
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

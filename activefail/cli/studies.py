@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import show_warnings, stop_on_signals, writing_to
+from activefail.cli.common import Code, show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
 
 
@@ -19,11 +19,11 @@ def compare(
     ],
     budgets: Annotated[
         str | None,
-        typer.Option(
-            help="Of a run folder: numbers of simulations, like 250,500; five by default.", show_default=False
-        ),
+        typer.Option(help="Of a run folder: numbers of simulations, like 250,500; six by default.", show_default=False),
     ] = None,
-    seeds: Annotated[int, typer.Option(help="Of a campaign file: how many seeds.", min=1, max=100)] = 5,
+    seeds: Annotated[
+        int | None, typer.Option(help="Of a campaign file: how many seeds; 5 by default.", min=1, max=100)
+    ] = None,
     criteria: Annotated[
         str | None, typer.Option(help="Of a campaign file: criteria, like entropy,bald; its own by default.")
     ] = None,
@@ -44,6 +44,7 @@ def compare(
     out: Annotated[
         Path | None, typer.Option(help="Of a campaign file: folder of the comparison.", show_default=False)
     ] = None,
+    code: Code = None,
 ) -> None:
     """Judge active sampling and static Latin hypercubes on the same fresh designs.
 
@@ -51,26 +52,37 @@ def compare(
     designs over several seeds, criteria and features; it can be interrupted and goes on when given again.
     """
     if source.is_dir():
-        for name, value in {"criteria": criteria, "features": features, "static": static, "out": out}.items():
+        for name, value in {
+            "seeds": seeds,
+            "criteria": criteria,
+            "features": features,
+            "static": static,
+            "jobs": jobs,
+            "out": out,
+        }.items():
             if value is not None:
                 raise InputError(f"--{name}: is for the comparison of a campaign file, and {source} is a run folder.")
-        _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000)
+        _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000, code)
         return
     if source.suffix != ".toml":
         raise InputError(f"{source}: is not a run folder, nor a campaign file (.toml).")
-    if budgets is not None:
-        raise InputError(f"--budgets: is for the comparison of a run folder, and {source} is none.")
+    for name, value in {"budgets": budgets, "code": code}.items():
+        if value is not None:
+            raise InputError(f"--{name}: is for the comparison of a run folder, and {source} is none.")
     if out is None:
         raise InputError("--out: required for the comparison of a campaign file.")
-    _compare_seeds(source, seeds, criteria, features, static, test or 5000, jobs, out)
+    _compare_seeds(source, seeds or 5, criteria, features, static, test or 5000, jobs, out)
 
 
-def _compare_run(folder: Path, sizes: list[int] | None, test: int) -> None:
+def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | None) -> None:
     from activefail.campaign.executor import local_executor
     from activefail.campaign.folder import open_campaign
     from activefail.study.compare import compare as compare_samplings
 
-    with open_campaign(folder, write=True) as (campaign, store), local_executor(campaign.simulator) as executor:
+    with (
+        open_campaign(folder, write=True, code=code) as (campaign, store),
+        local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
+    ):
         show_warnings(store.warnings)
         scores = compare_samplings(
             campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
@@ -129,20 +141,24 @@ def _compare_seeds(
         _parse_names(features) or (own if isinstance(own, str) else OWN,),
         tuple(sizes or sorted({sampling.initial, sampling.budget})),
         test,
+        file.absolute().parent,
     )
 
     def stage(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
     with writing_to(out), stop_on_signals() as stop:
-        scores = compare_seeds(
-            plan,
-            out,
-            jobs or os.cpu_count() or 1,
-            stage,
-            lambda done, all_: stage(f"{done} of {all_} arms scored"),
-            stop,
-        )
+        try:
+            scores = compare_seeds(
+                plan,
+                out,
+                jobs or os.cpu_count() or 1,
+                stage,
+                lambda done, all_: stage(f"{done} of {all_} arms scored"),
+                stop,
+            )
+        except KeyboardInterrupt:
+            scores = None
         if scores is None:
             print(f"stopped; what was scored is kept in {out}. The same command goes on.", file=sys.stderr)
             raise typer.Exit(130)
@@ -172,7 +188,11 @@ def paper(
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
-    study = run_study(draws, fresh, seed, stage)
+    try:
+        study = run_study(draws, fresh, seed, stage)
+    except KeyboardInterrupt:
+        print("stopped; nothing is kept of it. The same command begins anew.", file=sys.stderr)
+        raise typer.Exit(130) from None
     command = {"draws": draws, "fresh": fresh, "seed": seed, "cores": os.cpu_count() or 1}
     command["minutes"] = math.ceil((time.monotonic() - begun) / 60.0)
     with writing_to(out):

@@ -15,7 +15,7 @@ from activefail.study.paper import SIGNIFICANCE, Draw, Study, significant_share
 REPRODUCED, BY_CHANCE, NOT_REPRODUCED = "reproduced", "within one sample's spread", "**not reproduced**"
 
 PERCENT = 0.005
-"""What rounding to whole per cents may hide; of a difference of two such figures, twice that."""
+"""What rounding to whole per cents may hide."""
 
 NOTICEABLE = 0.5
 """Points of accuracy below which two methods count as alike: a third of one of the paper's held-out designs."""
@@ -147,7 +147,7 @@ def _share(item: str, theirs: float, values: Array) -> Claim:
 def _gain(item: str, values: Array) -> Claim:
     estimate = Estimate.over(values)
     ours, one_sample = with_mean(100.0 * values, 1) + " points", span(Estimate.over(100.0 * values).of_one, 1)
-    verdict = _verdict(estimate, published.GAIN, 2.0 * PERCENT)
+    verdict = _verdict(estimate, published.GAIN, PERCENT)
     return Claim(item, f"{100 * published.GAIN:.0f} points", ours, one_sample, _BY_INTERVALS, verdict)
 
 

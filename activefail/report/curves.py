@@ -5,13 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from activefail.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILION, YELLOW, styled
+from activefail.report.quantities import Quantity
+from activefail.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, YELLOW, styled
+from activefail.space import Array
 from activefail.study.compare import Score
 from activefail.study.seeds import STATIC, Point
 
 
 def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int) -> Figure:
-    """Accuracy with its 95 % interval against the number of simulations, one line a sampling."""
+    """Accuracy with its 95 % interval against the number of simulations, one line for each sampling there is."""
     with styled():
         figure = Figure(figsize=(7.0, 4.6), layout="constrained")
         axes = figure.add_subplot()
@@ -19,16 +21,17 @@ def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int)
         names = {"active": "active sampling", "static": "static Latin hypercube"}
         for sampling, (colour, marker, line) in looks.items():
             rows = [score for score in scores if score.sampling == sampling]
+            if not rows:
+                continue
             n = np.array([row.simulations for row in rows])
             mean, low, high = (np.array([getattr(row, key) for row in rows]) for key in ("accuracy", "low", "high"))
             axes.fill_between(n, 100.0 * low, 100.0 * high, color=colour, alpha=0.15, linewidth=0.0)
             axes.plot(n, 100.0 * mean, color=colour, marker=marker, linestyle=line, label=names[sampling])
         axes.set_xlabel("simulations trained on")
         axes.set_ylabel(f"accuracy for {boundary} on fresh designs [%]")
-        axes.set_title(
-            f"Band: 95 % interval over test sets of {test_size} designs (one set, shared by both)", fontsize=9
-        )
-        axes.legend(loc="lower right")
+        shared = "one set, shared by both" if len({score.sampling for score in scores}) > 1 else "one set"
+        axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs ({shared})", fontsize=9)
+        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -68,4 +71,34 @@ def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str,
         axes.set_ylabel(label)
         axes.set_title(title, fontsize=9)
         axes.legend(loc="best")
+    return figure
+
+
+def plot_fragility(
+    values: Array,
+    probability: Array,
+    low: Array,
+    high: Array,
+    along: Quantity,
+    beyond: str,
+    current: float,
+    colour: str,
+) -> Figure:
+    """A probability with its interval against one variable, (n,) each, all others kept, and where the current point is.
+
+    Args:
+        along: the variable.
+        beyond: what the probability is of, as mathtext.
+        current: the point's value of the variable.
+        colour: of the curve.
+    """
+    with styled():
+        figure = Figure(figsize=(4.0, 3.2), layout="constrained")
+        axes = figure.add_subplot()
+        axes.fill_between(values, low, high, color=colour, alpha=0.2, linewidth=0.0, label="95 % interval")
+        axes.plot(values, probability, color=colour, linewidth=1.8, label=f"P({beyond})")
+        axes.axvline(current, color=BLACK, linestyle=":", label="this point")
+        axes.axhline(0.5, color=GREY, linewidth=0.8, linestyle="--")
+        axes.set(xlabel=along.axis, ylabel=f"P({beyond}) [–]", xlim=(values[0], values[-1]), ylim=(-0.02, 1.02))
+        figure.legend(loc="outside upper center", ncols=3)
     return figure

@@ -203,7 +203,7 @@ def instants(response: Response) -> dict[str, float]:
     if response.outcome == "failure":
         chosen["first rim touch"] = touch
         chosen["half-way to failure"] = 0.5 * (touch + margins["failure_time"])
-        chosen["failure"] = motion.end
+        chosen["failure"] = margins["failure_time"]
     elif math.isfinite(touch):
         gaps = motion.contacts(t)[0].max(axis=1)
         chosen["first rim touch"] = touch
@@ -247,6 +247,40 @@ def plot_response(response: Response) -> Figure:
         _zoom_on_failure(response, (uplift, tilt, rim))
         _legend_above(ground)
         _plot_loop(loop, motion, t, q)
+    return figure
+
+
+def plot_histories(response: Response, width: float = 5.2) -> Figure:
+    """Displacement, ground acceleration, uplift and tilt from when anything moves, one above the other.
+
+    Its four axes have the same axis of time and the same place from left to right.
+
+    Args:
+        response: with its motion.
+        width: of the figure [inch].
+
+    Raises:
+        InputError: if the response holds no motion.
+    """
+    motion = Motion(response)
+    t = motion.fine_times()
+    q = motion.position(t)
+    with style.styled():
+        figure = Figure(figsize=(width, 6.6), layout="constrained")
+        shift, ground, uplift, tilt = panels = figure.subplots(4, 1, sharex=True)
+        _plot_displacement(shift, motion, t, q)
+        _plot_ground(ground, motion, t)
+        _plot_uplift(uplift, motion, t, motion.contacts(t)[0])
+        _plot_tilt(tilt, motion, t, q)
+        labels = ("Displacement [m]", "Ground [g]", "Gap [mm]", "Tilt [°]")
+        for panel, label in zip(panels, labels, strict=True):
+            mark_events(panel, response)
+            # Short words on the axes say what is drawn: a narrow figure has no room beside the legend.
+            panel.set(title="", ylabel=label)
+        _legend_above(ground)
+        tilt.set_xlim(motion.stirs, motion.end + 0.01 * (motion.end - motion.stirs))
+        tilt.set_xlabel("Time from the pulse's centre [s]")
+        figure.align_ylabels()
     return figure
 
 
@@ -507,7 +541,7 @@ class BearingDrawing:
         axes.set(xlabel="x [m]", ylabel="z [m]")
         axes.grid(False)
         below = self._arrow_height - 0.1 * bearing.slider_diameter
-        axes.text(0.0, below, "ground acceleration", fontsize=7.5, ha="center", va="top", color=style.PURPLE)
+        axes.text(0.0, below, "ground acceleration", fontsize=8, ha="center", va="top")
 
     @property
     def _arrow_height(self) -> float:

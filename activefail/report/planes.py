@@ -138,21 +138,28 @@ def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
     return figure
 
 
-def plot_reliability(probabilities: dict[str, Array], failed: Array, samples: int, bins: int = 10) -> Figure:
+def plot_reliability(
+    probabilities: dict[str, Array],
+    failed: NDArray[np.bool_],
+    samples: int,
+    bins: int = 10,
+    labels: tuple[str, str] = ("share of failures among fresh designs", "predicted P(failure)"),
+) -> Figure:
     """Observed share of failures against predicted probability, and how many designs are behind each point.
 
     Args:
-        probabilities: (n,) of failure, by the method's title.
+        probabilities: (n,) of failure, by the method's title; four at most.
         failed: (n,) bool.
         samples: that were pooled, each judged on the same designs: a band takes one sample's number of designs.
         bins: of equal width.
+        labels: of the axes, the observed share and the predicted probability.
     """
     with styled():
         figure = Figure(figsize=(6.4, 7.0), layout="constrained")
         axes, counts_axes = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
         axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
         for (title, p), colour, marker in zip(
-            probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=True
+            probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=False
         ):
             place = np.clip((p * bins).astype(int), 0, bins - 1)
             counts = np.bincount(place, minlength=bins)
@@ -163,8 +170,8 @@ def plot_reliability(probabilities: dict[str, Array], failed: Array, samples: in
             low, high = proportion_confint(failures / samples, counts[shown] / samples, method="wilson")
             axes.fill_between(predicted, low, high, color=colour, alpha=0.12, linewidth=0.0)
             counts_axes.plot(predicted, counts[shown] / samples, color=colour, marker=marker)
-        axes.set_ylabel("share of failures among fresh designs")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=2)
+        axes.set_ylabel(labels[0])
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16 if len(probabilities) > 1 else 1.08), ncols=2)
         counts_axes.set_yscale("log")
-        counts_axes.set(xlabel="predicted P(failure)", ylabel="designs in a bin")
+        counts_axes.set(xlabel=labels[1], ylabel="designs in a bin")
     return figure

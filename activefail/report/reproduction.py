@@ -270,7 +270,7 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
         "papers_gain": with_mean(papers_gain, 1),
         "papers_gain_one": span(Estimate.over(papers_gain).of_one, 1),
         "paper_gain": f"{100 * published.GAIN:.0f}",
-        "gain_as_high": int(np.sum(gain >= 100 * (published.GAIN - 2 * claims.PERCENT))),
+        "gain_as_high": int(np.sum(gain >= 100 * (published.GAIN - claims.PERCENT))),
         "ep_log_score": with_mean(ep - laplace),
         "ep_accuracy": with_mean(
             100 * (claims.process(draws, "ep", "fresh") - claims.process(draws, "laplace", "fresh")), 2

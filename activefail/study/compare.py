@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.executor import Executor
-from activefail.campaign.learning import first_rows
+from activefail.campaign.learning import first_rows, initial_sets
 from activefail.campaign.loop import one_thread, standing
 from activefail.campaign.record import Store
 from activefail.campaign.sets import simulated_set
@@ -105,7 +105,8 @@ def compare(
     done = standing(campaign, store.batches, 0).done
     if done < 2:
         raise InputError("The campaign has no simulations to compare yet.")
-    budgets = budgets or default_budgets(min(campaign.settings.sampling.initial, done), done)
+    initial = campaign.settings.sampling.initial * initial_sets(campaign, store.batches)
+    budgets = budgets or default_budgets(min(initial, done), done)
     for n in budgets:
         if not 2 <= n <= done:
             raise InputError(f"budgets: must lie between 2 and the {done} simulations done, got {n}.")

@@ -17,7 +17,7 @@ DISPLACEMENT = 0.02
 
 
 @dataclass(frozen=True)
-class TestSet:
+class FreshSet:
     """Fresh designs with their outcomes.
 
     Attributes:
@@ -25,8 +25,6 @@ class TestSet:
         outcome: (n,) int8.
         around: (n, NEIGHBOURS) int8, outcomes of designs displaced from each by `DISPLACEMENT`; -1 without an answer.
     """
-
-    __test__ = False  # not a test, whatever pytest takes from the name
 
     X: Array
     outcome: NDArray[np.int8]
@@ -46,7 +44,7 @@ def expected_calibration_error(p: Array, y: NDArray[np.bool_], bins: int = 10) -
     return float(np.abs(np.bincount(place, weights=p - y, minlength=bins)).sum() / len(p))
 
 
-def measures(classifier: Classifier, severity: int, test: TestSet) -> dict[str, float]:
+def measures(classifier: Classifier, severity: int, test: FreshSet) -> dict[str, float]:
     """All figures of a classifier, by name.
 
     - accuracy: share of designs on the right side of the sought boundary.

@@ -22,16 +22,17 @@ from numpy.typing import NDArray
 
 from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.config import CampaignSettings, parse_settings
-from activefail.campaign.executor import ThreadExecutor, local_executor
+from activefail.campaign.executor import local_executor
 from activefail.campaign.folder import create_run, open_campaign
 from activefail.campaign.learning import first_rows
 from activefail.campaign.loop import Observer, one_thread, run
 from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.workers import begin_worker, starting_processes
 from activefail.errors import InputError, SimulationError
 from activefail.space import Array
 from activefail.study.estimate import Estimate
-from activefail.study.score import NEIGHBOURS, TestSet, displaced, measures
+from activefail.study.score import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.surrogate.classifier import train
 
 STATIC = "static"
@@ -73,6 +74,7 @@ class Plan:
         criteria, features: of the campaigns; every pair is one.
         static: sizes of the static Latin hypercubes, one of its own for each.
         test: fresh designs to judge by.
+        code: folder of the user's own code, which is run (see `Campaign.of`).
     """
 
     settings: CampaignSettings
@@ -81,6 +83,7 @@ class Plan:
     features: tuple[str, ...]
     static: tuple[int, ...]
     test: int
+    code: Path | None = None
 
     def arms(self) -> list[Arm]:
         """All arms, seed after seed."""
@@ -132,8 +135,9 @@ class _Job:
     settings: str
     checkpoints: tuple[int, ...]
     folder: Path
-    test: TestSet
+    test: FreshSet
     static: tuple[Array, NDArray[np.int8]] | None
+    code: Path | None
 
 
 _stop: Event | None = None
@@ -142,8 +146,7 @@ _stop: Event | None = None
 def _begin_worker(stop: Event) -> None:
     global _stop
     _stop = stop
-    # A terminal sends Ctrl-C to the whole process group; the parent says when to stop.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_worker()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
@@ -156,7 +159,10 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
     folder = job.folder / "runs" / job.arm.name
     if not (folder / "campaign.toml").exists():
         create_run(folder, campaign).close()
-    with open_campaign(folder, write=True) as (recorded, store), ThreadExecutor(1) as executor:
+    with (
+        open_campaign(folder, write=True, code=job.code) as (recorded, store),
+        local_executor(recorded.simulator, 1, recorded.time_limit) as executor,
+    ):
         if not run(recorded, store, executor, job.arm.size, Observer(stop=_stopping)):
             return
         for n in job.checkpoints:
@@ -165,7 +171,7 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
 
 def _score_arm(job: _Job) -> list[Score] | None:
     """The scores of an arm, in a worker process; None when it was asked to stop before."""
-    campaign = Campaign.of(parse_settings(job.settings, job.arm.name))
+    campaign = Campaign.of(parse_settings(job.settings, job.arm.name), job.code)
     with one_thread():
         if job.static is None:
             rows = _campaign_rows(job, campaign)
@@ -229,14 +235,17 @@ def prepare(folder: Path, plan: Plan) -> None:
         _write(path, frozen)
 
 
-def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[TestSet, dict[Arm, Any]]:
+def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, Any]]:
     """The test set and the static designs with their outcomes, simulated once and kept in the folder `designs`."""
-    campaign = Campaign.of(plan.settings.changed({"validation.size": 0}))
+    campaign = Campaign.of(plan.settings.changed({"validation.size": 0}), plan.code, folder)
     space, first = campaign.space, plan.settings.seed
     designs = folder / "designs"
     if not (designs / "campaign.toml").exists():
         create_run(designs, campaign).close()
-    with open_campaign(designs, write=True) as (_, store), local_executor(campaign.simulator) as executor:
+    with (
+        open_campaign(designs, write=True, code=plan.code) as (_, store),
+        local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
+    ):
 
         def outcomes(name: str, X: Array) -> NDArray[np.int8]:
             found = simulated_outcomes(campaign, store, executor, name, X)
@@ -249,7 +258,7 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
         moved = displaced(X, space, stream(first, "test", 1))
         around = outcomes(f"around-{plan.test}", moved).reshape(len(X), -1)
         answered = outcome != NUMERICAL_FAILURE
-        test = TestSet(X[answered], outcome[answered], around[answered])
+        test = FreshSet(X[answered], outcome[answered], around[answered])
         static = {}
         for seed in range(first, first + plan.seeds):
             for size in plan.static:
@@ -278,7 +287,7 @@ def compare_seeds(
     arms = plan.arms()
     settings = {arm: plan.settings_of(arm) for arm in arms}
     for arm in {(arm.features, arm.sampling): arm for arm in arms}.values():
-        Campaign.of(settings[arm])  # before anything is written: do the pieces fit?
+        Campaign.of(settings[arm], plan.code)  # before anything is written: do the pieces fit?
     prepare(folder, plan)
     scores = {arm: _saved(folder / "scores" / f"{arm.name}.json") for arm in arms}
     left = [arm for arm in arms if scores[arm] is None]
@@ -286,22 +295,26 @@ def compare_seeds(
         test, static = _simulated(plan, folder, stage)
         stage("campaigns and classifiers")
         context = multiprocessing.get_context("spawn")
-        asked = context.Event()
-        with ProcessPoolExecutor(jobs, context, _begin_worker, (asked,)) as pool:
-            futures = {
-                pool.submit(
-                    _score_arm,
-                    _Job(
-                        arm,
-                        settings[arm].text(),
-                        tuple(plan.checkpoints()),
-                        folder,
-                        test,
-                        static.get(arm),
-                    ),
-                ): arm
-                for arm in left
-            }
+        with starting_processes():
+            asked = context.Event()
+            pool = ProcessPoolExecutor(jobs, context, _begin_worker, (asked,))
+        with pool:
+            with starting_processes():  # with which they start; the parent says when to stop
+                futures = {
+                    pool.submit(
+                        _score_arm,
+                        _Job(
+                            arm,
+                            settings[arm].text(),
+                            tuple(plan.checkpoints()),
+                            folder,
+                            test,
+                            static.get(arm),
+                            plan.code,
+                        ),
+                    ): arm
+                    for arm in left
+                }
             pending = set(futures)
             try:
                 while pending and not asked.is_set():

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from activefail.bearing import outcome as o
-from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
+from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulation import simulate
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.record import SEED, Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.simulator import NUMERICAL_FAILURE, cause_name
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
@@ -26,11 +26,14 @@ def check_bearing(model: Model) -> Callable[[Array], str | None]:
         for name, value in zip(TABLE_1.names, design.tolist(), strict=True):
             if value <= 0.0:
                 return f"column {name}: `{name} > 0` must hold, got {value:g}"
+            if value > LARGEST:
+                return f"column {name}: `{name} <= {LARGEST:g}` must hold, got {value:g}"
         try:
             Bearing.from_row(design.tolist(), model.slider_diameter)
             Pulse.from_table(*design[7:].tolist())
         except InputError as impossible:
-            return str(impossible).rstrip(".")
+            # Whatever else can be wrong is the shape that these make together.
+            return f"columns {', '.join(TABLE_1.names[:5])}: {impossible}".rstrip(".")
         return None
 
     return check
@@ -130,7 +133,7 @@ def export_table(campaign: Campaign, store: Store, target: Path) -> int:
                             "seed" if batch.origin[row] == SEED else "active",
                             *map(repr, batch.designs[row].tolist()),
                             "numerical_failure" if label == NUMERICAL_FAILURE else names[label],
-                            campaign.simulator.causes[answers.cause[row]],
+                            cause_name(campaign.simulator.causes, int(answers.cause[row])),
                             *("" if np.isnan(m) else repr(m) for m in margins),
                             repr(float(answers.seconds[row])),
                         ]

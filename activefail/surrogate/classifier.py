@@ -14,16 +14,12 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr, softmax
 from torch import Tensor
 
+from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.fitting import (
-    JITTER,
-    Fit,
-    covariance_module,
-    fit,
-    prior_covariance,
-    set_hyperparameters,
-)
+from activefail.surrogate.covariance import JITTER, covariance_module, set_hyperparameters
+from activefail.surrogate.fitting import Fit, Readout, fit, predict, predict_jointly, readout
+from activefail.surrogate.sites import Projection
 
 Kernel = Literal["rbf", "matern52"]
 
@@ -42,13 +38,14 @@ def _bounded(F: Array) -> Tensor:
 
 
 class _VariationalGP(gpytorch.models.ApproximateGP):
-    """The trained posterior in GPyTorch's whitened form, with the training points as inducing points."""
+    """The trained posterior in GPyTorch's whitened form; all training points are inducing points, where it has none."""
 
     def __init__(self, trained: Fit) -> None:
-        n, m = trained.features.shape
+        Z = trained.features if trained.inducing is None else trained.features[trained.inducing]
+        n, m = Z.shape
         distribution = gpytorch.variational.CholeskyVariationalDistribution(n).double()
         strategy = gpytorch.variational.VariationalStrategy(
-            self, trained.features, distribution, learn_inducing_locations=False, jitter_val=JITTER
+            self, Z, distribution, learn_inducing_locations=False, jitter_val=JITTER
         )
         super().__init__(strategy)
         self.mean_module = gpytorch.means.ConstantMean().double()
@@ -65,16 +62,17 @@ class _VariationalGP(gpytorch.models.ApproximateGP):
         distribution: gpytorch.variational.CholeskyVariationalDistribution,
         strategy: gpytorch.variational.VariationalStrategy,
     ) -> None:
-        """Whiten q(f) = N(m + Kα, (K⁻¹ + W)⁻¹): with K = LLᵀ, u ~ N(Lᵀα, (I + LᵀWL)⁻¹)."""
+        """Whiten: with LLᵀ = k(Z, Z) and V = L⁻¹ k(Z, X), u ~ N(A⁻¹ V b, A⁻¹), A = I + V W Vᵀ; V = Lᵀ where Z = X."""
         set_hyperparameters(self.covar_module, trained.hyperparameters)
         linear, precision = trained.sites
         with torch.no_grad():
             self.mean_module.constant.fill_(trained.hyperparameters.mean)
-            L = torch.linalg.cholesky(prior_covariance(trained.features, trained.kernel, trained.hyperparameters))
-            A = L.mT @ (precision.unsqueeze(1) * L)
+            prior = trained.prior
+            V = prior.whitened if isinstance(prior, Projection) else torch.linalg.cholesky(prior).mT
+            A = V @ (precision.unsqueeze(1) * V.mT)
             A.diagonal().add_(1.0)
             R = torch.linalg.cholesky(A)
-            right = L.mT @ (linear - precision * trained.hyperparameters.mean)
+            right = V @ (linear - precision * trained.hyperparameters.mean)
             distribution.variational_mean.copy_(torch.cholesky_solve(right.unsqueeze(1), R).squeeze(1))
             distribution.chol_variational_covar.copy_(torch.linalg.cholesky(torch.cholesky_inverse(R)))
             strategy.variational_params_initialized.fill_(1)
@@ -111,21 +109,22 @@ class Latent:
             model=_VariationalGP(self.trained), likelihood=gpytorch.likelihoods.BernoulliLikelihood()
         )
 
+    @cached_property
+    def readout(self) -> Readout:
+        """The same posterior as plain matrices, which is faster; tests hold it to the model's."""
+        return readout(self.trained)
+
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
-        means, variances = [], []
-        with torch.no_grad():
-            for rows in _bounded(F).split(_ROWS_AT_ONCE):
-                distribution = self.model.model(rows)
-                means.append(distribution.mean)
-                variances.append(distribution.variance)
+        means, variances = zip(
+            *(predict(self.trained, self.readout, rows) for rows in _bounded(F).split(_ROWS_AT_ONCE)), strict=True
+        )
         return Moments(torch.cat(means).numpy(), torch.cat(variances).sqrt().numpy())
 
     def joint(self, F: Array) -> tuple[Array, Array]:
         """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
-        with torch.no_grad():
-            distribution = self.model.model(_bounded(F))
-            return distribution.mean.numpy(), distribution.covariance_matrix.numpy()
+        mean, covariance = predict_jointly(self.trained, self.readout, _bounded(F))
+        return mean.numpy(), covariance.numpy()
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,11 @@ class Classifier:
         So the most severe outcome is a little less likely than its latent alone says, by what the others doubt.
         """
         F = self.features(X)
-        z = np.stack([latent.moments(F).standardised for latent in self.latents], axis=1)
+        return self.weighed([latent.moments(F) for latent in self.latents])
+
+    def weighed(self, moments: Sequence[Moments]) -> Array:
+        """The same from the moments of each latent, for those who want these too."""
+        z = np.stack([found.standardised for found in moments], axis=1)
         beyond = np.pad(np.cumsum(log_ndtr(z), axis=1), ((0, 0), (1, 0)))
         short = np.pad(np.cumsum(log_ndtr(-z)[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
         return np.asarray(softmax(beyond + short, axis=1))
@@ -176,7 +179,12 @@ def train(
 
     Args:
         warm: a classifier trained on the first of these points, to start from.
+
+    Raises:
+        InputError: if there are none.
     """
+    if len(X) == 0:
+        raise InputError("None of the simulations gave an answer: there is nothing to learn from.")
     F = torch.from_numpy(features(X))
 
     def train_boundary(severity: int) -> Latent:

@@ -1,63 +1,49 @@
-"""How a variational GP classifier is trained: Gaussian sites to their fixed point, hyperparameters by L-BFGS.
+"""How a variational GP classifier is trained: its sites to their fixed point, its hyperparameters by L-BFGS.
 
-The optimal Gaussian posterior of a GP with a factorised likelihood has the form S = (K⁻¹ + W)⁻¹ with a diagonal W
-(Opper and Archambeau 2009): two numbers a point instead of n²/2. The sites are found by damped natural-gradient steps
-(Khan and Lin 2017), the hyperparameters on the bound they attain, whose gradient needs no derivative of the sites.
+The hyperparameters are learned on the bound that the sites attain, whose gradient needs no derivative of the sites.
+Up to `EXACT` points the posterior is that of all points; beyond, it is projected on inducing points.
 """
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import NamedTuple
 
-import gpytorch
 import numpy as np
 import torch
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 from torch import Tensor
 
-JITTER = 1e-6
-"""Added to the diagonal of K; the GPyTorch model that the result is loaded into adds the same."""
+from activefail.surrogate.covariance import (
+    JITTER,
+    Hyperparameters,
+    covariance,
+    covariance_gradient,
+    log_prior,
+    prior_covariance,
+)
+from activefail.surrogate.inducing import LEFT, MOST, choose, project
+from activefail.surrogate.sites import Posterior, Projection, Sites, column_squares, posterior, solve_sites, whitened
+from activefail.surrogate.sites import probit_expectations as probit_expectations
+
+EXACT = 1000
+"""Most points whose posterior needs no inducing points: a step of the sites costs the cube of their number."""
 
 LEARNED_ON = 1000
-"""Most points that hyperparameters are learned on: each of a hundred evaluations costs the cube of their number."""
+"""Most points that hyperparameters are learned on."""
+
+_COARSE = 250
+"""Points that hyperparameters are learned on first; beyond, inducing points stand in for all while they are learned."""
+
+_HALFWAY = 4000
+"""Points whose posterior foresees the sites of many more, and whose inducing points serve these."""
+
+_ROUNDS = 3
+"""How often inducing points are added for what has moved since they were chosen."""
 
 GROWTH = 0.05
 """A warm start keeps its hyperparameters until the points have grown by this share since they were learned."""
-
-_FIRST_SHARE, _LEAST_SHARE = 0.6, 0.02
-"""Share of a natural-gradient step that is taken at first, and at least; undamped steps oscillate."""
-
-_WEAK_SITE = 1e-6
-"""A site's precision times the prior variance, below which its point's variance is that of the prior to six digits."""
-
-_NODES, _WEIGHTS = (torch.from_numpy(a) for a in np.polynomial.hermite_e.hermegauss(20))
-_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
-
-
-class Hyperparameters(NamedTuple):
-    """Of a constant mean and an ARD covariance, in the features' standard units."""
-
-    mean: float
-    log_outputscale: float
-    log_lengthscale: Tensor  # (m,)
-
-
-class Sites(NamedTuple):
-    """A Gaussian factor for each training point: exp(linear f − precision f²/2)."""
-
-    linear: Tensor  # (n,)
-    precision: Tensor  # (n,), positive
-
-
-class Posterior(NamedTuple):
-    """The variational posterior at the training points, and its bound."""
-
-    alpha: Tensor  # (n,) K⁻¹ (mean − prior mean)
-    mean: Tensor  # (n,)
-    variance: Tensor  # (n,)
-    cholesky_b: Tensor  # (n, n) factor of I + W^½ K W^½
-    elbo: float
 
 
 @dataclass(frozen=True)
@@ -72,134 +58,65 @@ class Fit:
     elbo: float
     evaluations: int
     learned_on: int  # points when the hyperparameters were last learned
+    inducing: Tensor | None = None  # rows of the features, int64; None when the posterior is that of all points
+
+    @property
+    def prior(self) -> Tensor | Projection:
+        """The prior at the training points as `posterior` takes it."""
+        if self.inducing is None:
+            return prior_covariance(self.features, self.kernel, self.hyperparameters)
+        return project(self.features, self.inducing, self.kernel, self.hyperparameters)
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """The posterior at the training points."""
+        return posterior(self.prior, self.hyperparameters.mean, self.labels, self.sites)
 
 
-def covariance_module(kernel: str, dimension: int) -> gpytorch.kernels.Kernel:
-    """An ARD covariance with a free output scale and the priors that the training uses, in double precision.
+class Readout(NamedTuple):
+    """A posterior as what its m points of support say of any other: with k = k(Z, x),
 
-    Args:
-        kernel: "rbf" (squared exponential, the paper's) or "matern52".
-        dimension: number of features.
-
-    Raises:
-        ValueError: if the kernel is neither.
+    mean(x) = prior mean + kᵀ weights, covariance(x, x′) = k(x, x′) − (root k)ᵀ (root k′).
     """
-    # exp, not softplus: L-BFGS then steps in the logarithm of each scale.
-    positive = gpytorch.constraints.Positive(transform=torch.exp, inv_transform=torch.log)
-    # Length scales that grow with the root of the dimension (Hvarfner et al. 2024), in units of the features' spread.
-    lengthscale_prior = gpytorch.priors.LogNormalPrior(math.sqrt(2.0) + 0.5 * math.log(dimension), math.sqrt(3.0))
-    match kernel:
-        case "rbf":
-            base = gpytorch.kernels.RBFKernel(
-                ard_num_dims=dimension, lengthscale_constraint=positive, lengthscale_prior=lengthscale_prior
-            )
-        case "matern52":
-            base = gpytorch.kernels.MaternKernel(
-                nu=2.5, ard_num_dims=dimension, lengthscale_constraint=positive, lengthscale_prior=lengthscale_prior
-            )
-        case _:
-            raise ValueError(f"The covariance must be rbf or matern52, got {kernel!r}.")
-    # Flat: a sharp boundary needs a latent many times the likelihood's unit width.
-    outputscale_prior = gpytorch.priors.LogNormalPrior(math.log(10.0), 2.0)
-    return gpytorch.kernels.ScaleKernel(
-        base, outputscale_constraint=positive, outputscale_prior=outputscale_prior
-    ).double()
+
+    support: Tensor  # (m, d)
+    weights: Tensor  # (m,)
+    root: Tensor  # (m, m)
 
 
-def set_hyperparameters(covariance: gpytorch.kernels.Kernel, hyperparameters: Hyperparameters) -> None:
-    """Write the scales into a covariance made by `covariance_module`."""
-    with torch.no_grad():
-        covariance.raw_outputscale.fill_(hyperparameters.log_outputscale)
-        covariance.base_kernel.raw_lengthscale.copy_(hyperparameters.log_lengthscale.reshape(1, -1))
+def readout(trained: Fit) -> Readout:
+    """How predictions follow from a trained latent."""
+    state, precision = trained.posterior, trained.sites.precision
+    if trained.inducing is None:
+        # K − K W^½ B⁻¹ W^½ K
+        inverse, _ = dtrtri(state.cholesky_b.numpy().T, lower=0)
+        return Readout(trained.features, state.alpha, torch.from_numpy(inverse.T) * precision.sqrt())
+    Z = trained.features[trained.inducing]
+    L = torch.linalg.cholesky(prior_covariance(Z, trained.kernel, trained.hyperparameters))
+    # K − k L⁻ᵀ (I − A⁻¹) L⁻¹ k, A = RRᵀ = I + V W Vᵀ
+    eigenvalues, Q = torch.linalg.eigh(state.cholesky_b @ state.cholesky_b.mT)
+    shrunk = (1.0 - 1.0 / eigenvalues.clamp_min(1.0)).sqrt().unsqueeze(1) * Q.mT
+    root = torch.linalg.solve_triangular(L, shrunk, upper=False, left=False)
+    weights = torch.linalg.solve_triangular(L.mT, state.alpha.unsqueeze(1), upper=True).squeeze(1)
+    return Readout(Z, weights, root)
 
 
-def probit_expectations(labels: Tensor, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """E[log Φ(yf)], E[∂ log Φ(yf)/∂f] and E[−∂² log Φ(yf)/∂f²] under f ~ N(mean, variance), each shape (n,).
-
-    The last by Stein's lemma, E[−∂²l] = −E[l′·(f − mean)]/variance: so the three are value and exact derivatives of one
-    quadrature, and the sites climb the very bound that is reported. The second derivative itself is a step in f, which
-    few nodes miss where the latent is wide.
-    """
-    sd = variance.sqrt()
-    f = mean.unsqueeze(-1) + sd.unsqueeze(-1) * _NODES  # n -> n x 20
-    y = labels.unsqueeze(-1)
-    log_cdf = torch.special.log_ndtr(y * f)
-    slope = y * torch.exp(-0.5 * f * f - 0.5 * math.log(2.0 * math.pi) - log_cdf)  # yφ/Φ
-    # Not negative but for rounding: the slope falls with f.
-    curvature = (-(slope @ (_WEIGHTS * _NODES)) / sd).clamp_min(0.0)
-    return log_cdf @ _WEIGHTS, slope @ _WEIGHTS, curvature
+def predict(trained: Fit, of: Readout, F: Tensor) -> tuple[Tensor, Tensor]:
+    """Marginal mean and variance at features F, (n, d), each (n,)."""
+    h = trained.hyperparameters
+    k = covariance(trained.kernel, h, of.support, F)
+    shrinkage = of.root @ k
+    variance = math.exp(h.log_outputscale) + JITTER - column_squares(shrinkage)
+    return h.mean + k.T @ of.weights, variance.clamp_min(JITTER)
 
 
-def posterior(K: Tensor, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:
-    """The Gaussian that prior and sites define, and its evidence lower bound."""
-    root = sites.precision.sqrt()
-    B = root.unsqueeze(1) * K * root
-    B.diagonal().add_(1.0)
-    L = torch.linalg.cholesky(B)
-    b = sites.linear - sites.precision * prior_mean
-    alpha = b - root * torch.cholesky_solve((root * (K @ b)).unsqueeze(1), L).squeeze(1)
-    mean_offset = K @ alpha
-    variance = _posterior_variance(K, sites.precision, root, L)
-    mean = prior_mean + mean_offset
-    expected_log_likelihood, _, _ = probit_expectations(labels, mean, variance)
-    # tr(K⁻¹S) = tr(B⁻¹) = n − Σ W s², since S W = I − (I + K W)⁻¹.
-    n = len(labels)
-    trace = n - (sites.precision * variance).sum()
-    divergence = 0.5 * (trace + alpha @ mean_offset - n) + L.diagonal().log().sum()
-    return Posterior(alpha, mean, variance, L, float(expected_log_likelihood.sum() - divergence))
-
-
-def _posterior_variance(K: Tensor, precision: Tensor, root: Tensor, L: Tensor) -> Tensor:
-    """diag(S), (n,), from the factor L of B: S_ii = (1 − (B⁻¹)_ii)/W_ii, which costs a third of K − VᵀV.
-
-    Where a site hardly informs, that is a difference of equal numbers, and the other formula is taken.
-    """
-    # LAPACK, by columns: the transposed view is its upper triangle, and nothing is copied.
-    inverse, _ = dtrtri(L.numpy().T, lower=0)
-    shrunk = 1.0 - torch.from_numpy(np.einsum("ij,ij->i", inverse, inverse))
-    prior = K.diagonal()
-    variance = shrunk / precision
-    weak = torch.nonzero(precision * prior < _WEAK_SITE).squeeze(1)
-    if len(weak):
-        V = torch.linalg.solve_triangular(L, root.unsqueeze(1) * K[:, weak], upper=False)
-        variance[weak] = prior[weak] - (V * V).sum(0)
-    return variance.clamp_min(1e-12)
-
-
-def solve_sites(
-    K: Tensor, prior_mean: float, labels: Tensor, sites: Sites, tolerance: float, most: int = 200
-) -> tuple[Sites, Posterior]:
-    """Iterate the sites to where the bound moves by less than `tolerance` [nats]; at most `most` steps.
-
-    A step that lowers the bound is halved: with large output scales a fixed damping can circle for ever.
-    """
-    state = posterior(K, prior_mean, labels, sites)
-    share = _FIRST_SHARE
-    for _ in range(most):
-        _, gradient, curvature = probit_expectations(labels, state.mean, state.variance)
-        target = Sites(gradient + curvature * state.mean, curvature)
-        step = Sites(*(torch.lerp(old, new, share) for old, new in zip(sites, target, strict=True)))
-        following = posterior(K, prior_mean, labels, step)
-        change = following.elbo - state.elbo
-        if change < -tolerance and share > _LEAST_SHARE:
-            share *= 0.5
-            continue
-        sites, state = step, following
-        # By the change that a whole step promises: a short one says little about how far the optimum is.
-        if abs(change) < tolerance * share:
-            break
-        share = min(1.0, 1.15 * share)
-    return sites, state
-
-
-def prior_covariance(features: Tensor, kernel: str, hyperparameters: Hyperparameters) -> Tensor:
-    """K at the training points with its jitter, shape (n, n)."""
-    covariance = covariance_module(kernel, features.shape[1])
-    set_hyperparameters(covariance, hyperparameters)
-    with torch.no_grad():
-        K: Tensor = covariance(features).to_dense().clone()
-        K.diagonal().add_(JITTER)
-    return K
+def predict_jointly(trained: Fit, of: Readout, F: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean, (n,), and covariance, (n, n), at features F, (n, d)."""
+    h = trained.hyperparameters
+    k = covariance(trained.kernel, h, of.support, F)
+    shrinkage = of.root @ k
+    joint = prior_covariance(F, trained.kernel, h).addmm_(shrinkage.T, shrinkage, alpha=-1.0)
+    return h.mean + k.T @ of.weights, joint
 
 
 def condition(
@@ -211,12 +128,40 @@ def condition(
     tolerance: float = 1e-5,
     evaluations: int = 0,
     learned_on: int = 0,
+    inducing: Tensor | None = None,
 ) -> Fit:
-    """The variational posterior for given hyperparameters, its sites solved from the given ones on."""
-    sites = _default_start(features, labels)[1] if sites is None else _extend_sites(sites, labels)
-    K = prior_covariance(features, kernel, hyperparameters)
-    sites, state = solve_sites(K, hyperparameters.mean, labels, sites, tolerance)
-    return Fit(kernel, features, labels, hyperparameters, sites, state.elbo, evaluations, learned_on)
+    """The variational posterior for given hyperparameters, its sites solved from the given ones on.
+
+    Args:
+        inducing: of more than `EXACT` points: rows to keep as inducing points, beside which others are chosen.
+    """
+    sites = _default_start(features, labels)[1] if sites is None else sites
+    if len(labels) <= EXACT:
+        K = prior_covariance(features, kernel, hyperparameters)
+        inducing, (sites, state) = None, solve_sites(K, hyperparameters.mean, labels, sites, tolerance)
+    else:
+        inducing, sites, state = _induced(features, labels, kernel, hyperparameters, sites, tolerance, inducing)
+    return Fit(kernel, features, labels, hyperparameters, sites, state.elbo, evaluations, learned_on, inducing)
+
+
+def _induced(
+    features: Tensor,
+    labels: Tensor,
+    kernel: str,
+    hyperparameters: Hyperparameters,
+    sites: Sites,
+    tolerance: float,
+    inducing: Tensor | None,
+) -> tuple[Tensor, Sites, Posterior]:
+    """Inducing points beside those given, and the sites and posterior with them."""
+    for _ in range(_ROUNDS):
+        rows, prior = choose(features, sites.precision, kernel, hyperparameters, inducing)
+        inducing = rows
+        sites, state = solve_sites(prior, hyperparameters.mean, labels, sites, tolerance)
+        # Points were chosen by the precisions that were foreseen; now they are known.
+        if len(rows) >= MOST or float(sites.precision @ prior.rest) <= 2.0 * LEFT:
+            break
+    return rows, sites, state
 
 
 def _default_start(features: Tensor, labels: Tensor) -> tuple[Hyperparameters, Sites]:
@@ -229,10 +174,21 @@ def _default_start(features: Tensor, labels: Tensor) -> tuple[Hyperparameters, S
     return hyperparameters, Sites(0.1 * labels, torch.full((n,), 0.1, dtype=torch.float64))
 
 
-def _extend_sites(sites: Sites, labels: Tensor) -> Sites:
-    """Sites of earlier points, and the first guess for those that came since."""
-    more = labels[len(sites.linear) :]
-    return Sites(torch.cat([sites.linear, 0.1 * more]), torch.cat([sites.precision, torch.full_like(more, 0.1)]))
+def _extended_sites(trained: Fit, features: Tensor, labels: Tensor) -> Sites:
+    """The sites of a fit, and for the points that come after its own what its posterior says of each."""
+    n = len(trained.labels)
+    if n == len(labels):
+        return trained.sites
+    foreseen = _foreseen_sites(trained, features[n:], labels[n:])
+    return Sites(*(torch.cat(both) for both in zip(trained.sites, foreseen, strict=True)))
+
+
+def _foreseen_sites(trained: Fit, features: Tensor, labels: Tensor) -> Sites:
+    """First sites of points from what the posterior of others says of each."""
+    mean, variance = predict(trained, readout(trained), features)
+    _, gradient, curvature = probit_expectations(labels, mean, variance)
+    least = 1e-8 / math.exp(trained.hyperparameters.log_outputscale)
+    return Sites(gradient + curvature * mean, curvature.clamp_min(least))
 
 
 class Evaluation(NamedTuple):
@@ -244,36 +200,73 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    covariance: gpytorch.kernels.Kernel,
+    kernel: str,
     hyperparameters: Hyperparameters,
     features: Tensor,
     labels: Tensor,
     sites: Sites,
     tolerance: float,
+    inducing: Tensor | None = None,
 ) -> Evaluation:
-    """The objective with its sites solved to `tolerance` [nats], starting from the given ones."""
-    set_hyperparameters(covariance, hyperparameters)
-    covariance.zero_grad()
-    K = covariance(features).to_dense()
-    with torch.no_grad():
-        jittered = K.detach().clone()
-        jittered.diagonal().add_(JITTER)
-        sites, state = solve_sites(jittered, hyperparameters.mean, labels, sites, tolerance)
-        # d ELBO/dK = ½(ααᵀ − W^½ B⁻¹ W^½): the sites' own derivative vanishes at their optimum.
-        root = sites.precision.sqrt()
-        by_covariance = -root.unsqueeze(1) * torch.cholesky_inverse(state.cholesky_b) * root
-        by_covariance.addr_(state.alpha, state.alpha).mul_(0.5)
-    K.backward(by_covariance)
-    prior = torch.zeros((), dtype=torch.float64)
-    for _, module, density, closure, _ in covariance.named_priors():
-        # As densities of the logarithms: the mode then does not depend on the scales' units.
-        scale = closure(module)
-        prior = prior + (density.log_prob(scale) + scale.log()).sum()
-    prior.backward()
-    by_outputscale = covariance.raw_outputscale.grad.reshape(1)
-    by_lengthscale = covariance.base_kernel.raw_lengthscale.grad.reshape(-1)
-    gradient = torch.cat([state.alpha.sum().reshape(1), by_outputscale, by_lengthscale])
-    return Evaluation(state.elbo + float(prior.detach()), gradient.numpy(), sites)
+    """The objective with its sites solved to `tolerance` [nats], starting from the given ones.
+
+    Args:
+        inducing: rows of the features that stand in for all of them.
+    """
+    solve = _evaluate_dense if inducing is None else partial(_evaluate_projected, rows=inducing)
+    sites, elbo, by_mean, by_scales = solve(kernel, hyperparameters, features, labels, sites, tolerance)
+    prior, prior_by_scales = log_prior(hyperparameters)
+    gradient = torch.cat([by_mean.reshape(1), by_scales + prior_by_scales])
+    return Evaluation(elbo + prior, gradient.numpy(), sites)
+
+
+def _evaluate_dense(
+    kernel: str, hyperparameters: Hyperparameters, features: Tensor, labels: Tensor, sites: Sites, tolerance: float
+) -> tuple[Sites, float, Tensor, Tensor]:
+    """Sites, bound and its derivatives by the mean and by the scales."""
+    K = covariance(kernel, hyperparameters, features, features)
+    jittered = K.clone()
+    jittered.diagonal().add_(JITTER)
+    sites, state = solve_sites(jittered, hyperparameters.mean, labels, sites, tolerance)
+    # d ELBO/dK = ½(ααᵀ − W^½ B⁻¹ W^½): the sites' own derivative vanishes at their optimum.
+    root = sites.precision.sqrt()
+    by_K = -root.unsqueeze(1) * torch.cholesky_inverse(state.cholesky_b) * root
+    by_K.addr_(state.alpha, state.alpha).mul_(0.5)
+    by_scales = covariance_gradient(kernel, hyperparameters, features, features, K, by_K)
+    return sites, state.elbo, state.alpha.sum(), by_scales
+
+
+def _evaluate_projected(
+    kernel: str,
+    hyperparameters: Hyperparameters,
+    features: Tensor,
+    labels: Tensor,
+    sites: Sites,
+    tolerance: float,
+    rows: Tensor,
+) -> tuple[Sites, float, Tensor, Tensor]:
+    """As `_evaluate_dense`, of the bound with inducing points."""
+    Z = features[rows]
+    Kz = covariance(kernel, hyperparameters, Z, Z)
+    Kzx = covariance(kernel, hyperparameters, Z, features)
+    L = torch.linalg.cholesky(Kz + JITTER * torch.eye(len(Z), dtype=Kz.dtype))
+    _, V = whitened(L, Kzx)
+    s2 = math.exp(hyperparameters.log_outputscale)
+    projection = Projection(V, (s2 + JITTER - column_squares(V)).clamp_min(JITTER))
+    sites, state = solve_sites(projection, hyperparameters.mean, labels, sites, tolerance)
+    # At the optimum the bound changes through the marginals alone, N(μ + Vᵀv, rest + Vᵀ A⁻¹ V), where rest falls by the
+    # squares of V.
+    by_V = torch.outer(state.alpha, state.gradient) + (V - torch.cholesky_solve(V, state.cholesky_b)) * state.curvature
+    # V = L⁻¹ k(Z, X), and L is the factor of k(Z, Z) (Murray 2016).
+    by_Kzx = torch.linalg.solve_triangular(L.mT, by_V, upper=True)
+    lower = (-(L.mT @ (by_Kzx @ V.mT).tril())).tril()
+    lower.diagonal().mul_(0.5)
+    half = torch.linalg.solve_triangular(L.mT, lower, upper=True)
+    by_Kz = torch.linalg.solve_triangular(L, half, upper=False, left=False)
+    by_scales = covariance_gradient(kernel, hyperparameters, Z, features, Kzx, by_Kzx)
+    by_scales += covariance_gradient(kernel, hyperparameters, Z, Z, Kz, by_Kz)
+    by_scales[0] -= 0.5 * s2 * state.curvature.sum()
+    return sites, state.elbo, state.gradient.sum(), by_scales
 
 
 def pack(hyperparameters: Hyperparameters) -> np.ndarray:
@@ -291,8 +284,8 @@ def unpack(packed: np.ndarray) -> Hyperparameters:
 def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, tolerance: float = 1e-3) -> Fit:
     """Train a latent by maximising the bound plus the hyperparameters' log prior.
 
-    The hyperparameters are learned on at most `LEARNED_ON` points, evenly spread over the rows; the posterior is that
-    of all points, solved without inducing points.
+    The hyperparameters are learned on at most `LEARNED_ON` points, evenly spread over the rows. The posterior is
+    that of all points, and exact up to `EXACT` of them.
 
     Args:
         features: (n, m) in standard units, float64.
@@ -300,63 +293,109 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
         kernel: as for `covariance_module`.
         warm: an earlier fit, whose points are the first of these, to start from; a few points more do not move its
             hyperparameters.
-        tolerance: of the objective [nats]; sites are solved ten times finer.
+        tolerance: of the objective [nats] of up to `EXACT` points; the sites of a step are solved ten times finer.
     """
+    n = len(labels)
+    # Inducing points cost more of the bound than this; beyond, the same accuracy a point.
+    finest = 0.01 * tolerance if n <= EXACT else tolerance * n / EXACT
+    if warm is not None and n <= (1.0 + GROWTH) * warm.learned_on:
+        start, sites = warm.hyperparameters, _extended_sites(warm, features, labels)
+        return condition(features, labels, kernel, start, sites, finest, 0, warm.learned_on, warm.inducing)
+    learned, evaluations = warm, 0
+    for size in sorted({min(n, size) for size in ((_COARSE, LEARNED_ON) if warm is None else (LEARNED_ON,))}):
+        rows = _spread(n, size)
+        # What is learned of a part is uncertain by nats.
+        finish = tolerance if size == n else 10.0 * tolerance
+        learned = _learned(features[rows], labels[rows], kernel, learned, finish)
+        evaluations += learned.evaluations
+    assert learned is not None
+    h = learned.hyperparameters
+    if n <= LEARNED_ON:
+        return condition(features, labels, kernel, h, learned.sites, finest, evaluations, n)
+    if n > 2 * _HALFWAY:
+        return _fit_many(features, labels, kernel, warm, learned, finest, evaluations)
+    sites = _foreseen_sites(learned, features, labels)
+    moved = condition(features, labels, kernel, h, sites, finest, evaluations, n)
     if warm is None:
+        return moved
+    sites = _extended_sites(warm, features, labels)
+    kept = condition(features, labels, kernel, warm.hyperparameters, sites, finest, evaluations, n, warm.inducing)
+    # A part of the points may call for what is worse for all.
+    return max(kept, moved, key=objective)
+
+
+def _fit_many(
+    features: Tensor, labels: Tensor, kernel: str, warm: Fit | None, learned: Fit, finest: float, evaluations: int
+) -> Fit:
+    """The posterior of many points, by way of a part of them.
+
+    The part judges whether learned hyperparameters are better than those of before, and its posterior foresees sites
+    and inducing points of all.
+    """
+    rows = _spread(len(labels), _HALFWAY)
+    part = features[rows], labels[rows]
+
+    def on_part(trained: Fit) -> Fit:
+        return condition(*part, kernel, trained.hyperparameters, _foreseen_sites(trained, *part), 1.0)
+
+    moved = on_part(learned)
+    if warm is not None and objective(on_part(warm)) >= objective(moved):
+        h, sites, inducing = warm.hyperparameters, _extended_sites(warm, features, labels), warm.inducing
+    else:
+        assert moved.inducing is not None
+        h, sites, inducing = moved.hyperparameters, _foreseen_sites(moved, features, labels), rows[moved.inducing]
+    return condition(features, labels, kernel, h, sites, finest, evaluations, len(labels), inducing)
+
+
+def objective(trained: Fit) -> float:
+    """The bound of all points plus the log prior of the hyperparameters."""
+    return trained.elbo + log_prior(trained.hyperparameters)[0]
+
+
+def _spread(n: int, size: int) -> Tensor:
+    """`size` of n rows, evenly spread."""
+    return torch.arange(n) if n <= size else torch.linspace(0, n - 1, size).round().long()
+
+
+def _learned(features: Tensor, labels: Tensor, kernel: str, before: Fit | None, tolerance: float) -> Fit:
+    """Hyperparameters learned on points, from those of an earlier fit of any points on, with their sites."""
+    if before is None:
         start, sites = _default_start(features, labels)
     else:
-        start, sites = warm.hyperparameters, _extend_sites(warm.sites, labels)
-    n = len(labels)
-    if warm is not None and n <= (1.0 + GROWTH) * warm.learned_on:
-        return condition(features, labels, kernel, start, sites, 0.01 * tolerance, 0, warm.learned_on)
-    rows = torch.arange(n) if n <= LEARNED_ON else torch.linspace(0, n - 1, LEARNED_ON).round().long()
-    learned, found, evaluations = _learn_hyperparameters(
-        features[rows], labels[rows], kernel, start, Sites(*(site[rows] for site in sites)), tolerance
-    )
-    if n > LEARNED_ON:
-        found = _foreseen_sites(features[rows], labels[rows], found, kernel, learned, features, labels)
-    return condition(features, labels, kernel, learned, found, 0.01 * tolerance, evaluations, n)
-
-
-def _foreseen_sites(
-    known: Tensor,
-    known_labels: Tensor,
-    sites: Sites,
-    kernel: str,
-    hyperparameters: Hyperparameters,
-    features: Tensor,
-    labels: Tensor,
-) -> Sites:
-    """First sites of many points, from what the posterior of some of them says of each."""
-    K = prior_covariance(known, kernel, hyperparameters)
-    state = posterior(K, hyperparameters.mean, known_labels, sites)
-    covariance = covariance_module(kernel, known.shape[1])
-    set_hyperparameters(covariance, hyperparameters)
-    with torch.no_grad():
-        cross = covariance(known, features).to_dense()
-        V = torch.linalg.solve_triangular(state.cholesky_b, sites.precision.sqrt().unsqueeze(1) * cross, upper=False)
-        mean = hyperparameters.mean + cross.T @ state.alpha
-        prior_variance = math.exp(hyperparameters.log_outputscale)
-        variance = (prior_variance - (V * V).sum(0)).clamp_min(1e-6 * prior_variance)
-        _, gradient, curvature = probit_expectations(labels, mean, variance)
-    return Sites(gradient + curvature * mean, curvature.clamp_min(1e-8 / prior_variance))
+        start, sites = before.hyperparameters, _foreseen_sites(before, features, labels)
+    evaluations, inducing = 0, None
+    for _ in range(_ROUNDS):
+        if len(labels) > _COARSE:
+            inducing, sites, _ = _induced(features, labels, kernel, start, sites, 0.1 * LEFT, inducing)
+        start, sites, more = _learn_hyperparameters(features, labels, kernel, start, sites, tolerance, inducing)
+        evaluations += more
+        if inducing is None:
+            break
+        if float(sites.precision @ project(features, inducing, kernel, start).rest) <= 2.0 * LEFT:
+            break
+    return Fit(kernel, features, labels, start, sites, math.nan, evaluations, len(labels), inducing)
 
 
 def _learn_hyperparameters(
-    features: Tensor, labels: Tensor, kernel: str, start: Hyperparameters, sites: Sites, tolerance: float
+    features: Tensor,
+    labels: Tensor,
+    kernel: str,
+    start: Hyperparameters,
+    sites: Sites,
+    tolerance: float,
+    inducing: Tensor | None,
 ) -> tuple[Hyperparameters, Sites, int]:
     """The best hyperparameters by L-BFGS, the sites that belong to them, and how often the objective was evaluated."""
-    covariance = covariance_module(kernel, features.shape[1])
     evaluations = 0
 
-    def objective(packed: np.ndarray) -> tuple[float, np.ndarray]:
+    def negative(packed: np.ndarray) -> tuple[float, np.ndarray]:
         nonlocal sites, evaluations
         evaluations += 1
-        value, gradient, sites = evaluate(covariance, unpack(packed), features, labels, sites, 0.1 * tolerance)
+        value, gradient, sites = evaluate(kernel, unpack(packed), features, labels, sites, 0.1 * tolerance, inducing)
         return -value, -gradient
 
     found = minimize(
-        objective,
+        negative,
         pack(start),
         jac=True,
         method="L-BFGS-B",

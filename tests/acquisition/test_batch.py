@@ -312,7 +312,7 @@ def test_designs_for_one_boundary_are_in_flight_for_the_next(nested):
     pending = np.array([[0.5, 0.9]])
     asked = []
 
-    def spy(latent, features, space, criterion, q, rng, pending=None):
+    def spy(latent, features, space, criterion, q, rng, pending=None, failed=None):
         asked.append((q, pending))
         return np.full((q, 2), 0.1 * len(asked))
 
@@ -324,3 +324,40 @@ def test_designs_for_one_boundary_are_in_flight_for_the_next(nested):
     assert [q for q, _ in asked] == [2, 2]
     assert np.array_equal(asked[0][1], pending)
     assert np.array_equal(asked[1][1], np.concatenate([pending, designs[:2]]))
+
+
+def test_a_design_that_was_simulated_or_is_in_flight_is_not_proposed_again(monkeypatch):
+    corners = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    X = np.concatenate([corners[:2], [[0.5, 0.5], [0.45, 0.5]]])
+    few = train(X, np.array([0, 0, 0, 1], dtype=np.int8), ("out", "in"), feature_map("design", SPACE), "rbf")
+
+    def chosen(q):
+        rng = np.random.default_rng(3)
+        rows = propose(few.latent("in"), few.features, SPACE, criterion("entropy"), q, rng, corners[2:])
+        return [row.tobytes() for row in rows]
+
+    known = {row.tobytes() for row in (*X, *corners)}
+    for q in (1, 6, 40):
+        assert len(set(chosen(q))) == q
+        assert not known & set(chosen(q))
+    # The searches do end in corners: nothing else keeps these from being proposed.
+    monkeypatch.setattr(batch, "_not_seen", lambda X, F, latent, failed: np.arange(len(F)))
+    assert known & set(chosen(40))
+
+
+def test_a_design_that_failed_is_not_proposed_again():
+    X = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.5], [0.45, 0.5]])
+    few = train(X, np.array([0, 0, 0, 1], dtype=np.int8), ("out", "in"), feature_map("design", SPACE), "rbf")
+
+    def chosen(failed):
+        rng = np.random.default_rng(3)
+        rows = propose_shared(few, SPACE, entropy, {"in": 1.0}, 0.0, 0, 40, rng, failed=failed)
+        return {row.tobytes() for row in rows}
+
+    corners = np.array([[0.0, 1.0], [1.0, 1.0]])
+    # The searches do end there.
+    assert {row.tobytes() for row in corners} <= chosen(None)
+    assert chosen(np.empty((0, 2))) == chosen(None)
+    spared = chosen(corners)
+    assert len(spared) == 40
+    assert not {row.tobytes() for row in corners} & spared

@@ -83,6 +83,8 @@ def test_gradients_are_finite_differences_of_the_values(learned, name):
     assert scale.min() > 0.0
 
 
+# Entropy, U and straddle have a crease where the mean is zero, often at their very maximum: no line search ends there.
+@pytest.mark.filterwarnings("ignore:Optimization failed in `gen_candidates_scipy`:RuntimeWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_the_optimiser_reaches_at_least_the_best_of_a_pool(learned, name):
     pool = TABLE_1.sobol(512, np.random.default_rng(5))

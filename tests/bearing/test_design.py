@@ -99,6 +99,8 @@ def test_a_bearing_that_cannot_be_built_is_refused_with_rule_and_value(bearing, 
     ("make", "said"),
     [
         (lambda: Bearing.from_table(-4.0, *ROW[1:7]), ("`T_b > 0`", "-4.0")),
+        (lambda: Bearing.from_table(1e308, *ROW[1:7]), ("`-1e+75 <= T_b <= 1e+75`", "1e+308")),
+        (lambda: Pulse.from_table(1.0, -1e308), ("`-1e+75 <= A_p <= 1e+75`", "-1e+308")),
         (lambda: Pulse(0.0, 1.0), ("`period > 0`", "0.0")),
         (lambda: Pulse(1.0, math.inf), ("amplitude", "inf")),
         (lambda: Model(slider_diameter=-0.3), ("`slider_diameter > 0`", "-0.3")),

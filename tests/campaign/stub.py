@@ -51,6 +51,18 @@ class Disc:
         )
 
 
+class Brittle(Disc):
+    """Safe in a corner and broken beyond it; no answer on the bounds, where the searches for designs like to end."""
+
+    def run(self, X: Array) -> Results:
+        """Answer designs (x, y), shape (n, 2)."""
+        unit = (X - LOW) / (HIGH - LOW)
+        margin = unit.sum(axis=1) - 0.25
+        failed = ((unit == 0.0) | (unit == 1.0)).any(axis=1)
+        outcome = np.where(failed, NUMERICAL_FAILURE, margin > 0.0).astype(np.int8)
+        return Results(outcome, np.where(failed, 2, 0).astype(np.int8), margin[:, None], np.zeros(len(X)))
+
+
 class Counting:
     """A disc that counts the designs it is asked about."""
 
@@ -73,6 +85,7 @@ def disc(
     initial: int = 12,
     budget: int = 28,
     batch: int = 4,
+    asynchronous: bool = False,
     more: str = "",
 ) -> "Campaign":
     """A campaign on the disc; `more` is TOML that the settings get besides."""
@@ -80,9 +93,10 @@ def disc(
     from activefail.campaign.campaign import Campaign
     from activefail.campaign.config import parse_settings
 
+    without_batches = str(asynchronous).lower()
     text = f"""
         seed = {seed}
-        sampling = {{ initial = {initial}, budget = {budget}, batch = {batch} }}
+        sampling = {{ initial = {initial}, budget = {budget}, batch = {batch}, asynchronous = {without_batches} }}
         {more}
         classifier.features = "design"
         acquisition.boundary = "broken"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaign.stub import Counting, Disc, disc, distance
+from campaign.stub import Brittle, Counting, Disc, disc, distance
 from numpy.typing import NDArray
 
 from activefail.campaign.campaign import Campaign, initial_designs, stream
@@ -20,10 +20,11 @@ from activefail.campaign.folder import open_campaign
 from activefail.campaign.learning import accuracy, current_classifier, training_rows
 from activefail.campaign.loop import Observer, Progress, one_thread, run, standing
 from activefail.campaign.record import ACTIVE, SEED, Batch, MemoryStore, Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, cause_name
 from activefail.campaign.store import FolderStore
 from activefail.errors import SimulationError
 from activefail.space import Array
+from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Classifier, train
 
 INITIAL, BUDGET, BATCH = 12, 28, 4
@@ -207,13 +208,26 @@ def test_a_campaign_with_numerical_failures_learns_what_it_would_without_those_r
     foggy = take(campaign, budget=INITIAL)
     X = initial_designs(campaign)
     X = X[X[:, 0] >= FOGGY.blind]
-    clear = train(X, Disc().run(X).outcome, Disc.outcomes, campaign.features, "rbf")
     probe = campaign.space.sobol(64, np.random.default_rng(0))
-    assert np.array_equal(
-        current_classifier(campaign, foggy, write=False).probabilities(probe), clear.probabilities(probe)
-    )
+    with one_thread():
+        clear = train(X, Disc().run(X).outcome, Disc.outcomes, campaign.features, "rbf")
+        learned = current_classifier(campaign, foggy, write=False)
+        assert np.array_equal(learned.probabilities(probe), clear.probabilities(probe))
 
 
+def test_a_design_that_failed_numerically_is_not_proposed_again_nor_after_an_interruption() -> None:
+    campaign = disc(Brittle(), more="limits.numerical_failures = 1.0")
+    store = take(campaign)
+    X = np.concatenate([batch.designs for batch in store.batches])
+    assert len(np.unique(X, axis=0)) == BUDGET
+    assert sum((batch.results.outcome == NUMERICAL_FAILURE).sum() for batch in store.batches) > 1
+    for commits in range(SEED_COMMITS, COMMITS):
+        interrupted = MemoryStore(campaign.schema)
+        take(campaign, interrupted, observer=stop_after(commits, interrupted))
+        assert recorded(take(campaign, interrupted)) == recorded(store)
+
+
+@pytest.mark.faults
 def test_too_many_numerical_failures_stop_the_campaign_with_counts_limit_and_a_record() -> None:
     campaign = disc(Disc(blind=0.5), initial=24)
     store = MemoryStore(campaign.schema)
@@ -229,16 +243,99 @@ def test_too_many_numerical_failures_stop_the_campaign_with_counts_limit_and_a_r
     assert "limits.numerical_failures" in message
 
 
+class Broken(Disc):
+    """A disc before its simulator was mended."""
+
+    def run(self, X: Array) -> Results:
+        raise ZeroDivisionError("the stiffness vanished")
+
+
+@pytest.mark.faults
+def test_a_simulator_that_raises_stops_the_campaign_with_what_it_raised_and_where() -> None:
+    campaign = disc(Broken(), initial=24)
+    store = MemoryStore(campaign.schema)
+    with pytest.raises(SimulationError, match="20 of 20 simulations failed numerically") as stopped:
+        take(campaign, store)
+    first = initial_designs(campaign)[0].tolist()
+    fault = f"design {first}: ZeroDivisionError: the stiffness vanished ({__file__}:"
+    assert f"The first that was given up: {fault}" in str(stopped.value)
+    assert {cause_name(Disc.causes, int(c)) for one in store.batches for c in one.results.cause} == {"raised"}
+
+
 def test_a_share_of_numerical_failures_up_to_the_limit_is_borne() -> None:
     campaign = disc(FOGGY, initial=24, budget=24, more="limits.numerical_failures = 0.3")
     progress = standing(campaign, take(campaign).batches, 24)
     assert 0.05 * 24 < progress.numerical_failures <= 0.3 * 24
 
 
-@pytest.mark.parametrize("initial", [12, 24])
-def test_a_simulator_that_never_answers_is_given_up_after_twenty_simulations(initial: int) -> None:
+@pytest.mark.faults
+def test_a_simulator_that_never_answers_is_given_up_after_twenty_simulations() -> None:
     with pytest.raises(SimulationError, match="20 of 20 simulations"):
-        take(disc(Alike(NUMERICAL_FAILURE), initial=initial))
+        take(disc(Alike(NUMERICAL_FAILURE), initial=24))
+
+
+@pytest.mark.faults
+def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_designs_once_mended() -> None:
+    broken, mended = disc(Broken(), budget=48), disc(budget=48)
+    store = MemoryStore(mended.schema)
+    for sets in (1, 2):
+        with pytest.raises(SimulationError) as stopped:
+            take(broken, store)
+        done, first = sets * INITIAL, initial_designs(broken, sets)[-INITIAL].tolist()
+        message = str(stopped.value)
+        assert f"None of the {done} simulations gave an answer" in message
+        assert "The cause of the first is raised." in message
+        assert "`activefail resume DIR` goes on" in message
+        assert f"The first that was given up: design {first}: ZeroDivisionError: the stiffness vanished" in message
+        assert standing(broken, store.batches, 48).numerical_failures == done
+    failed = store.batches
+    # Its failures are no reason to stop by their share: they were those of another simulator.
+    take(mended, store)
+    X = np.concatenate([batch.designs for batch in store.batches])
+    assert len(np.unique(X, axis=0)) == 48
+    assert designs(store, SEED).tobytes() == initial_designs(mended, 3).tobytes()
+    classifier = current_classifier(mended, store, write=False)
+    assert len(classifier.latents[0].trained.labels) == 48 - 2 * INITIAL
+    for commits in range(len(failed) + 1, len(store.batches)):
+        interrupted = MemoryStore(mended.schema)
+        for batch in failed:
+            interrupted.commit(batch)
+        take(mended, interrupted, observer=stop_after(commits, interrupted))
+        assert recorded(take(mended, interrupted)) == recorded(store)
+
+
+@pytest.mark.faults
+def test_failures_before_the_first_answer_are_no_reason_to_stop_once_the_simulator_is_mended() -> None:
+    broken, mended = disc(Broken(), initial=50, budget=60), disc(initial=50, budget=60)
+    store = MemoryStore(mended.schema)
+    for failed in (20, 40):
+        # Each time it tries as many as tell that something is wrong.
+        with pytest.raises(SimulationError, match="20 of 20 simulations failed numerically"):
+            take(broken, store)
+        assert standing(broken, store.batches, 60).numerical_failures == failed
+    take(mended, store)
+    assert designs(store, SEED).tobytes() == initial_designs(mended).tobytes()
+    # Neither are they later: a campaign that is taken on counts from its first answer, too.
+    with pytest.raises(SimulationError, match="4 of 24 simulations failed numerically"):
+        take(broken, store, budget=80)
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize(("initial", "budget", "needed"), [(12, 8, 12), (12, 12, 24), (4, 4, 8)])
+def test_a_budget_that_is_too_small_for_other_initial_designs_is_told(initial: int, budget: int, needed: int) -> None:
+    campaign = disc(Broken(), initial=initial, budget=28, batch=2)
+    store = MemoryStore(campaign.schema)
+    words = f"`activefail resume DIR --budget {needed}` goes on"
+    with pytest.raises(SimulationError, match=words) as stopped:
+        take(campaign, store, budget=budget)
+    assert "the stiffness vanished" in str(stopped.value)
+    if budget == initial:
+        # Nothing is simulated now, but the record says what befell.
+        with pytest.raises(SimulationError, match=f"The cause of the first is raised.*{words}") as stopped:
+            take(campaign, store, budget=budget)
+        assert "the stiffness vanished" not in str(stopped.value)
+    take(disc(initial=initial, batch=2, more="limits.numerical_failures = 1.0"), store, budget=28)
+    assert sum(map(len, store.batches)) == 28
 
 
 # --- what a caller hears -----------------------------------------------------------------------------------------
@@ -312,6 +409,7 @@ def test_asked_to_stop_the_campaign_ends_after_a_whole_batch_and_says_that_it_is
 # --- interruption ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("commits", range(COMMITS))
 def test_stopped_after_any_batch_and_resumed_a_campaign_is_the_uninterrupted_one_bit_for_bit(
     commits: int, uninterrupted: Store
@@ -325,12 +423,26 @@ def test_stopped_after_any_batch_and_resumed_a_campaign_is_the_uninterrupted_one
     assert learned(store) == learned(uninterrupted)
 
 
+@pytest.mark.faults
 def test_stopped_after_every_batch_a_campaign_is_the_uninterrupted_one_bit_for_bit(uninterrupted: Store) -> None:
     store = MemoryStore(disc().schema)
     for commits in range(COMMITS + 1):
         take(disc(), store, observer=stop_after(commits, store))
     assert recorded(store) == recorded(uninterrupted)
     assert learned(store) == learned(uninterrupted)
+
+
+def test_with_inducing_points_too_a_resumed_campaign_is_the_uninterrupted_one_bit_for_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for limit, points in (("EXACT", INITIAL + BATCH), ("LEARNED_ON", INITIAL), ("_COARSE", INITIAL - 4)):
+        monkeypatch.setattr(fitting, limit, points)
+    whole, store = take(disc()), MemoryStore(disc().schema)
+    for commits in range(SEED_COMMITS, COMMITS + 1):
+        take(disc(), store, observer=stop_after(commits, store))
+    assert recorded(store) == recorded(whole)
+    assert learned(store) == learned(whole)
+    assert "broken/inducing" in learned(whole)[1]
 
 
 @pytest.mark.parametrize("criterion", ["entropy", "globalmi"])
@@ -364,6 +476,7 @@ class Struck:
         return Disc().run(X)
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("at", [0, 5, 12, 14, 21, 27])
 def test_interrupted_in_the_middle_of_a_batch_and_resumed_a_campaign_is_the_uninterrupted_one(
     at: int, uninterrupted: Store
@@ -400,6 +513,7 @@ class Dying(MemoryStore):
         super().write_state(iteration, arrays)
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize(
     ("call", "number"),
     [
@@ -461,7 +575,7 @@ def test_reading_what_was_learned_writes_nothing_and_gives_what_the_running_loop
         classifier: Classifier = current_classifier(campaign, of, write=False)
         return classifier.probabilities(probe).tobytes()
 
-    with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store:
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store, one_thread():
         assert predicted(store) == predicted(uninterrupted)
     assert list((tmp_path / "run" / "state").iterdir()) == []
 
@@ -529,6 +643,7 @@ def _kill_after(command: list[str], segments: Path, number: int, delay: float) -
     assert process.wait() == -signal.SIGKILL, log.read_text()
 
 
+@pytest.mark.faults
 def test_a_bearing_campaign_killed_twice_and_resumed_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
     (tmp_path / "bearing.toml").write_text(BEARING)
     folder = tmp_path / "run"

@@ -20,14 +20,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from activefail.campaign import image
+from activefail.campaign import compaction, image, recovery
 from activefail.campaign import segment as segment_module
 from activefail.campaign import store as store_module
 from activefail.campaign.record import Batch, Schema, columns_of
-from activefail.campaign.segment import Segment, chain_next, chain_start, recover
+from activefail.campaign.recovery import recover
+from activefail.campaign.segment import Segment, chain_next, chain_start
 from activefail.campaign.simulator import Results
 from activefail.campaign.store import FolderStore
 from activefail.errors import BusyError, InputError, StoreError
+
+pytestmark = pytest.mark.faults
 
 SCHEMA = Schema(("radius", "mu"), ("none", "failure"), ("", "uplift"), ("drift",))
 SETTINGS = 'seed = 1\nname = "Lager"\n'
@@ -114,6 +117,7 @@ def faults() -> Iterator[Callable[..., Faults]]:
         proxy = Faults(fault or (lambda *_: None))
         patch.setattr(image, "os", proxy)
         patch.setattr(store_module, "os", proxy)
+        patch.setattr(recovery, "os", proxy)
         return proxy
 
     yield install
@@ -180,7 +184,7 @@ def test_a_folder_that_cannot_be_written_is_refused_with_the_systems_reason(
     tmp_path: Path, faults: Callable[..., Faults], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match=f"{tmp_path}/file/run: Not a directory"):
+    with pytest.raises(InputError, match=f"{tmp_path}/file/run: cannot be a run folder: Not a directory"):
         FolderStore.create(tmp_path / "file" / "run", SETTINGS, SCHEMA)
     faults(fail("open", errno.EROFS))
     with pytest.raises(StoreError, match=r"campaign.toml: Read-only file system"):
@@ -438,7 +442,7 @@ def test_any_changed_bit_is_noticed_before_hdf5_sees_it(tmp_path: Path, monkeypa
     def touched(*arguments: object) -> None:
         raise AssertionError("HDF5 was given a damaged file")
 
-    monkeypatch.setattr(image.h5py.h5f, "open_file_image", touched)
+    monkeypatch.setattr(image.h5py, "File", touched)
     # Every bit of the block; beyond it one bit of each byte, for SHA-256 treats all bits alike.
     bits = [8 * i + j for i in range(512) for j in range(8)] + [8 * i + i % 8 for i in range(512, len(data))]
     for bit in bits:
@@ -673,7 +677,7 @@ def test_of_two_writers_that_link_at_the_same_time_at_most_one_is_acknowledged(
 def test_without_the_lock_a_writer_that_missed_a_compaction_is_fenced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store_module, "COMPACT_AT", 3)
+    monkeypatch.setattr(compaction, "COMPACT_AT", 3)
     written(tmp_path / "run", 2)
     first, second = (FolderStore.open(tmp_path / "run", SCHEMA, write=True) for _ in range(2))
     for seed in (1, 2):
@@ -762,7 +766,7 @@ def test_a_file_is_durable_before_it_has_its_name_and_its_name_before_anything_f
         calls = faults(None)
         store.commit(batch(3))
         assert calls.made == commit
-        monkeypatch.setattr(store_module, "COMPACT_AT", 2)
+        monkeypatch.setattr(compaction, "COMPACT_AT", 2)
         calls = faults(None)
         store.commit(batch(2))
         # The merged file, with its name, is durable before the two inputs go.
@@ -909,11 +913,52 @@ def test_sixty_four_batches_become_one_file_and_stay_bit_for_bit(tmp_path: Path)
         assert file.attrs["chain_after"].decode() == digest
 
 
+@pytest.mark.parametrize("largest", [10**9, 40])
+def test_many_batches_are_few_files_and_no_design_is_written_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, faults: Callable[..., Faults], largest: int
+) -> None:
+    monkeypatch.setattr(compaction, "COMPACT_AT", 4)
+    monkeypatch.setattr(compaction, "LARGEST", largest)
+    merged: list[int] = []
+    merge = compaction.merge
+
+    def noting(run: Any) -> Segment:
+        merged.append(sum(len(one) for segment in run for one in segment.batches))
+        return merge(run)
+
+    monkeypatch.setattr(compaction, "merge", noting)
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA, provenance={"numpy": "1"}) as store:
+        for seed in range(100):
+            store.commit(batch(1 + seed % 3, seed))
+            most = 3 * 3 + (store.batches and sum(map(len, store.batches)) * 4) // largest
+            assert len(segments(tmp_path / "run")) <= most + 4
+        held, designs = contents(store), sum(map(len, store.batches))
+        # 4³ ≤ 100 < 4⁴: each design was merged at most three times.
+        assert sum(merged) <= 3 * designs
+        assert max(merged) <= largest
+    assert read(tmp_path / "run") == held
+
+
+def test_files_of_merged_files_still_say_which_program_wrote_what(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compaction, "COMPACT_AT", 2)
+    FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA).close()
+    for seed, version in enumerate("1122"):
+        with FolderStore.open(tmp_path / "run", SCHEMA, write=True, provenance={"numpy": version}) as store:
+            told = [warning for warning in store.warnings if "bit-identical" in warning]
+            assert len(told) == (seed == 2), store.warnings
+            store.commit(batch(3, seed))
+    with h5py.File(segment_file(tmp_path / "run", 0)) as file:
+        assert len(file["size"]) == 4
+        assert file.attrs["provenance.numpy"] == b'{"0": "1", "6": "2"}'
+
+
 def test_a_compaction_killed_at_any_call_loses_and_doubles_nothing(
     tmp_path: Path, faults: Callable[..., Faults], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held = written(tmp_path / "base", 2, 3, 1, 2)
-    monkeypatch.setattr(store_module, "COMPACT_AT", 4)
+    monkeypatch.setattr(compaction, "COMPACT_AT", 4)
     for number in range(1, 100):
         folder = tmp_path / str(number)
         shutil.copytree(tmp_path / "base", folder)
@@ -944,7 +989,7 @@ def test_a_compaction_killed_at_any_call_loses_and_doubles_nothing(
 def test_a_compaction_that_fails_does_not_take_back_the_commit(
     tmp_path: Path, faults: Callable[..., Faults], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store_module, "COMPACT_AT", 3)
+    monkeypatch.setattr(compaction, "COMPACT_AT", 3)
     written(tmp_path / "run", 2, 2)
     with FolderStore.open(tmp_path / "run", SCHEMA, write=True) as store:
         opened = [0]
@@ -969,7 +1014,7 @@ def test_a_damaged_merged_file_is_no_loss_while_its_inputs_are_there(
 ) -> None:
     held = written(tmp_path / "run", 2, 3)
     shutil.copytree(tmp_path / "run", tmp_path / "copy")
-    monkeypatch.setattr(store_module, "COMPACT_AT", 2)
+    monkeypatch.setattr(compaction, "COMPACT_AT", 2)
     with FolderStore.open(tmp_path / "copy", SCHEMA, write=True) as store:
         store.compact()
     merged = segment_file(tmp_path / "copy", 0)
@@ -983,12 +1028,12 @@ def test_a_damaged_merged_file_is_no_loss_while_its_inputs_are_there(
 def test_a_reader_is_not_disturbed_by_a_compaction_while_it_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store_module, "COMPACT_AT", 3)
+    monkeypatch.setattr(compaction, "COMPACT_AT", 3)
     with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as writer:
         # Three are merged already, and stay while the other two are merged away under the reader.
         for seed in range(5):
             writer.commit(batch(2, seed))
-        listing = store_module._plain_files
+        listing = recovery.plain_files
         late = [True]
 
         def files(folder: Path) -> list[str]:
@@ -997,7 +1042,7 @@ def test_a_reader_is_not_disturbed_by_a_compaction_while_it_reads(
                 writer.commit(batch(2, 5))
             return names
 
-        monkeypatch.setattr(store_module, "_plain_files", files)
+        monkeypatch.setattr(recovery, "plain_files", files)
         assert read(tmp_path / "run") == contents(writer)
         assert segments(tmp_path / "run") == ["000000000-000000005.h5", "000000006-000000011.h5"]
 
@@ -1115,6 +1160,18 @@ def wrong_sizes(file: h5py.File) -> None:
     file["size"][0] = 2
 
 
+def nameless_outcome(file: h5py.File) -> None:
+    file["outcome"][0] = 100
+
+
+def nameless_cause(file: h5py.File) -> None:
+    file["cause"][0] = 100
+
+
+def not_a_number(file: h5py.File) -> None:
+    file["designs"][1, 0] = np.nan
+
+
 def wrong_schema(file: h5py.File) -> None:
     file["schema"][0] = b"[]"
 
@@ -1136,6 +1193,9 @@ def wrong_schema(file: h5py.File) -> None:
         (without_designs, "no dataset 'designs'"),
         (changed_value, "its chain"),
         (wrong_sizes, "in batches of [2]"),
+        (nameless_outcome, "`-1 <= outcome < 2` must hold, got"),
+        (nameless_cause, "`-5 <= cause < 2` must hold, got"),
+        (not_a_number, "`designs` must be finite, got nan for 'radius' in row 1"),
         (wrong_schema, "does not hold what activefail writes"),
     ],
 )

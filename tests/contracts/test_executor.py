@@ -1,20 +1,36 @@
 """What every Executor must do, whoever does the work."""
 
+import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from campaign.stub import HIGH, LOW, Disc
 from threadpoolctl import threadpool_info
 
-from activefail.campaign.executor import Executor, ProcessExecutor, ThreadExecutor, local_executor
-from activefail.campaign.simulator import Results
+from activefail.campaign.cluster import DaskExecutor
+from activefail.campaign.executor import (
+    AsynchronousExecutor,
+    Executor,
+    ProcessExecutor,
+    ThreadExecutor,
+    local_executor,
+)
+from activefail.campaign.record import Schema
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, cause_name
 from activefail.errors import SimulationError
 from activefail.space import Array, DesignSpace, Parameter
+
+pytestmark = pytest.mark.faults
 
 PLANE = DesignSpace((Parameter("x", LOW[0], HIGH[0]), Parameter("y", LOW[1], HIGH[1])))
 
@@ -54,6 +70,121 @@ class Killed(Acting):
         os.kill(os.getpid(), signal.SIGKILL)
 
 
+class Exhausted(Acting):
+    def act(self) -> None:
+        np.empty(2**58)
+
+
+class Refusing(Acting):
+    def act(self) -> None:
+        raise SimulationError("no licence")
+
+
+class Crashing(Acting):
+    def act(self) -> None:
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+
+class Forking(Acting):
+    """Leaves a process behind that holds the worker's pipes open."""
+
+    def act(self) -> None:
+        if os.fork() == 0:
+            time.sleep(600)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Hanging(Acting):
+    def act(self) -> None:
+        time.sleep(600)
+
+
+class Stopped(Acting):
+    def act(self) -> None:
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+
+@dataclass(frozen=True)
+class Starting(Acting):
+    """Starts a command that never ends and waits for it; notes both in a folder."""
+
+    folder: str = ""
+
+    def act(self) -> None:
+        command = subprocess.Popen(["sleep", "600"])
+        for pid in (os.getpid(), command.pid):
+            Path(self.folder, str(pid)).touch()
+        command.wait()
+
+
+@dataclass(frozen=True)
+class Noted(Disc):
+    """Notes its process in a folder and never answers."""
+
+    folder: str = ""
+
+    def run(self, X: Array) -> Results:
+        Path(self.folder, str(os.getpid())).touch()
+        while True:
+            time.sleep(0.01)
+
+
+@dataclass(frozen=True)
+class Once(Disc):
+    """What another disc does in the worker, the first time; a disc from then on."""
+
+    other: Disc | None = None
+    note: str = ""
+
+    def run(self, X: Array) -> Results:
+        if (X[:, 0] == 0.0).any() and not Path(self.note).exists():
+            Path(self.note).touch()
+            assert self.other is not None
+            return self.other.run(X)
+        return Disc().run(X)
+
+
+@dataclass(frozen=True)
+class Lying(Disc):
+    """Gives the designs whose first number is 0 an outcome of its own."""
+
+    outcome: float = 0.0
+
+    def run(self, X: Array) -> Results:
+        answers = super().run(X)
+        return replace(answers, outcome=np.where(X[:, 0] == 0.0, self.outcome, answers.outcome))
+
+
+class Nothing(Disc):
+    def run(self, X: Array) -> Results:
+        return None if (X[:, 0] == 0.0).any() else super().run(X)  # type: ignore[return-value]
+
+
+class Short(Disc):
+    def run(self, X: Array) -> Results:
+        return super().run(X[X[:, 0] != 0.0])
+
+
+class Textual(Disc):
+    def run(self, X: Array) -> Results:
+        answers = super().run(X)
+        return replace(answers, outcome=np.array(["safe"] * len(X))) if (X[:, 0] == 0.0).any() else answers
+
+
+class Unloadable(Disc):
+    def __reduce__(self) -> Any:
+        return _raise, ()
+
+
+class Deadly(Disc):
+    def __reduce__(self) -> Any:
+        return os._exit, (4,)
+
+
+def _raise() -> None:
+    raise ValueError("no such material")
+
+
 class Interrupted(Acting):
     def act(self) -> None:
         os.kill(os.getpid(), signal.SIGINT)
@@ -77,17 +208,45 @@ class Threads(Disc):
         return Results(answers.outcome, answers.cause, np.full((len(X), 1), float(most)), answers.seconds)
 
 
-EXECUTORS: dict[str, Callable[[], Executor]] = {
+EXECUTORS: dict[str, Callable[[], AsynchronousExecutor]] = {
     "one thread": lambda: ThreadExecutor(1),
     "three threads": lambda: ThreadExecutor(3),
     "two processes": lambda: ProcessExecutor(2),
 }
 
 
-@pytest.fixture(scope="module", params=EXECUTORS)
-def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
-    with EXECUTORS[request.param]() as made:
-        yield made
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """A Dask cluster of two workers."""
+    distributed = pytest.importorskip("distributed", reason="Dask is an optional extra")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(scope="module", params=[*EXECUTORS, "dask"])
+def executor(request: pytest.FixtureRequest) -> Iterator[AsynchronousExecutor]:
+    if request.param == "dask":
+        with DaskExecutor(request.getfixturevalue("scheduler")) as made:
+            yield made
+    else:
+        with EXECUTORS[request.param]() as made:
+            yield made
+
+
+def given_up(results: Results, X: Array, rows: list[int], cause: str) -> None:
+    """Assert that these rows, and no others, are numerical failures with a cause."""
+    failed = results.outcome == NUMERICAL_FAILURE
+    assert np.flatnonzero(failed).tolist() == rows
+    assert {cause_name(Disc.causes, code) for code in results.cause[failed].tolist()} == {cause}
+    assert np.isnan(results.margins[failed]).all()
+    assert bits(results[~failed]) == bits(Disc().run(X[~failed]))
+    Schema(PLANE.names, Disc.outcomes, Disc.causes, Disc.margins).check(X, results)
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    """Wait for what must come about; the caller limits the time."""
+    while not holds():
+        time.sleep(0.01)
 
 
 @contextmanager
@@ -127,6 +286,26 @@ def test_progress_sums_to_the_number_of_designs_and_comes_in_small_steps(executo
     assert max(steps) <= 16
 
 
+def test_single_designs_are_answered_once_each_with_their_tickets(executor: AsynchronousExecutor) -> None:
+    X = designs(30)
+    for ticket, x in enumerate(X[:20]):
+        executor.start(Slow(), 100 + ticket, x)
+    answers: dict[int, Results] = {}
+    with within(120):
+        while len(answers) < 30:
+            for ticket, results in executor.answered(0.5):
+                assert ticket not in answers
+                answers[ticket] = results
+                if len(answers) <= 10:  # others may be begun while some are awaited
+                    executor.start(Slow(), 119 + len(answers), X[19 + len(answers)])
+    assert bits(Results.concatenate([answers[100 + i] for i in range(30)])) == bits(Disc().run(X))
+
+
+def test_where_nothing_is_answered_the_wait_ends_in_time(executor: AsynchronousExecutor) -> None:
+    with within(60):
+        assert executor.answered(0.05) == []
+
+
 def test_no_design_needs_no_worker(executor: Executor) -> None:
     steps: list[int] = []
     results = executor.run(Raising(), np.empty((0, 2)), steps.append)
@@ -136,12 +315,49 @@ def test_no_design_needs_no_worker(executor: Executor) -> None:
     assert steps == []
 
 
+@pytest.mark.parametrize(
+    ("simulator", "cause", "says"),
+    [
+        (Raising(), "raised", "ZeroDivisionError: the stiffness vanished"),
+        (Exhausted(), "out_of_memory", "MemoryError"),
+        (
+            Lying(outcome=np.nan),
+            "unusable_answer",
+            "outcome in -1 to 1, cause in 0 to 2, seconds >= 0, got outcome nan",
+        ),
+        (Lying(outcome=7.0), "unusable_answer", "got outcome 7.0"),
+        (Lying(outcome=0.5), "unusable_answer", "got outcome 0.5"),
+        (Nothing(), "unusable_answer", "the simulator must return Results, got NoneType"),
+        (Short(), "unusable_answer", "the margins must have shape (1, 1), got (0, 1)"),
+        (Textual(), "unusable_answer", "the answers must be numbers"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, Disc) else None,
+)
 @pytest.mark.parametrize("make", EXECUTORS.values(), ids=EXECUTORS.keys())
-def test_what_a_simulator_raises_reaches_the_caller_as_it_is(make: Callable[[], Executor]) -> None:
+def test_a_simulation_without_a_usable_answer_is_one_numerical_failure_with_its_cause(
+    make: Callable[[], Executor], simulator: Disc, cause: str, says: str
+) -> None:
     X = designs(40)
     X[20, 0] = 0.0
-    with within(60), make() as executor, pytest.raises(ZeroDivisionError, match="the stiffness vanished"):
-        executor.run(Raising(), X)
+    steps: list[int] = []
+    with within(120), make() as executor:
+        results = executor.run(simulator, X, steps.append)
+        given_up(results, X, [20], cause)
+        assert sum(steps) == 40
+        assert executor.first_fault.startswith(f"design {X[20].tolist()}: ")
+        assert says in executor.first_fault
+        # Of the first one only, and the executor goes on working.
+        executor.run(Raising(), X[20:21])
+        assert says in executor.first_fault
+        assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+
+
+@pytest.mark.parametrize("make", EXECUTORS.values(), ids=EXECUTORS.keys())
+def test_what_activefail_itself_raises_reaches_the_caller_as_it_is(make: Callable[[], Executor]) -> None:
+    X = designs(40)
+    X[20, 0] = 0.0
+    with within(120), make() as executor, pytest.raises(SimulationError, match="no licence"):
+        executor.run(Refusing(), X)
 
 
 def test_what_progress_raises_reaches_the_caller_and_the_rest_is_not_simulated() -> None:
@@ -161,16 +377,95 @@ def test_what_progress_raises_reaches_the_caller_and_the_rest_is_not_simulated()
     assert sum(rows) < 800
 
 
-@pytest.mark.parametrize("simulator", [Leaving(), Killed()], ids=["exits", "is killed"])
-def test_a_worker_process_that_dies_ends_the_run_with_an_error_and_not_in_waiting(simulator: Disc) -> None:
+@pytest.mark.parametrize(
+    ("simulator", "cause", "says"),
+    [
+        (Leaving(), "worker_died", "its worker process died (exit code 3), twice"),
+        (Killed(), "worker_died", "its worker process died (SIGKILL, out of memory perhaps), twice"),
+        (Crashing(), "worker_died", "its worker process died (SIGSEGV), twice"),
+        (Forking(), "worker_died", "its worker process died (SIGKILL, out of memory perhaps), twice"),
+        (Hanging(), "time_limit", "it took longer than 1 s, twice"),
+        (Stopped(), "time_limit", "it took longer than 1 s, twice"),
+        (Exhausted(), "out_of_memory", "MemoryError"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, Disc) else None,
+)
+@pytest.mark.parametrize("rows", [[13], [0, 13, 39]])
+def test_a_worker_that_dies_or_hangs_twice_costs_one_simulation(
+    simulator: Disc, cause: str, says: str, rows: list[int]
+) -> None:
+    X = designs(40)
+    X[rows, 0] = 0.0
+    before = set(multiprocessing.active_children())
+    with within(120), ProcessExecutor(2, time_limit=1.0) as executor:
+        given_up(executor.run(simulator, X), X, rows, cause)
+        assert says in executor.first_fault
+        assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+    assert set(multiprocessing.active_children()) <= before
+
+
+@pytest.mark.parametrize("simulator", [Leaving, Killed, Crashing, Forking, Hanging, Stopped, Exhausted])
+def test_a_worker_that_dies_or_hangs_once_costs_nothing(simulator: type[Disc], tmp_path: Path) -> None:
     X = designs(40)
     X[13, 0] = 0.0
-    with (
-        within(60),
-        ProcessExecutor(2) as executor,
-        pytest.raises(SimulationError, match=r"worker process died .* its batch was not recorded"),
-    ):
-        executor.run(simulator, X)
+    once = Once(other=simulator(), note=str(tmp_path / "done"))
+    with within(120), ProcessExecutor(2, time_limit=1.0) as executor:
+        assert bits(executor.run(once, X)) == bits(Disc().run(X))
+        assert executor.first_fault == ""
+    assert (tmp_path / "done").exists()
+
+
+def test_what_a_hung_simulation_has_started_ends_with_it(tmp_path: Path) -> None:
+    X = designs(4)
+    X[1, 0] = 0.0
+    with within(60), ProcessExecutor(1, time_limit=1.0) as executor:
+        given_up(executor.run(Starting(folder=str(tmp_path)), X), X, [1], "time_limit")
+    for path in tmp_path.iterdir():
+        wait_until(lambda path=path: not Path(f"/proc/{path.name}").exists())
+
+
+def test_workers_end_with_the_process_that_leads_them_however_it_ends(tmp_path: Path) -> None:
+    program = (
+        "import numpy as np\n"
+        "from contracts.test_executor import Noted\n"
+        "from activefail.campaign.executor import ProcessExecutor\n"
+        "if __name__ == '__main__':\n"
+        f"    ProcessExecutor(2).run(Noted(folder={str(tmp_path)!r}), np.zeros((2, 2)))\n"
+    )
+    (tmp_path / "lead.py").write_text(program)
+    paths = [str(Path(__file__).parents[1]), *sys.path]
+    process = subprocess.Popen([sys.executable, tmp_path / "lead.py"], env=os.environ | {"PYTHONPATH": ":".join(paths)})
+    with within(60):
+        wait_until(lambda: len(list(tmp_path.iterdir())) == 3)
+        process.kill()
+        process.wait()
+        for path in tmp_path.glob("[0-9]*"):
+            wait_until(lambda path=path: not Path(f"/proc/{path.name}").exists())
+
+
+def test_a_simulator_that_no_worker_can_load_is_an_error_with_the_reason() -> None:
+    for simulator, says in ((Unloadable(), "ValueError: no such material"), (Deadly(), r"its worker process died")):
+        with (
+            within(60),
+            ProcessExecutor(2) as executor,
+            pytest.raises(SimulationError, match=f"could not load the simulator: {says}"),
+        ):
+            executor.run(simulator, designs(5))
+
+
+def test_a_clock_that_is_set_ends_no_simulation_and_lets_none_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    X = designs(6)
+    X[1, 0] = 0.0
+    jumps = iter([0.0, 4e9, -4e9] * 10_000)
+    monkeypatch.setattr(time, "time", lambda: next(jumps))
+    with within(60), ProcessExecutor(2, time_limit=1.0) as executor:
+        given_up(executor.run(Hanging(), X), X, [1], "time_limit")
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
+def test_a_time_limit_that_no_simulation_could_keep_is_refused(limit: float) -> None:
+    with pytest.raises(ValueError, match="`time_limit > 0` must hold"):
+        ProcessExecutor(1, time_limit=limit)
 
 
 def test_a_ctrl_c_that_the_worker_processes_hear_too_does_not_cost_the_batch() -> None:

@@ -158,11 +158,12 @@ def test_what_is_not_of_the_schema_is_refused_and_leaves_nothing(kind: Kind) -> 
     origin = np.zeros(3, dtype=np.int8)
     X = np.zeros((3, 2))
     bad = {
+        "finite, got nan for 'mu' in row 2": (np.array([[0.0, 0.0], [0.0, 0.0], [0.0, np.nan]]), good),
         "columns": (np.zeros((3, 1)), good),
         "float64": (np.zeros((3, 2), dtype=np.float32), good),
         "margins": (X, Results(good.outcome, good.cause, np.zeros((3, 2)), good.seconds)),
         "outcome < 3": (X, Results(np.full(3, 3, dtype=np.int8), good.cause, good.margins, good.seconds)),
-        "<= cause": (X, Results(good.outcome, np.full(3, -1, dtype=np.int8), good.margins, good.seconds)),
+        "<= cause": (X, Results(good.outcome, np.full(3, -6, dtype=np.int8), good.margins, good.seconds)),
         "int8": (X, Results(good.outcome.astype(np.int64), good.cause, good.margins, good.seconds)),
     }
     for rule, (designs, answers) in bad.items():

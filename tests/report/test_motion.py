@@ -72,6 +72,16 @@ def test_every_panel_of_a_response_is_finite_and_names_its_axes_with_units(respo
             assert np.isfinite(np.asarray(line.get_xydata(), dtype=float)).all()
 
 
+def test_histories_share_one_axis_of_time_and_mark_what_befell(failure, no_impact):
+    for response, events in ((failure, {"first rim touch", "failure"}), (no_impact, set())):
+        panels = m.plot_histories(response, width=3.6).axes
+        assert [panel.get_ylabel() for panel in panels] == ["Displacement [m]", "Ground [g]", "Gap [mm]", "Tilt [°]"]
+        assert len({panel.get_xlim() for panel in panels}) == 1
+        assert set(panels[1].get_legend_handles_labels()[1]) == events
+        (curve, *_) = panels[3].get_lines()
+        assert curve.get_xdata()[-1] == pytest.approx(m.Motion(response).end)
+
+
 def test_the_title_states_the_outcome_its_cause_and_the_design_with_units(response):
     title = words(m.plot_response(response))
     when = f"{response.margins['failure_time']:.3f}".replace("-", "−")

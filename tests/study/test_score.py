@@ -7,7 +7,7 @@ from campaign.stub import Disc, distance
 from activefail.study.score import (
     DISPLACEMENT,
     NEIGHBOURS,
-    TestSet,
+    FreshSet,
     displaced,
     expected_calibration_error,
     measures,
@@ -19,7 +19,7 @@ def test_set(ran):
     space = ran.campaign.space
     X = space.from_unit(np.random.default_rng(0).random((1500, 2)))
     around = Disc().run(displaced(X, space, np.random.default_rng(1))).outcome
-    return TestSet(X, Disc().run(X).outcome, around.reshape(len(X), NEIGHBOURS))
+    return FreshSet(X, Disc().run(X).outcome, around.reshape(len(X), NEIGHBOURS))
 
 
 def test_displaced_designs_stay_in_the_space_and_near_their_own(ran):
@@ -51,7 +51,7 @@ def test_the_measures_are_what_counting_says(ran, test_set):
 
 
 def test_copies_without_an_answer_say_nothing_of_what_is_near(ran, test_set):
-    blind = TestSet(test_set.X, test_set.outcome, np.full_like(test_set.around, -1))
+    blind = FreshSet(test_set.X, test_set.outcome, np.full_like(test_set.around, -1))
     found = measures(ran.classifier, 1, blind)
     assert np.isnan(found["accuracy_near"])
     assert np.isnan(found["recall_small"])

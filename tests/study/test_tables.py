@@ -109,10 +109,14 @@ BAD = {
         for name in TABLE_1.names
         for cell in ("0", "-0.1")
     },
+    **{
+        f"{name} of 1e308": (_with(name, "1e308"), f"column {name}: `{name} <= 1e+75` must hold, got 1e+308")
+        for name in TABLE_1.names
+    },
     "text": (_with("mu", "rough"), "column mu: must be a number, got 'rough'"),
     "nan": (_with("A_p", "nan"), "column A_p: must be finite, got 'nan'"),
-    "dish more than a hemisphere": (_with("D_tot", "20"), "`dish_diameter < 2 radius`"),
-    "slider higher than the sphere": (_with("h_sl_ratio", "90"), "The slider must be lower"),
+    "dish more than a hemisphere": (_with("D_tot", "20"), "D_tot, h_sl_ratio, h_rim_ratio: A dish must be less"),
+    "slider higher than the sphere": (_with("h_sl_ratio", "90"), "h_sl_ratio, h_rim_ratio: The slider must be lower"),
     "cell too few": (GOOD.rpartition(",")[0], "must have 9 cells as the header does, has 8"),
 }
 

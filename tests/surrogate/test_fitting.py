@@ -7,6 +7,7 @@ import torch
 from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import norm
+from surrogate.sampling import elliptical_slice_sampling
 
 from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Latent
@@ -101,12 +102,11 @@ def test_the_sites_converge_where_a_fixed_damping_circles():
 @pytest.mark.parametrize("kernel", ["rbf", "matern52"])
 def test_the_objective_has_the_gradient_that_it_states(kernel):
     F, y = points(40)
-    covariance = fitting.covariance_module(kernel, 2)
     at = fitting.pack(hyperparameters())
     sites = Sites(0.1 * y, torch.full_like(y, 0.1))
 
     def value(packed):
-        return fitting.evaluate(covariance, fitting.unpack(packed), F, y, sites, 1e-12)
+        return fitting.evaluate(kernel, fitting.unpack(packed), F, y, sites, 1e-12)
 
     step = 1e-4
     numerical = [(value(at + step * e).value - value(at - step * e).value) / (2 * step) for e in np.eye(len(at))]
@@ -117,22 +117,25 @@ def test_the_objective_has_the_gradient_that_it_states(kernel):
 def test_training_ends_where_no_hyperparameter_can_be_bettered(kernel):
     F, y = points(80, seed=2)
     trained = fitting.fit(F, y, kernel, tolerance=1e-4)
-    covariance = fitting.covariance_module(kernel, 2)
     best = fitting.pack(trained.hyperparameters)
 
     def value(packed):
-        return fitting.evaluate(covariance, fitting.unpack(packed), F, y, trained.sites, 1e-8).value
+        return fitting.evaluate(kernel, fitting.unpack(packed), F, y, trained.sites, 1e-8).value
 
     for direction in np.vstack([np.eye(len(best)), -np.eye(len(best))]):
         assert value(best + 0.2 * direction) < value(best) + 1e-3
 
 
 def test_a_warm_start_reaches_the_optimum_of_a_cold_one_in_fewer_evaluations():
-    F, y = points(120, seed=4)
-    before = fitting.fit(F[:110], y[:110], "rbf")
-    warm, cold = fitting.fit(F, y, "rbf", warm=before), fitting.fit(F, y, "rbf")
-    assert warm.elbo == pytest.approx(cold.elbo, abs=0.05)
-    assert warm.evaluations < cold.evaluations
+    evaluations = {"warm": 0, "cold": 0}
+    for seed in range(4, 10):  # one alone can be lucky
+        F, y = points(120, seed=seed)
+        before = fitting.fit(F[:110], y[:110], "rbf")
+        warm, cold = fitting.fit(F, y, "rbf", warm=before), fitting.fit(F, y, "rbf")
+        assert warm.elbo == pytest.approx(cold.elbo, abs=0.05)
+        evaluations["warm"] += warm.evaluations
+        evaluations["cold"] += cold.evaluations
+    assert evaluations["warm"] < 0.75 * evaluations["cold"]
 
 
 @pytest.mark.parametrize("kernel", ["rbf", "matern52"])
@@ -145,6 +148,9 @@ def test_gpytorch_sees_the_same_posterior_and_the_same_bound(kernel):
     moments = Latent(trained).moments(F.numpy())
     assert moments.mean == pytest.approx(state.mean.numpy(), abs=1e-3)
     assert moments.sd**2 == pytest.approx(state.variance.numpy(), abs=1e-3)
+    seen = Latent(trained).model.model(F)
+    assert moments.mean == pytest.approx(seen.mean.detach().numpy(), abs=1e-5)
+    assert moments.sd**2 == pytest.approx(seen.variance.detach().numpy(), abs=1e-5)
 
     model = Latent(trained).model.model.train()
     likelihood = gpytorch.likelihoods.BernoulliLikelihood()
@@ -183,4 +189,23 @@ def test_one_class_alone_is_learned_as_certain_near_the_points():
 
 def test_an_unknown_covariance_is_refused():
     with pytest.raises(ValueError, match="rbf or matern52"):
-        fitting.covariance_module("cubic", 2)
+        fitting.fit(*points(20), "cubic")
+
+
+@pytest.mark.parametrize(("outputscale", "mean_error", "sd_loss"), [(1.0, 0.02, 0.02), (4.0, 0.03, 0.07)])
+def test_the_variational_posterior_lies_near_that_of_a_long_markov_chain(outputscale, mean_error, sd_loss):
+    F, y = points(25, seed=4)
+    h = hyperparameters(outputscale=outputscale)
+    trained = fitting.condition(F, y, "rbf", h, tolerance=1e-8)
+    samples = elliptical_slice_sampling(
+        fitting.prior_covariance(F, "rbf", h).numpy(), h.mean, y.numpy(), 1000, 600, np.random.default_rng(0)
+    )[100:]
+    mean, sd = samples.mean((0, 1)), samples.std((0, 1))
+    # Of the means of independent chains: the error of the reference itself.
+    assert (samples.mean(0).std(0) / math.sqrt(samples.shape[1]) < 0.01 * sd).all()
+    state = trained.posterior
+    assert (np.abs(state.mean.numpy() - mean) < mean_error * sd).all()
+    # The best Gaussian by KL(q‖p) is never wider than the skewed posterior, and little narrower.
+    ratio = state.variance.sqrt().numpy() / sd
+    assert (ratio < 1.01).all()
+    assert (ratio > 1.0 - sd_loss).all()

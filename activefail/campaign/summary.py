@@ -1,0 +1,181 @@
+"""Where a campaign stands, from the outcomes of its record alone: a million of them are counted in a moment.
+
+Opening a record means reading and checking every design, and putting a campaign together means loading the learning.
+Neither is needed to count.
+"""
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.boundaries import boundary_shares
+from activefail.campaign.record import ACTIVE, SEED, Batch
+from activefail.campaign.recovery import is_segment, plain_files
+from activefail.campaign.segment import Outline, chain_start, decode_outline
+from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.errors import StoreError
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a campaign's settings say in a few words.
+
+    Attributes:
+        simulator: its name, "module:function", or the command.
+        variables: how many there are.
+        features: their name; or "variables", if among them, and "module:function" or the names of expressions.
+        boundaries: the outcomes whose boundaries are sought, with their shares.
+    """
+
+    description: str
+    simulator: str
+    seed: int
+    variables: int
+    budget: int
+    kernel: str
+    features: str
+    criterion: str
+    boundaries: dict[str, float]
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """The plan in a frozen campaign.toml, where defaults are written out.
+
+        Raises:
+            ValueError: if this is no such text.
+        """
+        match tomllib.loads(text):
+            case {
+                "description": str(description),
+                "simulator": str(simulator) | {"python": str(simulator)} | {"command": str(simulator)},
+                "seed": int(seed),
+                "space": dict(space),
+                "sampling": {"budget": int(budget)},
+                "classifier": {
+                    "kernel": str(kernel),
+                    "features": (str() | {"python": str()} | {"expressions": dict()} as features),
+                },
+                "acquisition": {"criterion": str(criterion), "boundary": str() | dict() as boundary},
+            } if isinstance(boundary, str) or (boundary and all(_is_weight(one) for one in boundary.values())):
+                return cls(
+                    description,
+                    simulator,
+                    seed,
+                    sum("value" not in variable for variable in space.values()),
+                    budget,
+                    kernel,
+                    _features_in_words(features),
+                    criterion,
+                    boundary_shares(boundary),
+                )
+            case _:
+                raise ValueError("These are not the settings of a campaign, defaults written out.")
+
+
+def _features_in_words(features: str | dict[str, Any]) -> str:
+    if isinstance(features, str):
+        return features
+    match features:
+        case {"python": str(reference)}:
+            own = [reference]
+        case {"expressions": dict(expressions)}:
+            own = list(expressions)
+        case _:
+            own = []
+    return ", ".join((["variables"] if features.get("variables", True) else []) + own)
+
+
+def _is_weight(value: object) -> bool:
+    return isinstance(value, int | float) and 0.0 < value <= sys.float_info.max
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Where a campaign stands.
+
+    Attributes:
+        plan: what its settings say.
+        outcomes: their names.
+        iteration: batches chosen by the learner so far.
+        initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and of the learner by
+            outcome, numerical failures last.
+    """
+
+    plan: Plan
+    outcomes: tuple[str, ...]
+    iteration: int
+    initial: NDArray[np.int64]
+    chosen: NDArray[np.int64]
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """All recorded simulations by outcome, numerical failures last."""
+        return self.initial + self.chosen
+
+    @property
+    def done(self) -> int:
+        """How many simulations are recorded."""
+        return int(self.counts.sum())
+
+    @classmethod
+    def of(cls, settings: str, outcomes: tuple[str, ...], batches: Sequence[Batch]) -> Self:
+        """The summary of batches of a campaign with these settings (TOML, defaults written out)."""
+        none = np.empty(0, dtype=np.int8)
+        initial, chosen = (
+            np.concatenate([none, *(one.results.outcome[one.origin == origin] for one in batches)])
+            for origin in (SEED, ACTIVE)
+        )
+        n = len(outcomes)
+        iteration = batches[-1].iteration if batches else 0
+        return cls(Plan.of(settings), outcomes, iteration, _counts(initial, n), _counts(chosen, n))
+
+
+def read_summary(folder: Path) -> Summary | None:
+    """The summary of a run folder whose files are whole and all there; it is safe while a campaign runs.
+
+    Every file's SHA-256 is checked, and that each one continues the one before. None where opening the record has more
+    to say: nothing is recorded yet, a file is damaged, missing or of another version, or a compaction was interrupted.
+    """
+    if not (folder / "campaign.toml").is_file():
+        return None  # to read from a pipe would wait for ever
+    try:
+        settings = (folder / "campaign.toml").read_bytes().decode()
+        names = [name for name in plain_files(folder / "segments") if is_segment(name)]
+        outlines = sorted(
+            (decode_outline(name, (folder / "segments" / name).read_bytes()) for name in names),
+            key=lambda outline: outline.first,
+        )
+        plan = Plan.of(settings)
+    except (OSError, RecursionError, ValueError, StoreError):
+        return None
+    if not outlines or not _is_chain(outlines, settings):
+        return None
+    outcomes = outlines[0].schema.outcomes
+    n = len(outcomes)
+    initial = chosen = np.zeros(n + 1, dtype=np.int64)
+    for outline in outlines:
+        initial = initial + _counts(outline.outcome[outline.origin == SEED], n)
+        chosen = chosen + _counts(outline.outcome[outline.origin == ACTIVE], n)
+    return Summary(plan, outcomes, int(outlines[-1].iterations[-1]), initial, chosen)
+
+
+def _is_chain(outlines: Sequence[Outline], settings: str) -> bool:
+    """Whether these are all segments of a campaign with these settings, one after the other."""
+    first = outlines[0]
+    return (
+        (first.first, first.before) == (0, chain_start(settings, first.schema))
+        and all(outline.settings == settings and outline.schema == first.schema for outline in outlines)
+        and all((a.last + 1, a.after) == (b.first, b.before) for a, b in pairwise(outlines))
+    )
+
+
+def _counts(outcome: NDArray[np.int8], outcomes: int) -> NDArray[np.int64]:
+    answered = outcome[outcome != NUMERICAL_FAILURE]
+    return np.append(np.bincount(answered, minlength=outcomes), len(outcome) - len(answered))

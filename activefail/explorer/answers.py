@@ -1,0 +1,302 @@
+"""What the explorer's page asks for: predictions, a plane, a fragility curve, a simulation, as JSON's values."""
+
+import math
+import shlex
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, astuple
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from activefail.bearing.design import GRAVITY, Model, Tolerance
+from activefail.bearing.simulation import Response
+from activefail.campaign.dfp import DfpSimulator
+from activefail.errors import InputError
+from activefail.report import quantities
+from activefail.report.contours import bar_of_contours, filled_contours
+from activefail.report.curves import plot_fragility
+from activefail.report.findings import Findings, Prediction, at_the_boundary, interval, predict, simulated
+from activefail.report.marks import outcome_colour
+from activefail.report.motion import (
+    Motion,
+    describe_outcome,
+    extent,
+    plate_outline,
+    plot_histories,
+    rim_outlines,
+    slider_outline,
+    slider_vertices,
+    vertex_states,
+)
+from activefail.report.quantities import plain, words
+from activefail.report.style import styled
+from activefail.report.svg import inline
+from activefail.space import Array
+
+_GRID, _CURVE, _FRAMES = 36, 81, 240
+
+_AT_ONCE = 128
+"""Designs of a plane or a curve that are predicted in one go: a prediction that comes meanwhile waits no longer."""
+
+Answer = dict[str, Any]
+
+
+def _listed(values: Array, digits: int) -> list[Any]:
+    """Numbers for JSON, rounded; None where they are not finite."""
+    rounded = np.round(values, digits)
+    listed: list[Any] = np.where(np.isfinite(rounded), rounded.astype(object), np.array(None)).tolist()
+    return listed
+
+
+class Answers:
+    """Answers about one campaign; safe to ask from several threads."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self.campaign = findings.campaign
+        self.space = findings.campaign.space
+        self.outcomes = findings.campaign.simulator.outcomes
+        self._quantities = quantities.variables(findings.campaign)
+        # The classifier and matplotlib's settings are one for all threads; a prediction need not wait for a drawing.
+        self._next, self._learning, self._drawing = threading.Lock(), threading.Lock(), threading.Lock()
+        middle = (0.5 * (self.space.low + self.space.high)).tolist()
+        # Whatever is compiled or loaded at its first use is so before the first visitor waits for it.
+        self.predict(middle)
+        if self.simulates:
+            self.simulate(middle)
+
+    @property
+    def simulates(self) -> bool:
+        """Whether the campaign's simulator is one whose motion can be shown."""
+        return isinstance(self.campaign.simulator, DfpSimulator)
+
+    def point(self, given: Any) -> list[float]:
+        """A design of the space from what a page sent.
+
+        Raises:
+            InputError: naming the variable, the rule and the value.
+        """
+        if not isinstance(given, list) or len(given) != self.space.dimension:
+            raise InputError(f"point: must be a list of {self.space.dimension} numbers, got {given!r}.")
+        for parameter, value in zip(self.space.parameters, given, strict=True):
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            # Compared as it came: NaN lies between nothing, and an integer may be too large for a float.
+            if not (number and parameter.low <= value <= parameter.high):
+                raise InputError(
+                    f"{parameter.name}: must lie between {parameter.low:g} and {parameter.high:g}, got {value!r}."
+                )
+        return [float(value) for value in given]
+
+    def variable(self, given: Any) -> int:
+        """The column of a variable from what a page sent.
+
+        Raises:
+            InputError: if it is no variable of the space.
+        """
+        if not isinstance(given, str) or given not in self.space.names:
+            raise InputError(f"variable: must be one of {', '.join(self.space.names)}, got {given!r}.")
+        return self.space.names.index(given)
+
+    def about(self) -> Answer:
+        """What the page must know before it asks for anything."""
+        settings, findings = self.campaign.settings, self._findings
+        influence = findings.influence
+        presets = [("the middle of the space", 0.5 * (self.space.low + self.space.high))]
+        for row, _ in at_the_boundary(findings):
+            text = f"{words(self.outcomes[findings.outcome[row]])}, a close call: simulation {row}"
+            presets.append((text, findings.X[row]))
+        names = self.space.names
+        first = np.argsort(-influence, kind="stable").tolist()
+        plane = [names[column] for column in first[:2]]
+        return {
+            "title": settings.description or findings.folder.name,
+            "simulations": len(findings.X),
+            "variables": [
+                {
+                    "name": parameter.name,
+                    "text": told.text,
+                    "unit": told.unit,
+                    "meaning": told.meaning,
+                    "low": parameter.low,
+                    "high": parameter.high,
+                }
+                for parameter, told in zip(self.space.parameters, self._quantities, strict=True)
+            ],
+            "outcomes": [
+                {"name": name, "text": words(name), "colour": outcome_colour(self.outcomes, index)}
+                for index, name in enumerate(self.outcomes)
+            ],
+            "beyond": findings.beyond,
+            "presets": [{"text": text, "point": X.tolist()} for text, X in presets],
+            "plane": plane,
+            "along": "A_p" if "A_p" in names else names[first[0]],
+            "simulates": self.simulates,
+        }
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """The classifier, for one thread at a time and in turn: who waits for it is before who has just had it."""
+        with self._next:
+            self._learning.acquire()
+        try:
+            yield
+        finally:
+            self._learning.release()
+
+    def _predict(self, rows: Array) -> Prediction:
+        """What the classifier says of many designs, (n, d), in turn with others who ask it."""
+        parts = []
+        for part in np.array_split(rows, math.ceil(len(rows) / _AT_ONCE)):
+            with self._turn():
+                parts.append(astuple(predict(self.campaign, self._findings.classifier, part)))
+        return Prediction(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+    def predict(self, point: Sequence[float]) -> Answer:
+        """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
+        classifier = self._findings.classifier
+        with self._turn():
+            F = self.campaign.features(np.array([point]))
+            moments = [latent.moments(F) for latent in classifier.latents]
+            probabilities = classifier.weighed(moments)[0]
+        boundaries = []
+        for name, found in zip(self.outcomes[1:], moments, strict=True):
+            low, high = (float(end[0]) for end in interval(found))
+            worst = name == self.outcomes[-1]
+            boundaries.append(
+                {
+                    "text": words(name) if worst else f"{words(name)} or worse",
+                    "probability": float(found.probability[0]),
+                    "low": low,
+                    "high": high,
+                }
+            )
+        return {"probabilities": probabilities.tolist(), "boundaries": boundaries}
+
+    def plane(self, point: Sequence[float], x: int, y: int, shown: str) -> Answer:
+        """A plane of two variables through a point, as a figure, and where in it its axes are.
+
+        Args:
+            shown: an outcome but the least severe, or "uncertainty".
+
+        Raises:
+            InputError: if both variables are one, or `shown` is neither.
+        """
+        if x == y:
+            raise InputError(f"A plane needs two variables, got {self.space.names[x]} twice.")
+        if shown not in (*self.outcomes[1:], "uncertainty"):
+            raise InputError(f"shown: must be an outcome beyond the first, or uncertainty, got {shown!r}.")
+        low, high = self.space.low, self.space.high
+        along_x, along_y = np.linspace(low[x], high[x], _GRID), np.linspace(low[y], high[y], _GRID)
+        grid_x, grid_y = np.meshgrid(along_x, along_y)
+        rows = np.tile(np.array(point), (grid_x.size, 1))
+        rows[:, x], rows[:, y] = grid_x.ravel(), grid_y.ravel()
+        found = self._predict(rows)
+        uncertain = shown == "uncertainty"
+        values = found.high - found.low if uncertain else found.probabilities[:, self.outcomes.index(shown)]
+        title = f"P({plain(words(shown))})" if not uncertain else f"uncertainty of P({plain(self._findings.beyond)})"
+        with self._drawing, styled():
+            figure = Figure(figsize=(4.0, 3.4), layout="constrained")
+            axes = figure.add_subplot()
+            shades = filled_contours(axes, grid_x, grid_y, values.reshape(grid_x.shape), uncertain)
+            axes.set(xlabel=self._quantities[x].axis, ylabel=self._quantities[y].axis)
+            axes.set(xlim=(low[x], high[x]), ylim=(low[y], high[y]))
+            bar_of_contours(figure, axes, shades, title, uncertain)
+            axes.set_title(f"{title}; thick line: one half" if not uncertain else title)
+            svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
+        return {"svg": str(svg), "axes": _place(axes, axes)}
+
+    def fragility(self, point: Sequence[float], along: int) -> Answer:
+        """The probability of what is beyond the sought boundary against a variable, as a figure."""
+        values = np.linspace(self.space.low[along], self.space.high[along], _CURVE)
+        rows = np.tile(np.array(point), (len(values), 1))
+        rows[:, along] = values
+        found = self._predict(rows)
+        with self._drawing:
+            told = self._quantities[along]
+            colour = outcome_colour(self.outcomes, self.campaign.severity)
+            name = plain(self._findings.beyond)
+            figure = plot_fragility(values, found.beyond, found.low, found.high, told, name, point[along], colour)
+            svg = inline(figure, "fragility", f"P({self._findings.beyond}) against {self.space.names[along]}")
+        return {"svg": str(svg)}
+
+    def simulate(self, point: Sequence[float]) -> Answer:
+        """The motion of the bearing: outlines, frames of the motion, and what happened.
+
+        Raises:
+            InputError: if the campaign's simulator has no bearing to show.
+        """
+        simulator, response = self._simulated(point)
+        answer: Answer = {
+            "outcome": response.outcome,
+            "said": describe_outcome(response),
+            "command": _command(simulator, self.space.names, point),
+        }
+        try:
+            motion = Motion(response)
+        except InputError:
+            return answer | {"frames": None}
+        bearing = response.bearing
+        frames = np.linspace(motion.stirs, motion.end, _FRAMES)
+        at_frames = motion.position(frames)
+        low, high = extent(motion)
+        return answer | {
+            "plate": _listed(plate_outline(bearing), 4),
+            "rims": [_listed(outline, 4) for outline in rim_outlines(bearing)],
+            "slider": _listed(slider_outline(bearing), 4),
+            "low": low.tolist(),
+            "high": high.tolist(),
+            "frames": {
+                "t": _listed(frames, 4),
+                "q": _listed(at_frames, 5),
+                "vertices": [_listed(slider_vertices(motion, row), 4) for row in at_frames],
+                "states": [vertex_states(motion, row) for row in at_frames],
+                "ground": _listed(motion.ground(frames) / GRAVITY, 4),
+            },
+        }
+
+    def histories(self, point: Sequence[float], narrow: bool) -> Answer:
+        """The same motion over time as a figure, where in it its axes are, and the time [s] at their two ends.
+
+        Args:
+            narrow: for a narrow page, where a wide figure's letters would be too small to read.
+
+        Raises:
+            InputError: if the campaign's simulator has no bearing to show, or the bearing no motion.
+        """
+        _, response = self._simulated(point)
+        with self._drawing:
+            figure = plot_histories(response, width=3.6 if narrow else 5.2)
+            svg = inline(figure, "histories", "Displacement, ground acceleration, uplift and tilt over time")
+            first, last = figure.axes[0], figure.axes[-1]
+        return {"svg": str(svg), "axes": _place(first, last), "times": list(last.get_xlim())}
+
+    def _simulated(self, point: Sequence[float]) -> tuple[DfpSimulator, Response]:
+        if not isinstance(self.campaign.simulator, DfpSimulator):
+            raise InputError("This campaign's simulator has no bearing to show.")
+        return self.campaign.simulator, simulated(self.campaign.simulator, np.array(point))
+
+
+def _place(upper: Axes, lower: Axes) -> dict[str, float]:
+    """Where axes are within their figure, as shares of its width from the left and of its height from above."""
+    top, bottom = upper.get_position(), lower.get_position()
+    return {"left": top.x0, "right": top.x1, "top": 1.0 - top.y1, "bottom": 1.0 - bottom.y0}
+
+
+def _command(simulator: DfpSimulator, names: Sequence[str], point: Sequence[float]) -> str:
+    """The command line that simulates this very bearing by itself: no digit less, and whatever is not the default."""
+    given = dict(zip(names, point, strict=True))
+    usual = asdict(Model()) | {"tolerance": Tolerance().relative}
+    own = asdict(simulator.model) | {"tolerance": simulator.tolerance.relative}
+    words = ["activefail", "simulate"]
+    for name, value in (given | {name: value for name, value in own.items() if value != usual[name]}).items():
+        option = name.lower().replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{'' if value else 'no-'}{option}")
+        else:
+            text = value if isinstance(value, str) else np.format_float_positional(value, trim="-")
+            words += [f"--{option}", text]
+    return shlex.join(words)

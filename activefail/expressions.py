@@ -1,0 +1,141 @@
+"""Arithmetic that a campaign's file holds: read without running code, computed with the arrays of any library."""
+
+import ast
+import operator
+import sys
+import unicodedata
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from activefail.bearing.design import GRAVITY
+
+CONSTANTS = {"pi": float(np.pi), "g": GRAVITY}
+"""Names that stand for numbers; g is the acceleration of free fall [m/s²]."""
+
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+}
+
+FUNCTIONS = ("sqrt", "exp", "log", "sin", "cos", "tan", "arctan", "tanh", "abs", "minimum", "maximum")
+"""What an expression may call; the last two take two arguments, the others one."""
+
+_LONGEST = 1000
+"""Characters."""
+
+_DEEPEST = 500
+"""Levels: to follow more would exhaust the stack."""
+
+
+@dataclass(frozen=True)
+class Expression:
+    """An arithmetic expression of named quantities, as it was written."""
+
+    text: str
+    _tree: ast.expr
+
+    def __call__(self, quantities: Mapping[str, Any]) -> Any:
+        """Its value, for numbers or for arrays of NumPy or torch."""
+        return _value(self._tree, {**CONSTANTS, **{parsed_name(name): value for name, value in quantities.items()}})
+
+
+def parsed_name(name: str) -> str:
+    """A name as Python's parser gives it back: µ, the micro sign of keyboards, as the Greek letter μ, for one."""
+    return unicodedata.normalize("NFKC", name)
+
+
+def _number(value: float) -> Any:
+    # NumPy's: a power of Python's own integers can have millions of digits, and one of its floats can be complex.
+    return np.float64(value)
+
+
+def parse_expression(text: str, known: Collection[str]) -> Expression:
+    """An expression of numbers, `+ - * / **`, FUNCTIONS, CONSTANTS and known names.
+
+    Raises:
+        ValueError: saying what in it is none of these.
+    """
+    if len(text) > _LONGEST:
+        raise ValueError(f"must have at most {_LONGEST} characters, got {len(text)}")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as malformed:
+        raise ValueError(f"must be an arithmetic expression, got {text!r} ({malformed})") from None
+    deep = 0
+    level: list[ast.AST] = [tree]
+    while level:
+        deep, level = deep + 1, [child for node in level for child in ast.iter_child_nodes(node)]
+    if deep > _DEEPEST:
+        raise ValueError(f"may be nested {_DEEPEST} deep, got {deep}; in {text!r}")
+    written: dict[str, str] = {}
+    for name in known:
+        other = written.setdefault(parsed_name(name), name)
+        if other != name:
+            raise ValueError(f"cannot tell {other!a} from {name!a}, which Python reads alike; rename one")
+    _check(tree, text, {*written, *CONSTANTS})
+    return Expression(text, tree)
+
+
+def _check(node: ast.expr, text: str, known: Collection[str]) -> None:
+    match node:
+        case ast.Constant(value=bool()):
+            pass
+        case ast.Constant(value=int() | float() as value):
+            if abs(value) > sys.float_info.max:
+                raise ValueError(f"may hold numbers up to {sys.float_info.max:g}; in {text!r}")
+            return
+        case ast.Name(id=name):
+            if name not in known:
+                raise ValueError(f"knows no {name!r}, only {', '.join(sorted(known))}; in {text!r}")
+            return
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            _check(left, text, known)
+            _check(right, text, known)
+            return
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            _check(operand, text, known)
+            return
+        case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]) if function in FUNCTIONS:
+            wanted = 2 if function in FUNCTIONS[-2:] else 1
+            if len(arguments) != wanted:
+                raise ValueError(f"{function} takes {wanted} argument{'s' * (wanted > 1)}, got {len(arguments)}")
+            for argument in arguments:
+                _check(argument, text, known)
+            return
+    raise ValueError(
+        f"may hold numbers, names, + - * / **, brackets and {', '.join(FUNCTIONS)}; "
+        f"got {ast.get_source_segment(text.strip(), node)!r} in {text!r}"
+    )
+
+
+def _value(node: ast.expr, quantities: Mapping[str, Any]) -> Any:
+    match node:
+        case ast.Constant(value=value):
+            return _number(value)  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            quantity = quantities[name]
+            return _number(quantity) if isinstance(quantity, float) else quantity
+        case ast.BinOp(left=left, op=op, right=right):
+            return _OPERATORS[type(op)](_value(left, quantities), _value(right, quantities))
+        case ast.UnaryOp(op=op, operand=operand):
+            return _OPERATORS[type(op)](_value(operand, quantities))
+        case ast.Call(func=ast.Name(id=function), args=arguments):
+            return _call(function, [_value(argument, quantities) for argument in arguments])
+    raise AssertionError(ast.dump(node))
+
+
+def _call(function: str, arguments: list[Any]) -> Any:
+    tensor = next((argument for argument in arguments if hasattr(argument, "requires_grad")), None)
+    if tensor is None:
+        return getattr(np, function)(*arguments)
+    import torch
+
+    return getattr(torch, function)(*(torch.as_tensor(argument, dtype=tensor.dtype) for argument in arguments))

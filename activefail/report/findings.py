@@ -1,0 +1,369 @@
+"""What a campaign has found, gathered from its run folder for the report; nothing in the folder is changed."""
+
+import csv
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from activefail.bearing.design import TABLE_1, Bearing, Pulse
+from activefail.bearing.simulation import Response, simulate_one
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.dfp import DfpSimulator
+from activefail.campaign.learning import first_rows, in_initial_design, initial_sets
+from activefail.campaign.loop import standing
+from activefail.campaign.record import Store
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
+from activefail.campaign.verification import ErrorEstimate, expected_error, leave_one_out, verify
+from activefail.errors import InputError
+from activefail.report.quantities import words
+from activefail.space import Array
+from activefail.study.compare import Score, default_budgets, score
+from activefail.surrogate.classifier import Classifier, Moments, train
+
+CONFIDENCE = 0.95
+"""Of every interval that the report and the explorer show of a probability."""
+
+_Z = 1.959964
+_POOL = 2**12
+_BUDGETS = 5
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Accuracy against simulations.
+
+    Attributes:
+        scores: of one or two samplings.
+        test_size: designs that they are judged on.
+        source: "compare" or "validation".
+    """
+
+    scores: list[Score]
+    test_size: int
+    source: str
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Predicted probabilities of the sought boundary, (n,), and whether the outcome was beyond it, (n,).
+
+    Attributes:
+        source: "test", "validation" or "left out".
+    """
+
+    probability: Array
+    beyond: NDArray[np.bool_]
+    source: str
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a classifier says of n designs.
+
+    Attributes:
+        probabilities: (n, number of outcomes).
+        low, high: (n,) interval of the probability of being beyond the sought boundary, by the latent's uncertainty.
+        beyond: (n,) that probability.
+        mean, sd: (n,) of its latent.
+    """
+
+    probabilities: Array
+    low: Array
+    high: Array
+    beyond: Array
+    mean: Array
+    sd: Array
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A campaign, what it has simulated and what it has learned.
+
+    Attributes:
+        X: (n, d) designs simulated so far, numerical failures included.
+        outcome: (n,) int8; iteration: (n,), 0 for the seed design.
+        curve, reliability, error: None where nothing in the folder tells; `missing` says how to get it.
+        pool, pool_prediction: designs of the space, the most uncertain of which are listed.
+        missing: by section, which command adds it.
+    """
+
+    folder: Path
+    campaign: Campaign
+    classifier: Classifier
+    X: Array
+    outcome: NDArray[np.int8]
+    iteration: NDArray[np.int64]
+    curve: Curve | None
+    reliability: Reliability | None
+    error: ErrorEstimate | None
+    expected: float
+    pool: Array
+    pool_prediction: Prediction
+    missing: dict[str, str]
+
+    @property
+    def boundary(self) -> str:
+        """The outcome whose boundary is (mainly) sought."""
+        return self.campaign.settings.acquisition.main_boundary
+
+    @property
+    def beyond(self) -> str:
+        """What is beyond that boundary, in words."""
+        worst = self.boundary == self.campaign.simulator.outcomes[-1]
+        return words(self.boundary) if worst else f"{words(self.boundary)} or worse"
+
+    @property
+    def influence(self) -> Array:
+        """How much the prediction hangs on each variable, (d,): its mean change when the variable is drawn anew."""
+        pool = self.pool[:1024]
+        before = predict(self.campaign, self.classifier, pool).beyond
+        changes = []
+        for column in range(self.campaign.space.dimension):
+            moved = pool.copy()
+            # Rolled by half the sample: drawn anew without a random number.
+            moved[:, column] = np.roll(pool[:, column], len(pool) // 2)
+            changes.append(float(np.abs(predict(self.campaign, self.classifier, moved).beyond - before).mean()))
+        return np.array(changes)
+
+    @property
+    def answered(self) -> NDArray[np.bool_]:
+        """Which simulations have an answer, (n,)."""
+        return np.asarray(self.outcome != NUMERICAL_FAILURE)
+
+
+def interval(moments: Moments) -> tuple[Array, Array]:
+    """95 % interval of the probability Φ(f) by the uncertainty of the latent f, (n,) each.
+
+    Widened to hold the probability that is told, the mean of Φ(f): next to 0 and 1 a long tail can pull that out of it.
+    """
+    low, high = (np.asarray(ndtr(moments.mean + sign * _Z * moments.sd)) for sign in (-1.0, 1.0))
+    return np.minimum(low, moments.probability), np.maximum(high, moments.probability)
+
+
+def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
+    """What the classifier says of designs, (n, d)."""
+    F = campaign.features(X)
+    latents = [latent.moments(F) for latent in classifier.latents]
+    moments = latents[campaign.severity - 1]
+    return Prediction(
+        classifier.weighed(latents),
+        *interval(moments),
+        moments.probability,
+        moments.mean,
+        moments.sd,
+    )
+
+
+def read_scores(path: Path) -> tuple[list[Score], int]:
+    """The table that `activefail compare DIR` wrote: its scores and the number of test designs.
+
+    Raises:
+        InputError: naming the file, the row and what is wrong with it.
+    """
+    kinds = {name: {"sampling": str, "simulations": int}.get(name, float) for name in Score.columns()}
+    scores, tests = [], set()
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            for number, row in enumerate(csv.DictReader(file), start=1):
+                try:
+                    scores.append(Score(**{name: kind(row[name]) for name, kind in kinds.items()}))
+                    tests.add(int(row["test_designs"]))
+                except (KeyError, TypeError, ValueError) as bad:
+                    raise InputError(
+                        f"{path}: row {number}: is not one that `activefail compare` writes: {bad}."
+                    ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}.") from None
+    if not scores:
+        raise InputError(f"{path}: has no rows.")
+    return scores, max(tests)
+
+
+def read_parts(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None:
+    """Designs and outcomes of a set as far as its parts go, those without an answer left out; None without a set."""
+    parts: list[tuple[Array, Results]] = []
+    while (part := store.read_set(f"{name}-{len(parts)}")) is not None:
+        parts.append(part)
+    if not parts:
+        return None
+    X, outcome = np.concatenate([part[0] for part in parts]), np.concatenate([part[1].outcome for part in parts])
+    answered = outcome != NUMERICAL_FAILURE
+    return (X[answered], outcome[answered]) if answered.any() else None
+
+
+def _sizes(folder: Path, pattern: str) -> list[int]:
+    """Numbers that the names of the sets in a folder have where the pattern has its group, largest first."""
+    names = (path.name for path in (folder / "sets").glob("*.h5"))
+    return sorted({int(found[1]) for name in names if (found := re.fullmatch(pattern, name))}, reverse=True)
+
+
+def _curve(
+    campaign: Campaign, store: Store, folder: Path, stage: Callable[[str], None]
+) -> tuple[Curve | None, str | None]:
+    """The curve, and what to say of what is missing of it."""
+    path = folder / "compare" / "scores.csv"
+    note = "no comparison with a static design was made"
+    if path.exists():
+        try:
+            return Curve(*read_scores(path), "compare"), None
+        except InputError as bad:
+            note = f"the comparison cannot be read ({bad})"
+    validation = read_parts(store, "validation")
+    done = standing(campaign, store.batches, 0).done
+    if validation is None:
+        return None, f"{note}, and the campaign has no validation set (validation.size)"
+    scores: list[Score] = []
+    classifier: Classifier | None = None
+    initial = campaign.settings.sampling.initial * initial_sets(campaign, store.batches)
+    budgets = default_budgets(min(initial, done), done)
+    for n in (
+        budgets if len(budgets) < _BUDGETS else [budgets[round(i)] for i in np.linspace(0, len(budgets) - 1, _BUDGETS)]
+    ):
+        X, outcome = first_rows(store.batches, n)
+        if len(X) < 2:
+            continue
+        stage(f"learning from the first {n} simulations")
+        classifier = train(
+            X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel, classifier
+        )
+        scores.append(score("active", classifier, campaign.severity, n, *validation))
+    return (Curve(scores, len(validation[0]), "validation") if scores else None), note
+
+
+def _reliability(campaign: Campaign, store: Store, folder: Path, classifier: Classifier) -> Reliability | None:
+    latent = classifier.latents[campaign.severity - 1]
+    sets = [(f"test-{size}", "test") for size in _sizes(folder, r"test-(\d+)-0\.h5")]
+    for name, source in [*sets, ("validation", "validation")]:
+        if (found := read_parts(store, name)) is not None:
+            probability = latent.moments(campaign.features(found[0])).probability
+            return Reliability(probability, found[1] >= campaign.severity, source)
+    initial = in_initial_design(store.batches)
+    if initial.sum() < 2:
+        return None
+    moments = leave_one_out(latent.trained)
+    beyond = latent.trained.labels.numpy() > 0.0
+    return Reliability(moments.probability[initial], beyond[initial], "left out")
+
+
+class _NotSimulatedError(Exception):
+    pass
+
+
+class _NoSimulations:
+    """Refuses: a report simulates nothing that would have to be recorded."""
+
+    first_fault = ""
+
+    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+        """Raise _NotSimulatedError."""
+        raise _NotSimulatedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+
+def _verified(
+    campaign: Campaign, store: Store, folder: Path, classifier: Classifier, iteration: int
+) -> ErrorEstimate | None:
+    """The error that `activefail verify` found for this very classifier, from its stored simulations."""
+    for size in _sizes(folder, rf"verification-{iteration}-(\d+)-0\.h5"):
+        try:
+            return verify(campaign, store, _NoSimulations(), classifier, iteration, size, 0.9)
+        except _NotSimulatedError:
+            continue
+    return None
+
+
+def glance(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
+    """What a campaign with at least one simulation has found, without what it was judged by."""
+    batches = store.batches
+    pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
+    return Findings(
+        folder,
+        campaign,
+        classifier,
+        np.concatenate([batch.designs for batch in batches]),
+        np.concatenate([batch.results.outcome for batch in batches]),
+        np.concatenate([np.full(len(batch), batch.iteration) for batch in batches]),
+        None,
+        None,
+        None,
+        expected_error(campaign, classifier),
+        pool,
+        predict(campaign, classifier, pool),
+        {},
+    )
+
+
+def gather(
+    folder: Path,
+    campaign: Campaign,
+    store: Store,
+    classifier: Classifier,
+    stage: Callable[[str], None] = lambda _: None,
+) -> Findings:
+    """Everything that the report shows of a campaign with at least one simulation."""
+    stage("reading what was compared and verified")
+    curve, note = _curve(campaign, store, folder, stage)
+    missing = {} if note is None else {"curve": note}
+    reliability = _reliability(campaign, store, folder, classifier)
+    if reliability is None:
+        missing["reliability"] = "there is neither a test set nor an initial design to judge by"
+    error = _verified(campaign, store, folder, classifier, store.batches[-1].iteration)
+    if error is None:
+        missing["error"] = "the error of the classifier was not verified"
+    found = glance(folder, campaign, store, classifier)
+    return replace(found, curve=curve, reliability=reliability, error=error, missing=missing)
+
+
+def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
+    """Simulated designs worth a drawing, with why: at the sought boundary on both sides, and at the first one below."""
+    campaign = findings.campaign
+    severity, outcome = campaign.severity, findings.outcome
+    F = campaign.features(findings.X)
+    at = np.abs(findings.classifier.latents[severity - 1].moments(F).standardised)
+    name = words(campaign.simulator.outcomes[severity])
+    thing = "bearing" if isinstance(campaign.simulator, DfpSimulator) else "design"
+    chosen: list[tuple[int, str]] = []
+    beyond, short = np.flatnonzero(outcome >= severity), np.flatnonzero((outcome < severity) & findings.answered)
+    if len(beyond):
+        first = int(beyond[np.argmin(at[beyond])])
+        chosen.append((first, f"The simulated {thing} beyond the {name} boundary that is nearest to it"))
+        if len(short):
+            # The likest of the others, among those near the boundary too.
+            near = short[np.argsort(at[short])[: max(10, len(short) // 10)]]
+            second = int(near[np.argmin(np.linalg.norm(F[near] - F[first], axis=1))])
+            chosen.append(
+                (second, f"A simulated {thing} with much the same features, on the other side of the boundary")
+            )
+    elif len(short):
+        chosen.append((int(short[np.argmin(at[short])]), f"The simulated {thing} nearest to the {name} boundary"))
+    mildest = np.flatnonzero(outcome == 0)
+    if severity > 1 and len(mildest):
+        touch = np.abs(findings.classifier.latents[0].moments(F[mildest]).standardised)
+        third = int(mildest[np.argmin(touch)])
+        if third not in [row for row, _ in chosen]:
+            chosen.append(
+                (third, f"The {thing} with {words(campaign.simulator.outcomes[0])} that came nearest to more")
+            )
+    return chosen
+
+
+def simulated(simulator: DfpSimulator, design: Array) -> Response:
+    """The motion of a design of a campaign, (d,), to the end of the run."""
+    row = simulator.space.table(design[None], TABLE_1.names)[0].tolist()
+    return simulate_one(
+        Bearing.from_row(row, simulator.model.slider_diameter),
+        Pulse.from_table(*row[7:]),
+        simulator.model,
+        simulator.tolerance,
+        to_the_end=True,
+    )

@@ -1,0 +1,155 @@
+"""The prior of a latent: a constant mean and an ARD covariance with priors of its own.
+
+GPyTorch's covariance is what a trained classifier has; its values and derivatives as they are used in training are
+here once more, since GPyTorch takes five times as long for the same numbers.
+"""
+
+import math
+from typing import NamedTuple
+
+import gpytorch
+import numpy as np
+import torch
+from scipy.spatial.distance import cdist
+from torch import Tensor
+
+JITTER = 1e-6
+"""Added to the diagonal of K; the GPyTorch model that the result is loaded into adds the same."""
+
+_OUTPUTSCALE_PRIOR = (math.log(10.0), 2.0)
+"""Mean and deviation of the output scale's logarithm. Flat: a sharp boundary needs a latent many times the likelihood's
+unit width."""
+
+
+def _lengthscale_prior(dimension: int) -> tuple[float, float]:
+    """Mean and deviation of a length scale's logarithm.
+
+    They grow with the root of the dimension (Hvarfner et al. 2024), in units of the features' spread.
+    """
+    return math.sqrt(2.0) + 0.5 * math.log(dimension), math.sqrt(3.0)
+
+
+class Hyperparameters(NamedTuple):
+    """Of a constant mean and an ARD covariance, in the features' standard units."""
+
+    mean: float
+    log_outputscale: float
+    log_lengthscale: Tensor  # (m,)
+
+
+def _check(kernel: str) -> None:
+    if kernel not in ("rbf", "matern52"):
+        raise ValueError(f"The covariance must be rbf or matern52, got {kernel!r}.")
+
+
+def covariance_module(kernel: str, dimension: int) -> gpytorch.kernels.Kernel:
+    """An ARD covariance with a free output scale and the priors that the training uses, in double precision.
+
+    Args:
+        kernel: "rbf" (squared exponential, the paper's) or "matern52".
+        dimension: number of features.
+
+    Raises:
+        ValueError: if the kernel is neither.
+    """
+    # exp, not softplus: L-BFGS then steps in the logarithm of each scale.
+    positive = gpytorch.constraints.Positive(transform=torch.exp, inv_transform=torch.log)
+    lengthscale_prior = gpytorch.priors.LogNormalPrior(*_lengthscale_prior(dimension))
+    _check(kernel)
+    given = {
+        "ard_num_dims": dimension,
+        "lengthscale_constraint": positive,
+        "lengthscale_prior": lengthscale_prior,
+    }
+    base = gpytorch.kernels.RBFKernel(**given) if kernel == "rbf" else gpytorch.kernels.MaternKernel(nu=2.5, **given)
+    outputscale_prior = gpytorch.priors.LogNormalPrior(*_OUTPUTSCALE_PRIOR)
+    return gpytorch.kernels.ScaleKernel(
+        base, outputscale_constraint=positive, outputscale_prior=outputscale_prior
+    ).double()
+
+
+def set_hyperparameters(covariance: gpytorch.kernels.Kernel, hyperparameters: Hyperparameters) -> None:
+    """Write the scales into a covariance made by `covariance_module`."""
+    with torch.no_grad():
+        covariance.raw_outputscale.fill_(hyperparameters.log_outputscale)
+        covariance.base_kernel.raw_lengthscale.copy_(hyperparameters.log_lengthscale.reshape(1, -1))
+
+
+def log_prior(hyperparameters: Hyperparameters) -> tuple[float, Tensor]:
+    """Log density of the scales, and its gradient, (1 + m,), by log output scale and log length scales.
+
+    As densities of the logarithms: the mode then does not depend on the scales' units.
+    """
+    log_lengthscale = hyperparameters.log_lengthscale
+    scales = torch.cat([log_lengthscale.new_tensor([hyperparameters.log_outputscale]), log_lengthscale])
+    m = len(log_lengthscale)
+    mean, sd = torch.tensor([_OUTPUTSCALE_PRIOR, *[_lengthscale_prior(m)] * m], dtype=torch.float64).T
+    away = (scales - mean) / sd
+    return float((-0.5 * away**2 - sd.log() - 0.5 * math.log(2.0 * math.pi)).sum()), -away / sd
+
+
+def _scaled(hyperparameters: Hyperparameters, *features: Tensor) -> list[np.ndarray]:
+    scale = hyperparameters.log_lengthscale.exp()
+    return [(F / scale).numpy() for F in features]
+
+
+def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tensor) -> Tensor:
+    """k(f, g) of features, (n, m) and (l, m) -> (n, l).
+
+    Args:
+        kernel: as for `covariance_module`.
+
+    Raises:
+        ValueError: if the kernel is neither.
+    """
+    _check(kernel)
+    F_scaled, G_scaled = _scaled(hyperparameters, F, G)
+    s2 = math.exp(hyperparameters.log_outputscale)
+    if kernel == "rbf":
+        K = cdist(F_scaled, G_scaled, "sqeuclidean")
+        K *= -0.5
+        np.exp(K, out=K)
+        K *= s2
+        return torch.from_numpy(K)
+    # s² (1 + d + d²/3) exp(−d), d = √5 r; in place, since for many points memory is what takes the time.
+    d = cdist(F_scaled, G_scaled)
+    d *= math.sqrt(5.0)
+    fall = np.exp(-d)
+    fall *= s2
+    K = d * d
+    K /= 3.0
+    K += d
+    K += 1.0
+    K *= fall
+    return torch.from_numpy(K)
+
+
+def covariance_gradient(
+    kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tensor, K: Tensor, by_K: Tensor
+) -> Tensor:
+    """Gradient of Σ by_K k(F, G), (1 + m,), by log output scale and log length scales.
+
+    Args:
+        K: k(F, G), (n, l).
+        by_K: what is differentiated by each of its entries, (n, l).
+    """
+    F_scaled, G_scaled = _scaled(hyperparameters, F, G)
+    by_logarithm = K * by_K
+    by_outputscale = by_logarithm.sum().reshape(1)
+    # ∂k/∂log ℓ = h (f − g)²/ℓ², where h is k itself (rbf) or s² (5/3) (1 + d) exp(−d) (matern52).
+    H = by_logarithm.numpy()
+    if kernel == "matern52":
+        d = cdist(F_scaled, G_scaled)
+        d *= math.sqrt(5.0)
+        H *= 5.0 * (1.0 + d) / (3.0 + d * (3.0 + d))
+    by_lengthscale = (
+        H.sum(1) @ F_scaled**2 + H.sum(0) @ G_scaled**2 - 2.0 * np.einsum("im,im->m", F_scaled, H @ G_scaled)
+    )
+    return torch.cat([by_outputscale, torch.from_numpy(by_lengthscale)])
+
+
+def prior_covariance(features: Tensor, kernel: str, hyperparameters: Hyperparameters) -> Tensor:
+    """K at the training points with its jitter, shape (n, n)."""
+    K = covariance(kernel, hyperparameters, features, features)
+    K.diagonal().add_(JITTER)
+    return K

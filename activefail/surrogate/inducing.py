@@ -1,0 +1,92 @@
+"""Inducing points for many training points: rows of these, chosen where the posterior needs them.
+
+What a projection on inducing points loses of the bound is, to first order, ½ Σ W_i rest_i: the variance that they leave
+unexplained, weighted by the precision of each point's site. So they are chosen greedily by that product, a pivoted
+Cholesky factorisation of W^½ K W^½, until the sum is small. Points deep inside a region have next to no precision and
+get next to no inducing points; unweighted, four times as many are needed for the same bound.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from activefail.surrogate.covariance import JITTER, Hyperparameters, covariance, prior_covariance
+from activefail.surrogate.sites import Projection, column_squares, whitened
+
+LEFT = 1.0
+"""Σ W_i rest_i at which enough inducing points are chosen: a fifth of a nat or less of the bound, as measured."""
+
+MOST = 500
+"""Most inducing points, whatever is left then: a step of the sites costs the square of their number."""
+
+_BLOCK = 64
+"""Candidates that are considered together, so that most of the work is products of matrices."""
+
+_STALE = 0.25
+"""A candidate of a block is taken while it is worth this share of the block's first."""
+
+
+def project(
+    features: Tensor, rows: Tensor, kernel: str, hyperparameters: Hyperparameters, at: Tensor | None = None
+) -> Projection:
+    """The prior at features, (n, d), or at others (`at`), by inducing points, rows (m,) of the features."""
+    Z = features[rows]
+    L = torch.linalg.cholesky(prior_covariance(Z, kernel, hyperparameters))
+    K = covariance(kernel, hyperparameters, Z, features if at is None else at)
+    _, V = whitened(L, K)
+    return Projection(V, _rest(V, hyperparameters))
+
+
+def _rest(V: Tensor, hyperparameters: Hyperparameters) -> Tensor:
+    # GPyTorch's strategy adds the jitter to a point's own variance, too.
+    prior_variance = math.exp(hyperparameters.log_outputscale) + JITTER
+    return (prior_variance - column_squares(V)).clamp_min(JITTER)
+
+
+def choose(
+    features: Tensor,
+    precision: Tensor,
+    kernel: str,
+    hyperparameters: Hyperparameters,
+    rows: Tensor | None = None,
+    most: int = MOST,
+) -> tuple[Tensor, Projection]:
+    """Inducing points, rows (m,) of the features, and the projection on them.
+
+    Args:
+        features: (n, d).
+        precision: (n,) of the sites, as far as known.
+        rows: inducing points to keep; others are added.
+        most: how many at most.
+    """
+    n = len(features)
+    chosen = [] if rows is None else rows.tolist()
+    V = torch.empty((most, n), dtype=features.dtype)
+    if rows is not None:
+        V[: len(rows)] = project(features, rows, kernel, hyperparameters).whitened
+    rest = (_rest(V[: len(chosen)], hyperparameters) - JITTER).clamp_min_(0.0)
+    rest[chosen] = 0.0
+    while len(chosen) < min(most, n):
+        worth = precision * rest
+        if float(worth.sum()) <= LEFT:
+            break
+        m = len(chosen)
+        block = torch.topk(worth, min(_BLOCK, n)).indices
+        # What the inducing points so far leave of the block's covariances, (block, n).
+        C = covariance(kernel, hyperparameters, features[block], features).addmm_(V[:m, block].T, V[:m], alpha=-1.0)
+        first = float(worth[block[0]])
+        for _ in range(min(len(block), most - m)):
+            i = int(torch.argmax(precision[block] * rest[block]))
+            row = int(block[i])
+            if float(precision[row] * rest[row]) <= _STALE * first:
+                break
+            k = len(chosen)
+            v = (C[i] - V[m:k, row] @ V[m:k]) / math.sqrt(float(rest[row]) + JITTER)
+            V[k] = v
+            chosen.append(row)
+            rest -= v * v
+            rest[row] = 0.0
+            rest.clamp_min_(0.0)
+    V = V[: len(chosen)]
+    return torch.tensor(chosen, dtype=torch.int64), Projection(V, _rest(V, hyperparameters))

@@ -1,0 +1,393 @@
+"""Campaigns without batches: the record alone says what is in flight, however they were interrupted."""
+
+import hashlib
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaign.stub import HIGH, LOW, Brittle, Disc, disc
+from commandline import activefail, record, started, wait_for
+
+from activefail.campaign.asynchronous import Course, resumed
+from activefail.campaign.campaign import Campaign, initial_designs
+from activefail.campaign.executor import ProcessExecutor, ThreadExecutor
+from activefail.campaign.learning import classifier_state, current_classifier, in_initial_design, learn, training_rows
+from activefail.campaign.loop import Observer, Progress, one_thread, run
+from activefail.campaign.record import ACTIVE, SEED, MemoryStore, Store
+from activefail.campaign.simulator import Results, Simulator
+from activefail.campaign.store import FolderStore
+from activefail.errors import InputError, SimulationError
+from activefail.space import Array
+
+INITIAL, BUDGET, SIZE = 12, 30, 4
+
+
+def plan(simulator: Simulator | None = None, budget: int = BUDGET, batch: int = SIZE, more: str = "") -> Campaign:
+    return disc(simulator, initial=INITIAL, budget=budget, batch=batch, asynchronous=True, more=more)
+
+
+class Arbitrary:
+    """Answers some of the designs that it has, in an order that looks like chance and hangs on the designs alone."""
+
+    first_fault = ""
+
+    def __init__(self) -> None:
+        self.waiting: dict[int, Array] = {}
+        self.simulator: Simulator = Disc()
+        self.most = 0
+
+    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+        return simulator.run(X)
+
+    def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
+        assert not any(np.array_equal(x, other) for other in self.waiting.values())
+        self.waiting[ticket] = x
+        self.simulator = simulator
+        self.most = max(self.most, len(self.waiting))
+
+    def answered(self, seconds: float) -> list[tuple[int, Results]]:
+        order = sorted(self.waiting, key=lambda ticket: hashlib.sha256(self.waiting[ticket].tobytes()).digest())
+        share = 1 + hashlib.sha256(self.waiting[order[0]].tobytes()).digest()[0] % len(order)
+        return [(ticket, self.simulator.run(self.waiting.pop(ticket)[None])) for ticket in order[:share]]
+
+    def __enter__(self) -> "Arbitrary":
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+
+def take(
+    campaign: Campaign, store: Store | None = None, budget: int = BUDGET, observer: Observer | None = None
+) -> Store:
+    store = store or MemoryStore(campaign.schema)
+    run(campaign, store, Arbitrary(), budget, observer)
+    return store
+
+
+def kept(store: Store) -> list[tuple[int, bytes, bytes, bytes]]:
+    return [(b.iteration, b.designs.tobytes(), b.origin.tobytes(), b.results.outcome.tobytes()) for b in store.batches]
+
+
+def bits(course: Course) -> tuple[int, bytes, dict[str, bytes]]:
+    state = {} if course.classifier is None else classifier_state(course.classifier)
+    return course.iteration, course.flight.tobytes(), {name: array.tobytes() for name, array in state.items()}
+
+
+def again(campaign: Campaign, store: Store) -> Course:
+    """Where a record stands, by the record alone."""
+    bare = MemoryStore(campaign.schema)
+    for batch in store.batches:
+        bare.commit(batch)
+    with one_thread():
+        return resumed(campaign, bare)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted() -> Store:
+    return take(plan())
+
+
+def test_every_design_is_asked_for_once_and_the_initial_ones_first(uninterrupted: Store) -> None:
+    campaign = plan()
+    X = np.concatenate([batch.designs for batch in uninterrupted.batches])
+    origin = np.concatenate([batch.origin for batch in uninterrupted.batches])
+    assert len(X) == BUDGET
+    assert len(np.unique(X, axis=0)) == BUDGET
+    initial = initial_designs(campaign)
+    assert sorted(map(tuple, X[origin == SEED])) == sorted(map(tuple, initial))
+    assert (origin == ACTIVE).sum() == BUDGET - INITIAL
+    # Chosen designs were begun before the last of the initial ones was answered, which is the point of it.
+    assert np.flatnonzero(origin == SEED).max() > np.flatnonzero(origin == ACTIVE).min()
+    assert [batch.iteration for batch in uninterrupted.batches] == sorted(b.iteration for b in uninterrupted.batches)
+    rows, _ = training_rows(uninterrupted.batches)
+    seeds = in_initial_design(uninterrupted.batches)
+    assert sorted(map(tuple, rows[seeds])) == sorted(map(tuple, initial))
+
+
+def test_as_many_designs_are_in_flight_as_the_campaign_says_whatever_the_workers() -> None:
+    campaign, executor = plan(), Arbitrary()
+    run(campaign, MemoryStore(campaign.schema), executor, BUDGET)
+    assert executor.most == SIZE
+
+
+def test_what_is_chosen_lies_apart_from_what_is_in_flight(uninterrupted: Store) -> None:
+    X = (np.concatenate([batch.designs for batch in uninterrupted.batches]) - LOW) / (HIGH - LOW)
+    distances = np.linalg.norm(X[:, None] - X[None], axis=2)[np.triu_indices(len(X), 1)]
+    assert distances.min() > 1e-3
+
+
+def test_stopped_after_any_commit_it_goes_on_to_the_same_campaign(uninterrupted: Store, tmp_path: Path) -> None:
+    campaign = plan()
+    for commits in range(1, len(uninterrupted.batches)):
+        folder = tmp_path / str(commits)
+        with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
+
+            class Stop(Exception):  # noqa: N818  (at once, as a kill would)
+                pass
+
+            def halt(progress: Progress, store: Store = store, commits: int = commits) -> None:
+                if len(store.batches) == commits:
+                    raise Stop
+
+            with pytest.raises(Stop):
+                take(campaign, store, observer=Observer(halt))
+        if commits % 2:
+            for state in (folder / "state").iterdir():
+                state.unlink()
+        with FolderStore.open(folder, campaign.schema, write=True) as store:
+            take(campaign, store)
+            assert kept(store) == kept(uninterrupted)
+
+
+@pytest.mark.parametrize("first", [INITIAL, 17, 24])
+def test_what_is_in_flight_follows_from_the_record_also_beyond_a_budget(first: int, tmp_path: Path) -> None:
+    campaign = plan()
+    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store, one_thread():
+        take(campaign, store, first)
+        assert sum(len(batch) for batch in store.batches) == first
+        ended = resumed(campaign, store)
+        assert bits(ended) == bits(again(campaign, store))
+        assert len(ended.flight) == SIZE
+        take(campaign, store, BUDGET)
+        later = np.concatenate([batch.designs for batch in store.batches])[first:]
+        # A larger budget begins with what was asked for already.
+        asked = {row.tobytes() for row in ended.flight}
+        assert asked <= {row.tobytes() for row in later}
+        assert bits(resumed(campaign, store)) == bits(again(campaign, store))
+
+
+def test_asked_to_stop_it_waits_for_what_is_in_flight_and_begins_nothing_more() -> None:
+    campaign = plan()
+    store, executor = MemoryStore(campaign.schema), Arbitrary()
+    assert not run(campaign, store, executor, BUDGET, Observer(stop=lambda: sum(map(len, store.batches)) >= 16))
+    assert executor.waiting == {}
+    done = sum(map(len, store.batches))
+    assert 16 <= done <= 16 + 2 * SIZE
+    assert run(campaign, store, Arbitrary(), BUDGET)
+    assert sum(map(len, store.batches)) == BUDGET
+
+
+def test_what_it_has_learned_is_what_reading_the_record_gives(uninterrupted: Store) -> None:
+    campaign = plan()
+    with one_thread():
+        course = again(campaign, uninterrupted)
+        read = current_classifier(campaign, uninterrupted, write=False)
+        assert course.classifier is not None
+        assert bits(course)[2] == {name: array.tobytes() for name, array in classifier_state(read).items()}
+        first = learn(campaign, uninterrupted.batches, 0, None)
+    assert first.latents[0].trained.labels.shape[0] < INITIAL
+
+
+def test_numerical_failures_leave_the_flight_too() -> None:
+    campaign = plan(Disc(blind=-1.0), more="limits.numerical_failures = 1.0")
+    store = take(campaign)
+    assert sum(map(len, store.batches)) == BUDGET
+    assert any((batch.results.outcome == -1).any() for batch in store.batches)
+
+
+def test_a_design_that_failed_numerically_is_not_asked_for_again_nor_after_an_interruption() -> None:
+    campaign = plan(Brittle(), more="limits.numerical_failures = 1.0")
+    store = take(campaign)
+    X = np.concatenate([batch.designs for batch in store.batches])
+    assert len(np.unique(X, axis=0)) == BUDGET
+    assert sum((batch.results.outcome == -1).sum() for batch in store.batches) > 1
+    for commits in (3, 5, len(store.batches) - 1):
+        bare = MemoryStore(campaign.schema)
+        for batch in store.batches[:commits]:
+            bare.commit(batch)
+        assert kept(take(campaign, bare)) == kept(store)
+
+
+FOGGED = Disc(blind=np.inf)
+"""A disc that never answers."""
+
+
+def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_designs_once_mended() -> None:
+    broken, mended = plan(FOGGED, 48), plan(budget=48)
+    store = MemoryStore(mended.schema)
+    for done in (12, 24):
+        with pytest.raises(SimulationError, match=f"None of the {done} simulations .* cause of the first is fog"):
+            take(broken, store, 48)
+        assert sum(map(len, store.batches)) == done
+    failed = store.batches
+    take(mended, store, 48)
+    X = np.concatenate([batch.designs for batch in store.batches])
+    origin = np.concatenate([batch.origin for batch in store.batches])
+    assert len(np.unique(X, axis=0)) == 48
+    assert sorted(map(tuple, X[origin == SEED])) == sorted(map(tuple, initial_designs(mended, 3)))
+    with one_thread():
+        assert bits(resumed(mended, store)) == bits(again(mended, store))
+    for commits in range(len(failed) + 1, len(store.batches)):
+        bare = MemoryStore(mended.schema)
+        for batch in store.batches[:commits]:
+            bare.commit(batch)
+        assert kept(take(mended, bare, 48)) == kept(store)
+
+
+@dataclass(frozen=True)
+class Reticent(Disc):
+    """A disc that answers no design of some."""
+
+    silent: tuple[tuple[float, ...], ...] = ()
+
+    def run(self, X: Array) -> Results:
+        return (FOGGED if tuple(X[0].tolist()) in self.silent else Disc()).run(X)
+
+
+def test_where_only_the_last_initial_design_is_answered_all_others_are_waited_for_before_any_is_chosen() -> None:
+    store = MemoryStore(plan().schema)
+    with pytest.raises(SimulationError):
+        take(plan(FOGGED), store)
+    order = [tuple(row) for batch in store.batches for row in batch.designs.tolist()]
+    campaign = plan(Reticent(silent=tuple(order[:-1])), more="limits.numerical_failures = 1.0")
+    store = take(campaign)
+    X = np.concatenate([batch.designs for batch in store.batches])
+    origin = np.concatenate([batch.origin for batch in store.batches])
+    assert (origin[:INITIAL] == SEED).all()
+    assert (origin[INITIAL:] == ACTIVE).all()
+    assert [tuple(row) for row in X[:INITIAL].tolist()] == order
+    assert len(np.unique(X, axis=0)) == BUDGET
+    with one_thread():
+        assert bits(resumed(campaign, store)) == bits(again(campaign, store))
+
+
+def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> None:
+    campaign = plan(budget=200, more="stop = { error = 0.2, confidence = 0.5, simulations = 20, every = 2 }")
+    store = take(campaign, budget=200)
+    assert INITIAL <= sum(map(len, store.batches)) < 200
+
+
+def test_interrupted_it_looks_at_its_error_when_it_would_have_without(tmp_path: Path) -> None:
+    # Always believed to be good enough: every look that is due is taken. The second one ends it.
+    campaign = plan(more="stop = { error = 0.49, confidence = 0.999999, simulations = 10, every = 3 }")
+
+    def looks(stopped: int | None) -> list[tuple[int, bool]]:
+        told: dict[int, bool] = {}
+
+        class Stop(Exception):  # noqa: N818  (at once, as a kill would)
+            pass
+
+        def note(progress: Progress) -> None:
+            told[progress.done] = progress.error is not None
+            if progress.done >= (stopped or BUDGET + 1) and progress.done != again:
+                raise Stop
+
+        store, again = MemoryStore(campaign.schema), -1
+        try:
+            take(campaign, store, observer=Observer(note))
+        except Stop:
+            again = sum(len(batch) for batch in store.batches)
+            stopped = None
+            take(campaign, store, observer=Observer(note))
+        return sorted(told.items())
+
+    whole = looks(None)
+    assert [looked for _, looked in whole].count(True) == 2
+    for done, _ in whole[1:-2]:
+        assert looks(done) == whole
+
+
+def test_too_many_in_flight_for_the_initial_design_are_refused() -> None:
+    with pytest.raises(
+        InputError, match=r"`2 batch <= initial` must hold where asynchronous, got batch 7 and initial 12"
+    ):
+        plan(batch=7)
+
+
+@dataclass(frozen=True)
+class Dozing(Disc):
+    """A disc that takes longer for some designs."""
+
+    def run(self, X: Array) -> Results:
+        time.sleep(0.02 * (1.0 + (X[0, 0] % 1.0) * 5.0))
+        return super().run(X)
+
+
+@pytest.mark.parametrize("executor", [ThreadExecutor, ProcessExecutor])
+def test_real_workers_answer_in_the_order_of_their_coming_and_the_record_says_all(
+    executor: type[ThreadExecutor] | type[ProcessExecutor],
+) -> None:
+    campaign = plan(Dozing())
+    store = MemoryStore(campaign.schema)
+    with executor(3) as workers, one_thread():
+        assert run(campaign, store, workers, BUDGET)
+        assert bits(resumed(campaign, store)) == bits(again(campaign, store))
+    X = np.concatenate([batch.designs for batch in store.batches])
+    assert len(np.unique(X, axis=0)) == BUDGET
+
+
+def test_an_asynchronous_campaign_of_bearings_is_run_resumed_and_reported(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(
+        "seed = 2\nsampling = { initial = 20, budget = 30, batch = 4, asynchronous = true }\n"
+    )
+    assert activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run", "--budget", "26").code == 0
+    assert activefail("resume", tmp_path / "run", "--budget", "30").code == 0
+    rows = record(tmp_path / "run")
+    assert len(rows) == 30
+    assert sum(row["origin"] == "seed" for row in rows) == 20
+    assert "30 simulations, 26 were planned" in activefail("status", tmp_path / "run").out
+    assert activefail("report", tmp_path / "run").code == 0
+
+
+NOTING = """
+import pathlib, time
+def run(design):
+    folder = pathlib.Path(__file__).parent
+    (folder / ("begun-" + repr(design["x"]))).touch()
+    held = len(list(folder.glob("begun-*"))) > 13
+    time.sleep(0.1)
+    while held and not (folder / "open").exists():
+        time.sleep(0.05)
+    return "failure" if design["x"] > 1.5 else "safe"
+"""
+
+TOML = """
+seed = 5
+sampling = { initial = 12, budget = 200, batch = 4, asynchronous = true }
+simulator = { python = "noting:run" }
+[space]
+x = { low = 0.0, high = 4.0 }
+y = { low = 1.0, high = 3.0 }
+"""
+
+
+@pytest.mark.parametrize("signals", [1, 2])
+def test_ctrl_c_says_what_becomes_of_the_simulations_in_flight(tmp_path: Path, signals: int) -> None:
+    (tmp_path / "noting.py").write_text(NOTING)
+    (tmp_path / "mine.toml").write_text(TOML)
+    folder = tmp_path / "run"
+
+    def begun() -> set[str]:
+        return {path.name.removeprefix("begun-") for path in tmp_path.glob("begun-*")}
+
+    with started("run", tmp_path / "mine.toml", "--out", folder, "--workers", "4") as process:
+        give_up = time.monotonic() + 120.0
+        while len(begun()) < 13 + SIZE:
+            assert process.poll() is None
+            assert time.monotonic() < give_up
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        wait_for(process.stderr, "stopping: no simulation is begun any more, those in flight are waited for")
+        if signals == 2:
+            process.send_signal(signal.SIGINT)
+        else:
+            (tmp_path / "open").touch()
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "batch" not in err
+    asked, recorded = begun(), {row["x"] for row in record(folder)}
+    if signals == 1:
+        assert err.splitlines()[-1].startswith("stopped with nothing in flight. Go on with: activefail resume")
+        assert recorded == asked
+    else:
+        last = "stopped; what was recorded is safe, what was in flight will be simulated again. Go on with: "
+        assert err.splitlines()[-1].startswith(last)
+        assert len(asked - recorded) == SIZE
+        (tmp_path / "open").touch()
+        said = activefail("resume", folder, "--code", tmp_path, "--budget", str(len(asked)))
+        assert said.code == 0, said.err
+        assert {row["x"] for row in record(folder)} == begun() == asked

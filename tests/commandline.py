@@ -1,0 +1,94 @@
+"""The program at work: in this process or in one of its own."""
+
+import csv
+import io
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+from unittest import mock
+
+import pytest
+
+from activefail.cli import main
+
+
+@dataclass(frozen=True)
+class Said:
+    code: int
+    out: str
+    err: str
+
+
+def activefail(*words: str | Path) -> Said:
+    """What the program says to a command line, in this process; an exception that it lets through is a failure."""
+    out, err = io.StringIO(), io.StringIO()
+    code: object = 0
+    with (
+        mock.patch.object(sys, "argv", ["activefail", *map(str, words)]),
+        mock.patch.dict(os.environ, {"COLUMNS": "200", "TERMINAL_WIDTH": "200"}),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as left:
+            code = left.code or 0
+    assert isinstance(code, int)
+    return Said(code, out.getvalue(), err.getvalue())
+
+
+def refused(said: Said, *parts: str, code: int = 2) -> None:
+    """Assert that the program ended in one message on stderr with all these parts."""
+    assert (said.code, said.out) == (code, "")
+    assert said.err.startswith("activefail: ")
+    assert "Traceback" not in said.err
+    assert [part for part in parts if part not in said.err] == []
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file, strict=True))
+
+
+def record(folder: Path) -> list[dict[str, str]]:
+    """All that a campaign has recorded, as `export` writes it, without the wall times."""
+    target = folder.with_suffix(".csv")
+    assert activefail("export", folder, "--csv", target).code == 0
+    return [{name: cell for name, cell in row.items() if name != "seconds"} for row in table(target)]
+
+
+@contextmanager
+def started(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
+    """The program in a process of its own, which leads a group as a terminal's command does, ended with the block."""
+    # A shell has its background jobs ignore Ctrl-C, and what they start would too.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "activefail.cli", *map(str, words)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            process_group=0,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_for(lines: IO[str] | None, start: str) -> None:
+    """Read lines of a program's pipe until one begins so."""
+    assert lines is not None
+    for line in lines:
+        if line.startswith(start):
+            return
+    pytest.fail(f"the program ended before it said {start!r}")

@@ -1,0 +1,73 @@
+"""What all tests share: the fault suite's option, and its account at the end."""
+
+import signal
+from collections import Counter
+from collections.abc import Callable
+
+import hypothesis
+import pytest
+
+# A shell that runs the suite in the background has it ignore Ctrl-C, and all that it starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--every-fault", action="store_true", help="try every state of the fault suite, not a few of each kind"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Have Hypothesis try the same examples each time, and more of them, new ones, where every fault is to be tried."""
+    every = config.getoption("--every-fault")
+    hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
+    hypothesis.settings.register_profile("every fault", max_examples=1000, deadline=None)
+    hypothesis.settings.load_profile("every fault" if every else "same")
+
+
+@pytest.fixture
+def every_fault(request: pytest.FixtureRequest) -> bool:
+    """Whether all states are to be tried; else a few of each kind."""
+    return bool(request.config.getoption("--every-fault"))
+
+
+@pytest.fixture
+def survived(request: pytest.FixtureRequest) -> Callable[[int], None]:
+    """Counts states that a test has put the program in and that it came out of as promised."""
+    counted = [0]
+
+    def count(states: int = 1) -> None:
+        counted[0] += states
+        # Kept with the report, which comes back from parallel workers.
+        request.node.user_properties[:] = [("states", counted[0])]
+
+    return count
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Tell how many faults were tried, survived and skipped."""
+    reports = [
+        (status, report)
+        for status in ("passed", "failed", "skipped")
+        for report in terminalreporter.getreports(status)
+        if "faults" in getattr(report, "keywords", {}) and (report.when == "call" or report.skipped)
+    ]
+    if not reports:
+        return
+    done = [report for status, report in reports if status != "skipped"]
+    terminalreporter.section("faults")
+    survived, failed = Counter[str](), Counter[str]()
+    for report in done:
+        # A test that fails has counted the states before the one that it fails at.
+        survived[report.location[0]] += dict(report.user_properties).get("states", int(report.passed))
+        failed[report.location[0]] += report.failed
+    for place in sorted(survived):
+        terminalreporter.write_line(
+            f"{survived[place] + failed[place]:>7} tried, {survived[place]:>7} survived: {place}"
+        )
+    tried = survived.total() + failed.total()
+    terminalreporter.write_line(f"faults: {tried} states tried, {survived.total()} survived, in {len(done)} tests")
+    for _, report in reports:
+        if report.skipped:
+            reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+            terminalreporter.write_line(f"skipped: {report.nodeid.split('::')[-1]}: {reason.removeprefix('Skipped: ')}")

@@ -1,0 +1,41 @@
+"""A campaign to explore, with a hostile name."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from report.test_report import ran, settings
+
+from activefail.campaign.folder import open_campaign
+from activefail.campaign.learning import current_classifier
+from activefail.campaign.loop import one_thread
+from activefail.explorer.answers import Answers
+from activefail.explorer.server import ExplorerServer
+from activefail.report.findings import Findings, glance
+
+
+@pytest.fixture(scope="session")
+def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
+    folder = tmp_path_factory.mktemp("explore") / "run"
+    ran(folder, settings(budget=40))
+    with open_campaign(folder, write=False) as (campaign, store), one_thread():
+        return glance(folder, campaign, store, current_classifier(campaign, store, write=False))
+
+
+@pytest.fixture(scope="session")
+def answers(findings: Findings) -> Answers:
+    return Answers(findings)
+
+
+@contextmanager
+def served(answers: Answers, host: str = "127.0.0.1") -> Iterator[ExplorerServer]:
+    """A server of these answers on a free port, in a thread of its own."""
+    with ExplorerServer(host, 0, answers) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+            thread.join()

@@ -1,0 +1,172 @@
+"""What the explorer answers is what the classifier and the simulator say."""
+
+import json
+import shlex
+import threading
+import time
+
+import numpy as np
+import pytest
+from campaign.stub import disc
+from report.test_report import other, ran, settings
+from typer.testing import CliRunner
+
+from activefail.bearing import Bearing, Pulse, simulate_one
+from activefail.campaign.folder import open_campaign
+from activefail.campaign.learning import current_classifier
+from activefail.campaign.loop import one_thread
+from activefail.campaign.store import FolderStore
+from activefail.cli.app import app
+from activefail.errors import InputError
+from activefail.explorer import answers as explorer_answers
+from activefail.explorer.answers import Answers
+from activefail.explorer.server import page
+from activefail.report.findings import glance, predict
+
+FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
+
+
+def test_a_prediction_is_the_classifier_s(answers, findings):
+    said = answers.predict(FAILING)
+    expected = predict(findings.campaign, findings.classifier, np.array([FAILING]))
+    assert said["probabilities"] == pytest.approx(expected.probabilities[0].tolist())
+    failure = said["boundaries"][-1]
+    assert (failure["probability"], failure["low"], failure["high"]) == pytest.approx(
+        (expected.beyond[0], expected.low[0], expected.high[0])
+    )
+    assert [boundary["text"] for boundary in said["boundaries"]] == ["impact or worse", "failure"]
+
+
+def test_the_interval_of_every_boundary_holds_its_probability(answers, findings):
+    for point in findings.pool[:200].tolist():
+        for boundary in answers.predict(point)["boundaries"]:
+            assert 0.0 <= boundary["low"] <= boundary["probability"] <= boundary["high"] <= 1.0
+
+
+def test_a_simulation_is_the_simulator_s_and_its_frames_are_the_motion(answers):
+    said = answers.simulate(FAILING)
+    response = simulate_one(Bearing.from_row(FAILING, 0.3), Pulse.from_table(*FAILING[7:]), to_the_end=True)
+    assert said["outcome"] == response.outcome == "failure"
+    q = np.array(said["frames"]["q"])
+    assert q.shape == (240, 5)
+    np.testing.assert_allclose(q[-1], response.q[-1], atol=1e-4)
+    assert said["command"].startswith("activefail simulate --t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 ")
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+def test_histories_say_where_in_them_an_instant_is(answers, narrow):
+    said = answers.histories(FAILING, narrow)
+    frames = answers.simulate(FAILING)["frames"]["t"]
+    assert said["times"][0] == pytest.approx(frames[0], abs=1e-4)
+    assert frames[0] < frames[-1] < said["times"][1]
+    place = said["axes"]
+    assert 0.0 < place["left"] < place["right"] <= 1.0
+    assert 0.0 < place["top"] < place["bottom"] < 1.0
+    assert said["svg"].startswith("<svg")
+
+
+def test_the_command_line_of_a_bearing_simulates_that_very_one(tmp_path):
+    unusual = "bearing = { slider_density = 5000.0, restitution = 'assembly', loss_of_confinement = false }"
+    ran(tmp_path / "run", settings(budget=20, more=unusual))
+    with open_campaign(tmp_path / "run", write=False) as (campaign, store), one_thread():
+        answers = Answers(glance(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False)))
+    said = answers.simulate([4.0 / 3.0 + 2.0, *FAILING[1:]])
+    assert said["command"] == (
+        "activefail simulate --t-b 3.333333333333333 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 "
+        "--k 2000000000 --t-p 2.5 --a-p 0.5 --restitution assembly --slider-density 5000 --no-loss-of-confinement"
+    )
+    result = CliRunner().invoke(app, shlex.split(said["command"])[1:])
+    assert result.exit_code == 0
+    assert said["outcome"] in result.output.splitlines()[0]
+
+
+def test_every_answer_is_json_that_any_browser_reads(answers):
+    for said in (
+        answers.about(),
+        answers.predict(FAILING),
+        answers.simulate(FAILING),
+        answers.fragility(FAILING, 8),
+        answers.histories(FAILING, True),
+    ):
+        json.dumps(said, allow_nan=False)
+
+
+def test_a_plane_says_where_its_axes_are_and_names_their_units(answers):
+    said = answers.plane(FAILING, 7, 8, "failure")
+    axes = said["axes"]
+    assert 0.0 < axes["left"] < axes["right"] < 1.0
+    assert 0.0 < axes["top"] < axes["bottom"] < 1.0
+    assert "in the plane of T_p and A_p" in said["svg"]
+    assert "<script" not in said["svg"]
+    assert answers.plane(FAILING, 7, 8, "uncertainty")["svg"] != said["svg"]
+
+
+def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
+    order = []
+    visitor = threading.Thread(target=lambda: (answers.predict(FAILING), order.append("prediction")))
+
+    def part(campaign, classifier, rows):
+        if not order:
+            visitor.start()
+            while not answers._next.locked():
+                time.sleep(0.001)
+        order.append("part")
+        return predict(campaign, classifier, rows)
+
+    monkeypatch.setattr(explorer_answers, "predict", part)
+    answers.plane(FAILING, 7, 8, "failure")
+    visitor.join()
+    assert order.count("part") > 5
+    assert order[-1] == "part"
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (None, "point: must be a list of 9 numbers"),
+        ([1.0], "point: must be a list of 9 numbers"),
+        ([*FAILING[:8], 9.0], "A_p: must lie between 0.1 and 0.8, got 9.0"),
+        ([*FAILING[:8], float("nan")], "A_p: must lie between"),
+        ([*FAILING[:8], float("inf")], "A_p: must lie between"),
+        ([*FAILING[:8], 10**400], "A_p: must lie between"),
+        ([*FAILING[:8], "0.5"], "A_p: must lie between"),
+        ([True, *FAILING[1:]], "T_b: must lie between"),
+    ],
+)
+def test_a_point_outside_the_space_is_refused_by_variable_rule_and_value(answers, given, says):
+    with pytest.raises(InputError, match=says):
+        answers.point(given)
+
+
+def test_a_plane_of_one_variable_or_of_nothing_is_refused(answers):
+    with pytest.raises(InputError, match="got T_p twice"):
+        answers.plane(FAILING, 7, 7, "failure")
+    with pytest.raises(InputError, match="shown: must be an outcome"):
+        answers.plane(FAILING, 7, 8, "no_impact")
+    with pytest.raises(InputError, match="variable: must be one of"):
+        answers.variable("x_t")
+
+
+def test_the_page_names_every_variable_and_shows_a_hostile_name_as_text(answers):
+    text = page(answers.about())
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+    assert text.count('type="range"') == 9 + 1  # and the time of the film
+    assert text.count("<script") == 2  # the page's own: what it is about, and its program
+
+
+@pytest.mark.parametrize("dimension", [1, 2])
+def test_another_simulator_is_explored_without_bearings(dimension, tmp_path):
+    campaign = disc() if dimension == 2 else other(1)
+    ran(tmp_path / "run", campaign)
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store, one_thread():
+        found = glance(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False))
+    answers = Answers(found)
+    text = page(answers.about())
+    assert "Simulate this bearing" not in text
+    assert ("Plane through this design" in text) == (dimension == 2)
+    middle = answers.about()["presets"][0]["point"]
+    assert len(answers.predict(middle)["probabilities"]) == 2
+    assert "<svg" in answers.fragility(middle, 0)["svg"]
+    with pytest.raises(InputError, match="no bearing to show"):
+        answers.simulate(middle)

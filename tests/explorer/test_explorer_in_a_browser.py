@@ -1,0 +1,184 @@
+"""The explorer in a real browser: a slider, the plane and the simulation do what a person expects to see."""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from explorer.conftest import served
+from report.browser import NO_BROWSER, browser, console_errors, requested, screenshots
+from report.test_report import SCRIPT
+
+from activefail.explorer.answers import Answers
+
+pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+
+
+def until(holds: Callable[[], Any], what: str, seconds: float = 60.0) -> Any:
+    end = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < end, f"waited for {what}"
+        time.sleep(0.05)
+    return found
+
+
+class Visitor:
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def one(self, css: str) -> Any:
+        return self.driver.find_element("css selector", css)
+
+    def probabilities(self) -> dict[str, float]:
+        bars = "[...document.querySelectorAll('#probabilities .bar')]"
+        script = f"return {bars}.map(b => [b.dataset.outcome, +b.dataset.probability])"
+        return dict(self.driver.execute_script(script))
+
+    def marker(self) -> tuple[float, float]:
+        return tuple(
+            self.driver.execute_script(
+                "const m = document.getElementById('marker').style; return [parseFloat(m.left), parseFloat(m.top)]"
+            )
+        )
+
+    def settled(self) -> None:
+        """Wait until prediction, plane and curve are there."""
+        until(lambda: self.probabilities(), "a prediction")
+        until(lambda: self.driver.find_elements("css selector", "#plane svg"), "the plane")
+        until(lambda: self.driver.find_elements("css selector", "#fragility svg"), "the curve")
+        until(lambda: self.marker()[0] > 0.0, "the marker")
+
+
+@pytest.fixture(scope="module")
+def address(answers: Answers) -> Iterator[str]:
+    with served(answers) as server:
+        yield server.address
+
+
+@pytest.fixture
+def visitor(address: str) -> Iterator[Visitor]:
+    with browser(1400, 1000) as driver:
+        driver.get(address)
+        visitor = Visitor(driver)
+        visitor.settled()
+        yield visitor
+        assert console_errors(driver) == []
+        assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
+
+
+def test_the_name_of_the_campaign_is_text_and_no_program(visitor):
+    assert visitor.one("h1").text == SCRIPT
+    assert visitor.driver.execute_script("return document.scripts.length") == 2
+
+
+def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_shown(visitor, answers):
+    from selenium.webdriver.common.keys import Keys
+
+    slider = visitor.one("#v8")
+    slider.send_keys(Keys.HOME)
+    weakest = until(lambda: visitor.one("#o8").text == "0.1 g" and visitor.probabilities(), "A_p at its least")
+    point = answers.about()["presets"][0]["point"]
+    expected = answers.predict([*point[:8], 0.1])["probabilities"]
+    until(lambda: abs(visitor.probabilities()["no_impact"] - expected[0]) < 1e-9, "its prediction")
+    slider.send_keys(Keys.END)
+    strongest = answers.predict([*point[:8], 0.8])["probabilities"]
+    until(lambda: abs(visitor.probabilities()["failure"] - strongest[2]) < 1e-9, "A_p at its largest")
+    assert visitor.one("#o8").text == "0.8 g"
+    assert visitor.one("#v8").get_attribute("aria-valuetext") == "0.8 g"
+    assert strongest[2] > expected[2]
+    assert visitor.one("#preset").get_attribute("value") == ""
+    assert set(weakest) == {"no_impact", "impact", "failure"}
+
+
+def test_a_click_on_the_plane_moves_the_design_and_the_arrow_keys_move_it_on(visitor, answers):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    x, y = answers.about()["plane"]
+    columns = [answers.variable(x), answers.variable(y)]
+    before = visitor.marker(), [visitor.one(f"#o{i}").text for i in range(9)]
+    drawing = visitor.one("#plane svg")
+    visitor.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", drawing)
+    box = drawing.size
+    ActionChains(visitor.driver).move_to_element_with_offset(
+        drawing, -box["width"] // 5, box["height"] // 5
+    ).click().perform()
+    until(lambda: visitor.marker() != before[0], "the marker to move")
+    left, top = visitor.marker()
+    assert left == pytest.approx(30.0, abs=1.5)
+    assert top == pytest.approx(70.0, abs=1.5)
+    after = [visitor.one(f"#o{i}").text for i in range(9)]
+    assert {i for i in range(9) if after[i] != before[1][i]} == set(columns)
+    visitor.one("#plane").send_keys(Keys.ARROW_RIGHT)
+    until(lambda: visitor.marker()[0] > left, "the arrow key")
+    assert visitor.marker()[1] == pytest.approx(top)
+
+
+def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, answers, tmp_path):
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.select import Select
+
+    presets = answers.about()["presets"]
+    failing = next(i for i, preset in enumerate(presets) if answers.simulate(preset["point"])["outcome"] == "failure")
+    Select(visitor.one("#preset")).select_by_index(failing)
+    visitor.one("#simulate").click()
+    until(lambda: visitor.one("#outcome").get_attribute("data-outcome") == "failure", "the outcome")
+    assert visitor.one("#outcome").text.startswith("Failure by ")
+    slider = "return document.querySelector('#slider').getAttribute('transform')"
+    seen = {visitor.driver.execute_script(slider)}
+    until(lambda: seen.add(visitor.driver.execute_script(slider)) or len(seen) > 3, "the slider to move")
+    until(lambda: visitor.one("#play").text == "Play", "the end of the film")
+    assert visitor.one("#time").get_attribute("value") == "239"
+    until(lambda: visitor.driver.find_elements("css selector", "#histories svg"), "the histories")
+    cursor, drawing = visitor.one("#cursor").rect, visitor.one("#histories svg").rect
+    point = presets[failing]["point"]
+    figure, end = answers.histories(point, narrow=False), answers.simulate(point)["frames"]["t"][-1]
+    axes, (first, last) = figure["axes"], figure["times"]
+    across = axes["left"] + (end - first) / (last - first) * (axes["right"] - axes["left"])
+    assert cursor["x"] + 1.0 == pytest.approx(drawing["x"] + across * drawing["width"], abs=2.0)
+    assert cursor["height"] == pytest.approx((axes["bottom"] - axes["top"]) * drawing["height"], abs=2.0)
+    visitor.one("#time").send_keys(Keys.HOME)
+    until(lambda: visitor.one("#cursor").rect["x"] < cursor["x"] - 10.0, "the upright line")
+    assert visitor.one("#ruler").text in {"0.5 m", "0.2 m", "0.1 m"}
+    assert visitor.one("#command").text.startswith("activefail simulate --t-b ")
+    assert float(visitor.one("body").get_attribute("data-simulate-ms")) > 0.0
+    visitor.driver.set_window_size(1400, 2000)
+    assert visitor.driver.save_screenshot(str(screenshots("explorer-desktop.png", tmp_path)))
+    assert not visitor.one("#earlier").is_displayed()
+    visitor.one("#v8").send_keys(Keys.HOME)
+    until(lambda: visitor.one("#earlier").is_displayed(), "the word that the motion is of an earlier design")
+    visitor.one("#simulate").click()
+    until(lambda: not visitor.one("#earlier").is_displayed(), "the motion of this design")
+
+
+def test_on_a_phone_nothing_is_wider_than_the_page(address, tmp_path):
+    with browser(500, 900) as driver:
+        size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        driver.get(address)
+        visitor = Visitor(driver)
+        visitor.settled()
+        visitor.one("#simulate").click()
+        until(lambda: visitor.one("#outcome").text, "the outcome")
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+        for control in driver.find_elements("css selector", "button, select, input[type=range]"):
+            if control.is_displayed():
+                assert control.size["height"] >= 24
+        height = driver.execute_script("return document.documentElement.scrollHeight")
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height, "deviceScaleFactor": 1})
+        assert driver.save_screenshot(str(screenshots("explorer-phone.png", tmp_path)))
+        assert console_errors(driver) == []
+
+
+def test_every_control_is_reached_by_the_tab_key(visitor):
+    from selenium.webdriver.common.keys import Keys
+
+    visitor.one("#simulate").click()
+    until(lambda: visitor.one("#film").is_displayed(), "the film")
+    visitor.driver.execute_script("document.activeElement.blur(); window.scrollTo(0, 0)")
+    reached = []
+    for _ in range(25):
+        visitor.driver.switch_to.active_element.send_keys(Keys.TAB)
+        reached.append(visitor.driver.execute_script("return document.activeElement.id"))
+    expected = ["preset", *(f"v{i}" for i in range(9)), "plane-x", "plane-y", "plane-shown", "plane", "along"]
+    assert [name for name in [*expected, "simulate", "play", "time"] if name not in reached] == []

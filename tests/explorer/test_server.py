@@ -1,0 +1,213 @@
+"""The explorer's server answers its own page on this machine, and nobody else."""
+
+import http.client
+import json
+import socket
+from typing import Any
+
+import pytest
+from explorer.conftest import served
+
+from activefail.errors import InputError
+from activefail.explorer.answers import Answers
+from activefail.explorer.server import LONGEST_BODY, ExplorerServer, is_loopback
+
+POINT = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
+
+
+class Reply:
+    def __init__(self, response: http.client.HTTPResponse) -> None:
+        self.status = response.status
+        self.headers = response.headers
+        self.text = response.read().decode()
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.text)
+
+
+def request(
+    server: ExplorerServer, method: str = "GET", path: str = "/", body: bytes | None = None, **headers: str
+) -> Reply:
+    """A reply to a request with these headers (`Content_Type` for Content-Type); `Host` replaces the right one."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=60)
+    given = {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.putrequest(method, path, skip_host="Host" in given)
+    for name, value in given.items():
+        connection.putheader(name, value)
+    if body is not None and "Content-Length" not in given:
+        connection.putheader("Content-Length", str(len(body)))
+    connection.endheaders(body)
+    try:
+        return Reply(connection.getresponse())
+    finally:
+        connection.close()
+
+
+def ask(server: ExplorerServer, question: str, what: object, **headers: str) -> Reply:
+    given = {"Content_Type": "application/json"} | headers
+    return request(server, "POST", f"/api/{question}", json.dumps(what).encode(), **given)
+
+
+@pytest.fixture(scope="module")
+def server(answers: Answers):
+    with served(answers) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def abroad(answers: Answers):
+    """A server that other machines may reach."""
+    with served(answers, "0.0.0.0") as running:
+        yield running
+
+
+def test_the_page_its_files_and_its_questions_are_served(server):
+    assert "This design" in request(server).text
+    for path, kind in (("/explorer.js", "text/javascript"), ("/explorer.css", "text/css")):
+        found = request(server, path=path)
+        assert found.status == 200
+        assert found.headers["Content-Type"].startswith(kind)
+    assert sum(ask(server, "predict", {"point": POINT}).json["probabilities"]) == pytest.approx(1.0)
+    assert ask(server, "simulate", {"point": POINT}).json["outcome"] == "failure"
+    assert ask(server, "plane", {"point": POINT, "x": "T_p", "y": "A_p", "shown": "failure"}).status == 200
+    assert ask(server, "fragility", {"point": POINT, "along": "A_p"}).status == 200
+
+
+def test_a_page_may_load_nothing_from_elsewhere_and_be_shown_nowhere_else(server):
+    headers = request(server).headers
+    policy = headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "script-src 'self';" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Server"] == "activefail"
+    assert "Access-Control-Allow-Origin" not in headers
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "127.0.0.1:{port}.evil.example", "", "[::1"],
+)
+def test_another_host_s_name_is_not_answered(server, host):
+    port = server.server_address[1]
+    found = request(server, Host=host.format(port=port))
+    assert found.status in (400, 421)
+    assert "This design" not in found.text
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:{port}", "localhost:{port}", "LOCALHOST:{port}", "[::1]:{port}"])
+def test_this_machine_s_own_names_are_answered(server, host):
+    assert request(server, Host=host.format(port=server.server_address[1])).status == 200
+
+
+def test_another_site_s_page_may_not_ask(server):
+    assert ask(server, "predict", {"point": POINT}, Origin="http://evil.example").status == 403
+    own = f"http://127.0.0.1:{server.server_address[1]}"
+    assert ask(server, "predict", {"point": POINT}, Origin=own).status == 200
+    assert ask(server, "predict", {"point": POINT}, Content_Type="text/plain").status == 415
+
+
+@pytest.mark.parametrize(
+    ("question", "what", "status", "says"),
+    [
+        ("predict", {"point": [*POINT[:8], 9.0]}, 400, "A_p: must lie between 0.1 and 0.8, got 9.0"),
+        ("predict", {}, 400, "point: must be a list of 9 numbers"),
+        ("predict", [1], 400, "must be a JSON object"),
+        ("plane", {"point": POINT, "x": "T_p", "y": "../../etc", "shown": "failure"}, 400, "variable: must be one of"),
+        ("plane", {"point": POINT, "x": "T_p", "y": "T_p", "shown": "failure"}, 400, "two variables"),
+        ("delete", {"point": POINT}, 404, "no such question"),
+    ],
+)
+def test_a_question_that_makes_no_sense_is_refused_in_words(server, question, what, status, says):
+    found = ask(server, question, what)
+    assert found.status == status
+    assert says in found.json["error"]
+    assert "Traceback" not in found.text
+
+
+def test_what_is_no_json_or_too_long_or_of_no_length_is_refused(server):
+    kind = {"Content_Type": "application/json"}
+    assert request(server, "POST", "/api/predict", b"{", **kind).status == 400
+    assert request(server, "POST", "/api/predict", b"[" * LONGEST_BODY, **kind).status == 400
+    assert request(server, "POST", "/api/predict", b"x" * (LONGEST_BODY + 1), **kind).status == 413
+    assert request(server, "POST", "/api/predict", None, **kind).status == 413
+    assert request(server, "POST", "/api/predict", b"{}", Content_Length="-1", **kind).status == 413
+    assert request(server, "POST", "/api/predict", b"{}", Content_Length="9" * 5000, **kind).status == 413
+    assert request(server, path="/../pyproject.toml").status == 404
+    here = f"127.0.0.1:{server.server_address[1]}"
+    assert request(server, path="http://[", Host=here).json["error"] == "The address is none."
+    found = request(server, "PUT", "/")
+    assert found.status == 501
+    assert found.json["error"] == "Unsupported method ('PUT')"
+
+
+def test_what_is_no_http_is_refused_in_words(server):
+    with socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=60) as line:
+        line.sendall(b"nonsense\r\n\r\n")
+        said = line.makefile("rb").read()
+    assert b'{"error": "Bad request syntax' in said
+
+
+def test_a_fault_of_the_explorer_is_told_in_its_terminal_and_not_to_the_page(answers, monkeypatch, capfd):
+    def fails(point):
+        raise RuntimeError("a secret of the machine")
+
+    monkeypatch.setattr(answers, "predict", fails)
+    with served(answers) as server:
+        found = ask(server, "predict", {"point": POINT})
+    assert found.status == 500
+    assert found.json == {"error": "The explorer failed; its terminal says how."}
+    assert "a secret of the machine" in capfd.readouterr().err
+
+
+def test_beyond_this_machine_a_token_is_needed_for_everything(abroad):
+    assert abroad.address.endswith(f"/?token={abroad.token}")
+    assert len(abroad.token) >= 32
+    for found in (
+        request(abroad),
+        request(abroad, path="/explorer.js"),
+        request(abroad, path="/?token=wrong"),
+        request(abroad, Cookie="activefail-token=wrong"),
+        ask(abroad, "predict", {"point": POINT}),
+        request(abroad, "POST", f"/api/predict?token={abroad.token}", b"{}", Content_Type="application/json"),
+    ):
+        assert found.status == 403
+        assert abroad.token not in found.text
+
+
+def test_the_token_opens_the_page_and_goes_from_its_address_into_a_cookie(abroad):
+    found = request(abroad, path=f"/?token={abroad.token}")
+    assert (found.status, found.headers["Location"]) == (303, "/")
+    cookie = found.headers["Set-Cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    kept = cookie.split(";")[0]
+    assert "This design" in request(abroad, Cookie=kept).text
+    assert ask(abroad, "predict", {"point": POINT}, Cookie=kept).status == 200
+
+
+def test_abroad_a_name_that_may_be_anyone_s_is_not_answered_even_with_the_token(abroad):
+    port = abroad.server_address[1]
+    path = f"/?token={abroad.token}"
+    assert request(abroad, path=path, Host=f"evil.example:{port}").status == 421
+    assert request(abroad, path=path, Host=f"192.168.1.7:{port}").status == 303
+
+
+def test_the_loopback_interface_is_told_apart():
+    assert [host for host in ("127.0.0.1", "127.9.9.9", "localhost", "::1", "[::1]") if not is_loopback(host)] == []
+    assert [host for host in ("0.0.0.0", "::", "192.168.0.1", "example.org", "") if is_loopback(host)] == []
+
+
+def test_a_host_that_cannot_be_one_is_refused(answers):
+    with pytest.raises(InputError, match=r"--host: 'ä\.\.b' is no address: encoding"):
+        ExplorerServer("ä..b", 0, answers)
+
+
+def test_a_port_that_is_taken_is_named_with_the_reason(answers):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(InputError, match=rf"127\.0\.0\.1:{port}: cannot be served: Address already in use"):
+            ExplorerServer("127.0.0.1", port, answers)

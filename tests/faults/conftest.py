@@ -1,0 +1,76 @@
+"""What the faults are tried on."""
+
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from faults.harness import Course, Victims, finished
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.faults)
+
+
+@pytest.fixture(scope="session")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Course:
+    """What the campaign does when nothing interrupts it."""
+    return finished(tmp_path_factory.mktemp("uninterrupted") / "run")
+
+
+@pytest.fixture(scope="session")
+def victims(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Victims]:
+    server = Victims(tmp_path_factory.mktemp("victims"))
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="session")
+def strace() -> str:
+    """The tracer, where there is one that may trace."""
+    found = shutil.which("strace")
+    if found is None:
+        pytest.skip("strace is not installed (Debian: apt install strace)")
+    sleeping = subprocess.Popen(["sleep", "60"])
+    try:
+        tried = subprocess.run(
+            [found, "-qq", "-e", "trace=none", "-e", "inject=write:error=EIO:when=1", "-p", str(sleeping.pid)],
+            capture_output=True,
+            text=True,
+            timeout=1.0,
+            check=False,
+        )
+        pytest.skip(f"strace may not trace here: {tried.stderr.strip()}")
+    except subprocess.TimeoutExpired:
+        return found  # it goes on watching: it may
+    finally:
+        sleeping.kill()
+        sleeping.wait()
+
+
+# --- file systems ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """Makes a file system of so many kB, or gives it another size."""
+    place = tmp_path / "disk"
+    place.mkdir()
+
+    def sized(kilobytes: int) -> Path:
+        again = "remount," if place.is_mount() else ""
+        command = ["mount", "-t", "tmpfs", "-o", f"{again}size={kilobytes}k", "tmpfs", str(place)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.skip(f"a small file system cannot be mounted here: {done.stderr.strip()}")
+        return place
+
+    yield sized
+    if place.is_mount():
+        subprocess.run(["umount", str(place)], check=True)
+    with suppress(OSError):
+        place.rmdir()

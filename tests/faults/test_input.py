@@ -1,0 +1,441 @@
+"""Mistakes in what a user gives: each is refused by file, key or row and column, rule and value, with exit code 2."""
+
+import json
+import keyword
+import os
+import re
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import pytest
+import tomli_w
+from commandline import Said, activefail
+from hypothesis import HealthCheck, given
+from hypothesis import strategies as st
+
+from activefail.bearing import TABLE_1
+from activefail.bearing.design import LARGEST
+from activefail.campaign.config import CampaignSettings
+from activefail.expressions import FUNCTIONS, parsed_name
+
+Survived = Callable[[], None]
+
+HEADER = ",".join(TABLE_1.names)
+ROW = ("4.0", "0.06", "0.6", "0.8", "0.1", "50", "2e9", "2.0", "0.4")
+
+often = hypothesis.settings(
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.filter_too_much],
+)
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which a campaign is already, so that one whose settings are good is not begun either."""
+    folder = tmp_path_factory.mktemp("input") / "taken"
+    folder.mkdir()
+    (folder / "campaign.toml").write_text("")
+    (folder.parent / "own_features.py").write_text("def own(X, space):\n    return X\n")
+    (folder.parent / "own_model.py").write_text("def run(design):\n    return 'safe'\n")
+    return folder
+
+
+def refused(said: Said, *parts: str) -> None:
+    """Assert that the program refused what it was given, with all these parts and no traceback."""
+    assert (said.code, said.out) == (2, ""), said
+    assert said.err.startswith("activefail: ")
+    assert "Traceback" not in said.err
+    assert [part for part in parts if part not in said.err] == [], said.err
+
+
+# --- campaign files ----------------------------------------------------------------------------------------------
+
+
+def keys(values: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """The path of every key, tables included."""
+    found = []
+    for name, value in values.items():
+        found.append((*path, name))
+        if isinstance(value, dict):
+            found += keys(value, (*path, name))
+    return found
+
+
+def full(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings with the defaults written out."""
+    return CampaignSettings.model_validate(settings).model_dump(mode="json", exclude_none=True)
+
+
+_OWN = {
+    "space": {
+        "drift": {"low": 0.5, "high": 4.0, "unit": "m"},
+        "T": {"low": 1.0, "high": 3.0, "distribution": "log_uniform"},
+        "mu": {"low": 0.0, "high": 0.2, "distribution": "truncated_normal", "mean": 0.1, "sd": 0.05},
+        "storeys": {"value": 3.0, "unit": "-"},
+    },
+    "classifier": {"features": {"expressions": {"ratio": "drift / (T * storeys)", "loss": "exp(-mu)"}}},
+    "stop": {"error": 0.05},
+}
+_ANSWERS = {"outcomes": ["safe", "damage", "failure"], "margins": ["gap", "tilt"], "time_limit": 60.0}
+
+GOODS = (
+    full({"stop": {"error": 0.05}, "classifier": {"features": {"python": "own_features:own"}}}),
+    full(_OWN | {"simulator": {"python": "own_model:run"} | _ANSWERS}),
+    full(_OWN | {"simulator": {"command": "model {here} {drift:.3f} {T} {mu} {storeys} {out}"} | _ANSWERS}),
+)
+"""Settings of a bearing, of a function of one's own and of a program."""
+
+texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x7f"), max_size=12)
+scalars = st.one_of(
+    st.booleans(),
+    st.integers(-(2**63), 2**63 - 1),
+    st.just(10**400),
+    st.floats(),
+    texts,
+    st.sampled_from(
+        ["", "entropy", "paper", "inf", "1e-3", "../mine:f", "os:system", "10s", "model {z} {out}", "a - 1"]
+    ),
+    st.dates(),
+)
+values = st.one_of(
+    scalars,
+    st.lists(scalars, max_size=3),
+    st.dictionaries(st.text("ab.é \n", min_size=1, max_size=3), scalars, max_size=3),
+)
+
+
+def dotted(path: tuple[str, ...]) -> str:
+    """The path of a key as TOML writes it."""
+    return ".".join(
+        name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False) for name in path
+    )
+
+
+def changed(good: dict[str, Any], path: tuple[str, ...], value: object) -> dict[str, Any]:
+    """Good settings but for one value."""
+    settings: dict[str, Any] = json.loads(json.dumps(good))
+    section = settings
+    for name in path[:-1]:
+        section = section[name]
+    section[path[-1]] = value
+    return settings
+
+
+@often
+@given(place=st.sampled_from([(good, path) for good in GOODS for path in keys(good)]), value=values)
+def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
+    place: tuple[dict[str, Any], tuple[str, ...]], value: object, taken: Path, survived: Survived
+) -> None:
+    good, path = place
+    file = taken.with_name("mine.toml")
+    file.write_text(tomli_w.dumps(changed(good, path, value)), encoding="utf-8")
+    said = activefail("run", file, "--out", taken)
+    refused(said)
+    survived()
+    if "holds a campaign already" in said.err:
+        return  # the value is good
+    assert said.err.startswith(f"activefail: {file}:"), said.err
+    for rule in said.err.splitlines()[1:] or [said.err]:
+        key = rule.removeprefix(f"activefail: {file}:").strip().partition(":")[0]
+        # The key, one within the value that was given, or the table whose values do not fit each other or the key.
+        assert dotted(path).startswith(key) or key.startswith(dotted(path)) or dotted(path) in rule, rule
+        assert re.search(
+            r"got |; in |unknown key|required|at least 1|must be an identifier|lacks|no such|there is no|cannot", rule
+        ), rule
+
+
+@often
+@given(
+    place=st.sampled_from([(good, path) for good in GOODS for path in [(), *keys(good)]]),
+    name=texts.filter(lambda text: text not in ("python", "command", "expressions", "value")),
+    value=scalars,
+)
+def test_a_key_that_there_is_not_is_refused_by_file_and_key(
+    place: tuple[dict[str, Any], tuple[str, ...]], name: str, value: object, taken: Path, survived: Survived
+) -> None:
+    good, path = place
+    section: Any = good
+    for part in path:
+        section = section[part]
+    # Where any name is one of the user's.
+    if not isinstance(section, dict) or name in section or path[-1:] in [("space",), ("expressions",)]:
+        hypothesis.reject()
+    settings = changed(good, (*path, name), value)
+    file = taken.with_name("mine.toml")
+    file.write_text(tomli_w.dumps(settings), encoding="utf-8")
+    refused(activefail("run", file, "--out", taken), f"{file}:\n", f"{dotted((*path, name))}: unknown key")
+    survived()
+
+
+names = st.from_regex(r"[a-zA-Zµα_][a-zA-Z0-9_é]{0,5}", fullmatch=True).filter(
+    lambda name: (
+        not keyword.iskeyword(name)
+        and name not in (*FUNCTIONS, "id", "iteration", "origin", "outcome", "cause", "seconds", "out", "here")
+        and name != "numerical_failure"
+    )
+)
+"""Of variables, outcomes, margins and features."""
+
+
+@st.composite
+def variables(draw: st.DrawFn) -> dict[str, Any]:
+    """A range with any distribution that it can have."""
+    low = draw(st.floats(0.01, 10.0))
+    high = low * draw(st.floats(1.5, 100.0))
+    given: dict[str, Any] = {"low": low, "high": high}
+    match draw(st.sampled_from([None, "uniform", "log_uniform", "truncated_normal"])):
+        case None:
+            pass
+        case "truncated_normal":
+            mean = draw(st.floats(low, high))
+            given |= {"distribution": "truncated_normal", "mean": mean, "sd": (high - low) * draw(st.floats(0.1, 2.0))}
+        case distribution:
+            given["distribution"] = distribution
+    return given | draw(st.sampled_from([{}, {"unit": "m/s²"}]))
+
+
+@st.composite
+def own_campaigns(draw: st.DrawFn) -> dict[str, Any]:
+    """Settings of a campaign on a function or a program of one's own, that are good."""
+    known = draw(st.lists(names, min_size=1, max_size=8, unique_by=parsed_name))
+    number = draw(st.integers(1, len(known)))
+    space: dict[str, Any] = {name: draw(variables()) for name in known[:number]}
+    space |= {name: {"value": draw(st.floats(-1e3, 1e3))} for name in known[number:]}
+    outcomes = draw(st.lists(names, min_size=2, max_size=3, unique=True))
+    simulator: dict[str, Any] = {"outcomes": outcomes}
+    optional = {
+        "margins": st.lists(names.filter(lambda name: name not in known), max_size=3, unique=True),
+        "time_limit": st.floats(1e-3, 1e9) | st.integers(1, 10**9),
+    }
+    if draw(st.booleans()):
+        simulator["python"] = "own_model:run"
+    else:
+        simulator["command"] = " ".join(["model", *(f"{{{name}}}" for name in known), "{here}/x", "{out}"])
+        optional |= {"retries": st.integers(0, 100), "keep": st.booleans()}
+    simulator |= draw(st.fixed_dictionaries({}, optional=optional))
+    settings: dict[str, Any] = {"simulator": simulator, "space": space}
+    beyond = st.sampled_from(outcomes[1:])
+    settings["acquisition"] = {"boundary": draw(beyond | st.dictionaries(beyond, st.floats(0.1, 10.0), min_size=1))}
+    if draw(st.booleans()):
+        rule = {"error": st.floats(1e-3, 0.49)}
+        more = {
+            "confidence": st.floats(0.5, 0.99),
+            "simulations": st.integers(10, 10_000),
+            "every": st.integers(1, 1000),
+        }
+        settings["stop"] = draw(st.fixed_dictionaries(rule, optional=more))
+    if draw(st.booleans()):
+        seen = draw(st.lists(names.filter(lambda name: name not in known), min_size=1, max_size=3, unique=True))
+        form = st.sampled_from(["{} * 2 + pi", "sqrt({})", "-{} / (1 + exp(-g))", "maximum({}, 0.001) ** 2", "log({})"])
+        features = {name: draw(form).format(draw(st.sampled_from(known[:number]))) for name in seen}
+        settings["classifier"] = {"features": {"expressions": features, "variables": draw(st.booleans())}}
+    return settings
+
+
+@often
+@given(settings=own_campaigns())
+def test_good_settings_of_a_campaign_of_one_s_own_are_taken(
+    settings: dict[str, Any], taken: Path, survived: Survived
+) -> None:
+    file = taken.with_name("mine.toml")
+    file.write_text(tomli_w.dumps(settings), encoding="utf-8")
+    refused(activefail("run", file, "--out", taken), "holds a campaign already")
+    survived()
+
+
+@often
+@given(
+    content=st.one_of(st.binary(max_size=60), st.text(max_size=60).map(lambda text: text.encode("utf-8", "replace")))
+)
+def test_a_file_of_any_bytes_is_read_as_settings_or_refused_by_its_name(
+    content: bytes, taken: Path, survived: Survived
+) -> None:
+    file = taken.with_name("mine.toml")
+    file.write_bytes(content)
+    said = activefail("run", file, "--out", taken)
+    refused(said)
+    assert "holds a campaign already" in said.err or said.err.startswith(f"activefail: {file}:")
+    survived()
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1", "cp1252", "utf-8-sig"])
+def test_settings_in_another_encoding_are_refused_by_the_byte(encoding: str, taken: Path) -> None:
+    file = taken.with_name("mine.toml")
+    file.write_bytes('description = "Brücke"\n'.encode(encoding))
+    said = activefail("run", file, "--out", taken)
+    refused(said, "holds a campaign already" if encoding == "utf-8-sig" else f"{file}: not UTF-8 text: ")
+
+
+def test_settings_without_an_end_are_refused_and_do_not_fill_the_memory(taken: Path) -> None:
+    file = taken.with_name("mine.toml")
+    for content in ("[" * 100_000, "a = " + "[" * 100_000, "a = " + "{b = " * 50_000, 'a = "' + "x" * 10**7):
+        file.write_text(content)
+        refused(activefail("run", file, "--out", taken), str(file))
+
+
+# --- tables ------------------------------------------------------------------------------------------------------
+
+no_numbers = st.one_of(
+    st.text(st.characters(codec="utf-8", exclude_categories=["Cs"], exclude_characters='\r\n"\0'), max_size=8),
+    st.sampled_from(
+        ["", " ", "nan", "-NaN", "inf", "-Infinity", "1e999", "1_000", "0x10", "1,5", "4 m", "½", "--1", "1e"]
+    ),
+    st.floats(max_value=0.0).map(repr),
+    st.floats(min_value=1.01 * LARGEST).map(repr),
+).filter(lambda text: not _is_good(text))
+
+
+def _is_good(text: str) -> bool:
+    try:
+        value = float(text.replace("_", "?"))
+    except ValueError:
+        return False
+    return 0.0 < value <= LARGEST
+
+
+def _number(text: str) -> str | None:
+    """A number as messages write it; None if the text is none."""
+    try:
+        return f"{float(text):g}"
+    except ValueError:
+        return None
+
+
+@often
+@given(
+    before=st.integers(0, 4),
+    after=st.integers(0, 3),
+    column=st.integers(0, 8),
+    bad=no_numbers,
+    blank=st.booleans(),
+    order=st.permutations(range(9)),
+    end=st.sampled_from(["\n", "\r\n"]),
+    mark=st.booleans(),
+)
+def test_a_bad_cell_is_refused_by_file_row_line_column_rule_and_value_and_nothing_is_written(
+    before: int,
+    after: int,
+    column: int,
+    bad: str,
+    blank: bool,
+    order: list[int],
+    end: str,
+    mark: bool,
+    tmp_path_factory: pytest.TempPathFactory,
+    survived: Survived,
+) -> None:
+    place = tmp_path_factory.getbasetemp() / "tables"
+    place.mkdir(exist_ok=True)
+    row = [f'"{text}"' if "," in text else text for text in (bad if i == column else ROW[i] for i in order)]
+    good = ",".join(ROW[i] for i in order)
+    lines = [",".join(TABLE_1.names[i] for i in order), *[""] * blank, *[good] * before, ",".join(row), *[good] * after]
+    (place / "in.csv").write_bytes((end.join(lines) + end).encode("utf-8-sig" if mark else "utf-8"))
+    said = activefail("simulate", "--csv", place / "in.csv", "--out", place / "out.csv")
+    name, line = TABLE_1.names[column], before + 2 + blank
+    refused(said, f"{place / 'in.csv'}: row {before + 1} (line {line}), column {name}: ", "must ", "got ")
+    value = said.err.rpartition("got ")[2].rstrip(".\n")
+    assert value in (repr(bad.strip()), _number(bad)), said.err
+    assert os.listdir(place) == ["in.csv"]
+    survived()
+
+
+@often
+@given(content=st.one_of(st.binary(max_size=80), st.text('"a,\r\n;\t1.T_b\0é', max_size=80).map(str.encode)))
+def test_a_file_of_any_bytes_is_no_table_and_is_refused_by_its_name(
+    content: bytes, tmp_path_factory: pytest.TempPathFactory, survived: Survived
+) -> None:
+    place = tmp_path_factory.getbasetemp() / "tables"
+    place.mkdir(exist_ok=True)
+    (place / "in.csv").write_bytes(content)
+    refused(activefail("simulate", "--csv", place / "in.csv", "--out", place / "out.csv"), f"{place / 'in.csv'}")
+    assert os.listdir(place) == ["in.csv"]
+    survived()
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (f"{HEADER},mu\n".encode(), ["column 'mu': must come once, comes 2 times"]),
+        (f"{HEADER},outcome\n".encode(), ["column 'outcome': will be written and must not be there already"]),
+        (HEADER.replace("mu", "Mu").encode(), ["column 'mu': required, but not there"]),
+        (HEADER.replace(",", ";").encode(), ["columns must be separated by commas, not by ';'"]),
+        (HEADER.encode("utf-16"), ["must be UTF-8 text"]),
+        (f"{HEADER}\n".encode() + ",".join(ROW).replace("0.06", "0.0\xe9").encode("latin-1"), ["must be UTF-8 text"]),
+        (b"", ["is empty"]),
+        (f'{HEADER}\n"'.encode() + b"x" * 200_000, ["not valid CSV at line", "field larger than field limit"]),
+    ],
+)
+def test_a_table_whose_form_is_wrong_is_refused_by_what_is_wrong(
+    content: bytes, parts: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / "in.csv").write_bytes(content)
+    refused(
+        activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv"),
+        f"{tmp_path}/in.csv",
+        *parts,
+    )
+    assert os.listdir(tmp_path) == ["in.csv"]
+
+
+def test_a_bad_cell_at_the_end_of_a_million_rows_is_refused_in_little_memory(tmp_path: Path, every_fault: bool) -> None:
+    rows = 10**6 if every_fault else 10**4
+    with (tmp_path / "in.csv").open("w") as file:
+        file.write(f"{HEADER}\n" + f"{','.join(ROW)}\n" * (rows - 1) + f"{','.join(ROW).replace('0.06', 'rough')}\n")
+    words = [sys.executable, "-m", "activefail.cli", "simulate", "--csv", "in.csv", "--out", "out.csv"]
+
+    def limited() -> None:
+        # The libraries alone take some 0.6 GB of addresses; a million rows as Python objects would take 1 GB more.
+        resource.setrlimit(resource.RLIMIT_DATA, (500 * 2**20, 500 * 2**20))
+
+    began = time.monotonic()
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, preexec_fn=limited)
+    assert done.returncode == 2, done.stderr
+    assert f"in.csv: row {rows} (line {rows + 1}), column mu: must be a number, got 'rough'." in done.stderr
+    assert os.listdir(tmp_path) == ["in.csv"]
+    assert time.monotonic() - began < 600.0
+
+
+# --- the command line --------------------------------------------------------------------------------------------
+
+OPTIONS = {
+    "run": ["--out", "--seed", "--budget", "--workers", "--executor", "--scheduler"],
+    "resume": ["--budget", "--workers", "--numerical-failures", "--code", "--executor", "--scheduler"],
+    "compare": ["--budgets", "--seeds", "--test", "--jobs", "--criteria", "--static", "--features", "--code"],
+    "verify": ["--simulations", "--confidence", "--code"],
+    "predict": ["--csv", "--out", "--code"],
+    "export": ["--csv", "--code"],
+    "report": ["--out", "--code"],
+    "status": [],
+    "paper": ["--draws", "--fresh", "--seed"],
+}
+
+
+@often
+@given(command=st.sampled_from(sorted(OPTIONS)), data=st.data())
+def test_no_options_of_any_command_bring_a_traceback(
+    command: str, data: st.DataObject, taken: Path, monkeypatch: pytest.MonkeyPatch, survived: Survived
+) -> None:
+    monkeypatch.chdir(taken)
+    values = st.one_of(
+        st.integers(-5, 5).map(str),
+        texts.filter(lambda text: "\0" not in text),
+        st.sampled_from(["nan", "1e9", "-", "", ".", "..", "campaign.toml", "local", "dask", "tcp://127.0.0.1:1"]),
+    )
+    chosen = data.draw(st.lists(st.sampled_from(OPTIONS[command]), unique=True, max_size=3)) if OPTIONS[command] else []
+    # Where there is no campaign, and nothing is begun.
+    words = [command, *([] if command == "paper" else ["nowhere"])]
+    for option in chosen:
+        words += [option, data.draw(values)]
+    if command == "paper":
+        words += ["--draws", "0"]
+    said = activefail(*words)
+    assert said.code == 2, said
+    assert "Traceback" not in said.err + said.out
+    assert sorted(os.listdir(taken)) == ["campaign.toml"]
+    survived()

@@ -1,0 +1,193 @@
+"""A machine that fails: full disks, limits, folders that cannot be written, clocks that jump, and a second process."""
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from commandline import activefail, record
+from faults.harness import Course, Victims, few, finished
+from faults.test_kills import assert_nothing_lost, begun
+from faults.victim import COMMITS
+
+from activefail.campaign.store import FolderStore
+
+Survived = Callable[[], None]
+Disk = Callable[[int], Path]
+
+TINY = "seed = 3\nsampling = { initial = 20, budget = 30, batch = 5 }\n"
+"""A campaign on the bearing whose run folder comes to some 150 kB."""
+
+
+def test_a_disk_that_is_full_at_any_page_ends_the_campaign_with_the_reason_and_loses_nothing(
+    small_disk: Disk, victims: Victims, uninterrupted: Course, every_fault: bool, survived: Survived
+) -> None:
+    ended = set()
+    # A page of the disk is 4 kB; the campaign's folder needs some sixteen of them.
+    for kilobytes in few(list(range(4, 84, 4)), every_fault, 4):
+        disk = small_disk(kilobytes)
+        victim = victims.start(disk / "run", "")
+        victim.go_on()
+        code = victim.end()
+        ended.add(code)
+        if code:
+            assert code == 1, victim.told
+            assert re.search(rf"error Cannot .*{disk}.*No space left on device", victim.told[-1]), victim.told[-1]
+        small_disk(2000)
+        assert_nothing_lost(victim, disk / "run", uninterrupted)
+        shutil.rmtree(disk / "run")
+        survived()
+    assert ended == {0, 1}
+
+
+def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_can_be_resumed(
+    small_disk: Disk, tmp_path: Path
+) -> None:
+    (tmp_path / "tiny.toml").write_text(TINY)
+    assert activefail("run", tmp_path / "tiny.toml", "--out", tmp_path / "straight").code == 0
+    disk = small_disk(300)
+    (disk / "ballast").write_bytes(bytes(200_000))
+    said = activefail("run", tmp_path / "tiny.toml", "--out", disk / "run")
+    assert said.code == 1
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"activefail: Cannot write {disk / 'run'}")
+    assert line.endswith("No space left on device. What was there before is whole; resume when it is cured.")
+    done = len(list((disk / "run" / "segments").iterdir()))
+    assert 0 < done < 6
+    again = activefail("resume", disk / "run")
+    assert again.code == 1
+    assert "No space left on device" in again.err
+    (disk / "ballast").unlink()
+    assert activefail("resume", disk / "run").code == 0
+    # The table beside the run folder would not fit on the disk.
+    shutil.move(disk / "run", tmp_path / "run")
+    assert record(tmp_path / "run") == record(tmp_path / "straight")
+
+
+@pytest.mark.parametrize("limit", [150, 4096, 5000, 7000, 9000])
+def test_a_limit_on_the_size_of_files_ends_the_campaign_with_the_reason_and_loses_nothing(
+    limit: int, victims: Victims, uninterrupted: Course, tmp_path: Path
+) -> None:
+    victim = victims.start(tmp_path / "run", "", fault=f"small files {limit}")
+    victim.go_on()
+    code = victim.end()
+    assert (code, limit) in [(1, limit), (0, 9000)]
+    if code:
+        # The victim's log is a file too, and may be cut.
+        assert victim.told[-1].startswith("error Cannot write ")
+        assert "File too large" in victim.told[-1] or limit == 150
+    assert_nothing_lost(victim, tmp_path / "run", uninterrupted)
+
+
+def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {
+        str(path): (path.lstat().st_mtime_ns, path.read_bytes() if path.is_file() else b"")
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_simulated(
+    small_disk: Disk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tiny.toml").write_text(TINY)
+    disk = small_disk(2000)
+    assert activefail("run", tmp_path / "tiny.toml", "--out", disk / "run", "--budget", "22").code == 0
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+    before = tree(disk)
+
+    def simulated(*arguments: object) -> None:
+        raise AssertionError("it simulates")
+
+    monkeypatch.setattr("activefail.campaign.dfp.DfpSimulator.run", simulated)
+    for words in (
+        ["resume", disk / "run", "--budget", "30"],
+        ["run", tmp_path / "tiny.toml", "--out", disk / "new"],
+        ["verify", disk / "run"],
+        ["compare", disk / "run"],
+    ):
+        said = activefail(*words)
+        assert (said.code, said.out) == (1, ""), said
+        (line,) = said.err.splitlines()
+        assert re.match(rf"activefail: Cannot (write to|create) {disk}/\w+: Read-only file system", line), line
+    # To read it needs no right to write.
+    assert "22 of 22 simulations" in activefail("status", disk / "run").out
+    assert activefail("export", disk / "run", "--csv", tmp_path / "all.csv").code == 0
+    assert tree(disk) == before
+
+
+def test_a_clock_that_jumps_and_files_from_other_times_change_nothing(
+    victims: Victims, uninterrupted: Course, tmp_path: Path, survived: Survived
+) -> None:
+    folder = tmp_path / "run"
+    for commits, seconds in enumerate([-1.0, 4e9, 0.0, 2**33], start=1):
+        victim = victims.start(folder, "", commits=commits, fault="jumping clock")
+        victim.go_on()
+        assert victim.end() == 0, victim.told
+        for path in (folder, *folder.rglob("*")):
+            os.utime(path, (seconds, seconds))
+        survived()
+    assert finished(folder) == uninterrupted
+
+
+@pytest.mark.parametrize("fault", [None, "without locks"])
+def test_two_processes_that_begin_or_go_on_with_a_campaign_at_once_are_one_writer_at_a_time(
+    victims: Victims,
+    uninterrupted: Course,
+    tmp_path: Path,
+    fault: str | None,
+    every_fault: bool,
+    survived: Survived,
+) -> None:
+    fenced = 0
+    for number, commits in enumerate(few(list(range(COMMITS)) * 4, every_fault, 3)):
+        folder = tmp_path / str(number)
+        if commits:
+            begun(folder, commits)
+        both = [victims.start(folder, "", fault=fault) for _ in range(2)]
+        for victim in both:
+            victim.go_on()
+        codes = [victim.end() for victim in both]
+        told = [line for victim in both for line in victim.acknowledged]
+        for victim, code in zip(both, codes, strict=True):
+            assert code in (0, 1), victim.told
+            if code:
+                fenced += 1
+                says = "Another process is writing to" if fault is None else "error "
+                assert says in victim.told[-1] or "is not empty" in victim.told[-1], victim.told[-1]
+        if fault is None:
+            # One after the other, where the first was done before the second began.
+            assert 0 in codes
+        # No batch was acknowledged to both.
+        batches = [line for line in told if line.startswith("commit")]
+        assert len(batches) == len(set(batches))
+        for victim in both:
+            assert_nothing_lost(victim, folder, uninterrupted, alone=fault is None)
+        survived()
+    assert fenced
+
+
+def test_a_state_or_a_set_of_another_version_is_refused_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for version, says in ((0, "schema version 0"), (2, "schema version 2")):
+        folder = tmp_path / str(version)
+        with monkeypatch.context() as patch:
+            patch.setattr("activefail.campaign.segment.SCHEMA_VERSION", version)
+            patch.setattr("activefail.campaign.beside.SCHEMA_VERSION", version)
+            begun(folder, 3)
+        before = tree(folder)
+        with pytest.raises(Exception, match=rf"segments/\S+\.h5 was written in {says} by activefail .* version 1\."):
+            FolderStore.open(folder, write=True)
+        # Where only what can be rebuilt is of another version, it is not thrown away either.
+        shutil.rmtree(folder / "segments")
+        shutil.copytree(begun(tmp_path / f"{version}-ours", 3) / "segments", folder / "segments")
+        with FolderStore.open(folder, write=False) as store:
+            for read in (store.latest_state, lambda store=store: store.read_set("validation-0")):
+                with pytest.raises(Exception, match=rf"(state|sets)/\S+\.h5 was written in {says}"):
+                    read()
+        assert {name: kept for name, kept in tree(folder).items() if "segments" not in name} == {
+            name: kept for name, kept in before.items() if "segments" not in name
+        }

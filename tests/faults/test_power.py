@@ -1,0 +1,285 @@
+"""Power loss: whatever a disk may keep of what was not synchronised, nothing acknowledged is lost.
+
+The model is what POSIX promises and no more. The content of a file is as it was at its last fsync, or anything between
+that and what was written since. Of the names that were made, moved and taken away in a folder since its last fsync, any
+may be on the disk and any may not.
+"""
+
+import itertools
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+from faults.harness import few
+
+from activefail.campaign import compaction, image, recovery
+from activefail.campaign import store as store_module
+from activefail.campaign.record import Batch, Schema
+from activefail.campaign.simulator import Results
+from activefail.campaign.store import FolderStore
+
+SCHEMA = Schema(("x", "y"), ("safe", "broken"), ("", "crack"), ("distance",))
+SETTINGS = "seed = 1\n"
+BATCHES = 5
+MOST_SUBSETS = 64
+
+
+def batch(number: int) -> Batch:
+    rng = np.random.default_rng(number)
+    codes = rng.integers(0, 2, (3, 3)).astype(np.int8)
+    return Batch(number, rng.random((3, 2)), codes[0], Results(codes[1], codes[2], rng.random((3, 1)), np.zeros(3)))
+
+
+@dataclass(frozen=True)
+class File:
+    """Content on the disk, and what was written since."""
+
+    synced: bytes
+    written: bytes
+
+    def kept(self) -> Iterator[bytes]:
+        """What may be found of it."""
+        yield from {
+            self.synced,
+            self.written,
+            self.written[: (len(self.synced) + len(self.written)) // 2],
+            # Its length without its content, as file systems that delay allocation may leave it.
+            self.synced + bytes(len(self.written) - len(self.synced)),
+        }
+
+
+Change = tuple[tuple[str, int | None], ...]
+"""Names that come to stand for a file, or for none, in one step."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is on the disk, what is under way to it, and what the program was told by then."""
+
+    names: Mapping[str, int]
+    pending: tuple[Change, ...]
+    files: Mapping[int, File]
+    told: tuple[str, ...]
+
+    def after_power_loss(self) -> Iterator[dict[str, bytes]]:
+        """Contents by name that may be found."""
+        for kept in self._subsets():
+            names = dict(self.names)
+            for change in kept:
+                for name, number in change:
+                    if number is None:
+                        names.pop(name, None)
+                    else:
+                        names[name] = number
+            numbers = sorted(set(names.values()))
+            for contents in itertools.product(*(list(self.files[number].kept()) for number in numbers)):
+                found = dict(zip(numbers, contents, strict=True))
+                yield {name: found[number] for name, number in names.items()}
+
+    def _subsets(self) -> Iterator[tuple[Change, ...]]:
+        n = len(self.pending)
+        if 2**n <= MOST_SUBSETS:
+            chosen = itertools.product((False, True), repeat=n)
+        else:
+            # All that are in order, all that lack one, and others at random.
+            rng = np.random.default_rng(n)
+            ordered = [tuple(i < k for i in range(n)) for k in range(n + 1)]
+            lacking = [tuple(i != k for i in range(n)) for k in range(n)]
+            chosen = iter([*ordered, *lacking, *(tuple(row) for row in rng.random((MOST_SUBSETS, n)) < 0.5)])
+        for mask in chosen:
+            yield tuple(itertools.compress(self.pending, mask))
+
+
+class Disk:
+    """The module `os` as the record sees it, which notes at each call what a loss of power would leave."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = str(folder)
+        self.names: dict[str, int] = {}
+        self.pending: list[Change] = []
+        self.files: dict[int, File] = {}
+        self.told: list[str] = []
+        self.open_files: dict[int, int] = {}
+        self.open_folders: dict[int, str] = {}
+        self.moments: list[Moment] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(os, name)
+
+    def note(self) -> None:
+        self.moments.append(Moment(dict(self.names), tuple(self.pending), dict(self.files), tuple(self.told)))
+
+    def _change(self, *change: tuple[Any, int | None]) -> None:
+        self.pending.append(tuple((os.path.relpath(path, self.folder), number) for path, number in change))
+        self.note()
+
+    def _number(self, path: Any) -> int:
+        """Which file a name stands for, as the running system sees it."""
+        name, found = os.path.relpath(path, self.folder), None
+        for known, number in [*self.names.items(), *itertools.chain(*self.pending)]:
+            found = number if known == name else found
+        assert found is not None, name
+        return found
+
+    def open(self, path: Any, flags: int, mode: int = 0o777) -> int:
+        descriptor = os.open(path, flags, mode)
+        if flags & os.O_DIRECTORY:
+            self.open_folders[descriptor] = os.path.relpath(path, self.folder)
+        elif flags & os.O_CREAT:
+            number = len(self.files)
+            self.files[number] = File(b"", b"")
+            self.open_files[descriptor] = number
+            self._change((path, number))
+        return descriptor
+
+    def write(self, descriptor: int, data: Any) -> int:
+        length = os.write(descriptor, data)
+        number = self.open_files[descriptor]
+        file = self.files[number]
+        self.files[number] = File(file.synced, file.written + bytes(data[:length]))
+        self.note()
+        return length
+
+    def fsync(self, descriptor: int) -> None:
+        os.fsync(descriptor)
+        if descriptor in self.open_files:
+            number = self.open_files[descriptor]
+            self.files[number] = File(self.files[number].written, self.files[number].written)
+        else:
+            folder = self.open_folders[descriptor]
+            within = [change for change in self.pending if os.path.dirname(change[0][0]) == folder.removeprefix(".")]
+            for name, number in itertools.chain(*within):
+                if number is None:
+                    self.names.pop(name, None)
+                else:
+                    self.names[name] = number
+            self.pending = [change for change in self.pending if change not in within]
+        self.note()
+
+    def close(self, descriptor: int) -> None:
+        os.close(descriptor)
+        self.open_files.pop(descriptor, None)
+        self.open_folders.pop(descriptor, None)
+
+    def link(self, old: Any, new: Any) -> None:
+        os.link(old, new)
+        self._change((new, self._number(old)))
+
+    def unlink(self, path: Any) -> None:
+        os.unlink(path)
+        self._change((path, None))
+
+    def replace(self, old: Any, new: Any) -> None:
+        number = self._number(old)
+        os.replace(old, new)
+        self._change((new, number), (old, None))
+
+    rename = replace
+
+
+@pytest.fixture
+def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tuple[list[Moment], str]]:
+    """Makes a record with batches, states, a set and a merged file; its moments, and its last digest."""
+    monkeypatch.setattr(compaction, "COMPACT_AT", 3)
+
+    def made() -> tuple[list[Moment], str]:
+        disk = Disk(tmp_path / "run")
+        with pytest.MonkeyPatch.context() as patch:
+            for module in (image, store_module, recovery):
+                patch.setattr(module, "os", disk)
+            with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as store:
+                disk.told.append("created")
+                for number in range(BATCHES):
+                    store.commit(batch(number))
+                    disk.told.append(f"commit {store._digest}")
+                    disk.note()
+                    store.write_state(number, {"i": np.array(number)})
+                    disk.told.append(f"state {number}")
+                    disk.note()
+                    if number == 1:
+                        store.write_set("test", batch(9).designs, batch(9).results)
+                        disk.told.append("set test")
+                        disk.note()
+                return disk.moments, store._digest
+
+    return made
+
+
+def restored(contents: Mapping[str, bytes], folder: Path) -> Path:
+    """A folder with these files."""
+    folder.mkdir()
+    # They are made once campaign.toml is durable under its name.
+    for name in ("segments", "state", "sets") if "campaign.toml" in contents else ():
+        (folder / name).mkdir()
+    for name, content in contents.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def lost(told: tuple[str, ...], folder: Path) -> list[str]:
+    """What was acknowledged and is not there."""
+    if "created" not in told:
+        return []
+    if not (folder / "campaign.toml").exists():
+        return ["created"]
+    with FolderStore.open(folder, SCHEMA, write=False) as store:
+        digests = {digest for segment in store._segments for digest in segment.chain.values()}
+        state = store.latest_state()
+        iteration = -1 if state is None else state[0]
+        whole = {
+            "created": True,
+            "set test": store.read_set("test") is not None,
+            **{f"commit {digest}": True for digest in digests},
+            **{f"state {number}": True for number in range(iteration + 1)},
+        }
+    return [line for line in told if not whole.get(line, False)]
+
+
+def test_a_loss_of_power_at_any_moment_leaves_all_that_was_acknowledged(
+    course: Callable[[], tuple[list[Moment], str]], tmp_path: Path, every_fault: bool, survived: Callable[[], None]
+) -> None:
+    moments, digest = course()
+    states = {
+        (moment.told, tuple(sorted(contents.items()))) for moment in moments for contents in moment.after_power_loss()
+    }
+    assert len(states) > 80
+    for number, (told, contents) in enumerate(few(sorted(states), every_fault, 30)):
+        folder = restored(MappingProxyType(dict(contents)), tmp_path / str(number))
+        assert lost(told, folder) == []
+        opener = FolderStore.open if (folder / "campaign.toml").exists() else FolderStore.create
+        arguments: dict[str, Any] = {"write": True} if opener == FolderStore.open else {"settings": SETTINGS}
+        if opener == FolderStore.open and (folder / "campaign.toml").read_text() != SETTINGS:
+            pytest.fail("campaign.toml has its name before its content")
+        with opener(folder, schema=SCHEMA, **arguments) as store:
+            for following in range(len(store.batches), BATCHES):
+                store.commit(batch(following))
+            assert store._digest == digest
+            assert not [warning for warning in store.warnings if "segments/" in warning]
+        survived()
+
+
+@pytest.mark.parametrize("without", ["files", "folders"])
+def test_the_model_finds_what_a_program_without_fsync_would_lose(
+    course: Callable[[], tuple[list[Moment], str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without: str
+) -> None:
+    if without == "files":
+        monkeypatch.setattr(image, "_sync_file", lambda descriptor, path: None)
+    else:
+        for module in (image, store_module):
+            monkeypatch.setattr(module, "sync_folder", lambda folder: None)
+    moments, _ = course()
+    last = moments[-1]
+    found = 0
+    for number, contents in enumerate(itertools.islice(last.after_power_loss(), 60)):
+        folder = restored(contents, tmp_path / str(number))
+        try:
+            found += bool(lost(last.told, folder))
+        except Exception:
+            found += 1
+    assert found > 0

@@ -1,0 +1,198 @@
+"""Campaigns that are run to be killed, each in a process of its own, forked from one that has loaded all libraries.
+
+`python -m faults.victim` reads commands, one JSON object a line. For a task it prints the process that does it; asked
+to wait for a process, it prints its exit code. At the place that the task names the process waits until something comes
+through its fifo, so that it can be traced from there on. It tells in its log what it was told: a line for each commit,
+state and set that the record acknowledged. Names under `/-/`, which do not exist, mark in a trace where each of these
+begins and ends.
+"""
+
+import itertools
+import json
+import os
+import resource
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from campaign.stub import Disc, disc
+from numpy.typing import NDArray
+
+from activefail.campaign import compaction, store
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.loop import Observer, run
+from activefail.campaign.record import Batch
+from activefail.campaign.simulator import Results, Simulator
+from activefail.campaign.store import FolderStore
+from activefail.errors import ActivefailError
+from activefail.space import Array
+
+INITIAL, BUDGET, BATCH = 6, 12, 3
+COMMITS = BUDGET // BATCH
+COMPACT_AT = 3
+"""So that the third commit, the first of a chosen batch, merges."""
+
+STATES_KEPT = 2
+"""So that the third state is written and the first one goes."""
+
+
+class Inline:
+    """Simulates in the calling thread: a second thread would have system calls of its own."""
+
+    first_fault = ""
+
+    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+        return simulator.run(X)
+
+    def __enter__(self) -> "Inline":
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+
+def campaign() -> Campaign:
+    """The campaign that every fault is tried on."""
+    return disc(Disc(), initial=INITIAL, budget=BUDGET, batch=BATCH, more="validation.size = 5")
+
+
+class Gate:
+    """Waits at one place of the work.
+
+    Attributes:
+        place: where; empty once it has waited.
+        fifo: what it waits for.
+        seen: how often each kind of place was come to.
+    """
+
+    def __init__(self, place: str = "", fifo: str = "") -> None:
+        self.place, self.fifo = place, fifo
+        self.seen: Counter[str] = Counter()
+
+    @contextmanager
+    def marked(self, name: str) -> Iterator[None]:
+        """Mark where something begins and ends, and wait there if this is the place."""
+        self.seen[name] += 1
+        if self.place == f"{name} {self.seen[name]}":
+            self.wait()
+        os.access(f"/-/{name}/begins", os.F_OK)
+        yield
+        os.access(f"/-/{name}/ends", os.F_OK)
+
+    def wait(self) -> None:
+        # Left open: to close it would be one more system call of what follows.
+        os.read(os.open(self.fifo, os.O_RDONLY), 1)
+
+
+class Telling(FolderStore):
+    """A record that tells what it acknowledges."""
+
+    gate = Gate()
+    log = -1
+
+    def commit(self, batch: Batch) -> None:
+        with self.gate.marked("commit"):
+            super().commit(batch)
+        self._tell(f"commit {len(self.batches)} {self._digest}")
+
+    def compact(self) -> None:
+        if compaction.due(self._segments):
+            with self.gate.marked("compaction"):
+                super().compact()
+
+    def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
+        with self.gate.marked("state"):
+            super().write_state(iteration, arrays)
+        self._tell(f"state {iteration}")
+
+    def write_set(self, name: str, X: Array, results: Results) -> None:
+        with self.gate.marked("set"):
+            super().write_set(name, X, results)
+        self._tell(f"set {name}")
+
+    def _tell(self, line: str) -> None:
+        if self.log >= 0:
+            os.write(self.log, f"{line}\n".encode())
+
+
+def opened(folder: Path) -> Telling:
+    """The victim's record, made if it is not there."""
+    one = campaign()
+    if (folder / "campaign.toml").exists():
+        with Telling.gate.marked("opening"):
+            return Telling.open(folder, one.schema, write=True)
+    with Telling.gate.marked("creation"):
+        return Telling.create(folder, one.settings.text(), one.schema)
+
+
+def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int:
+    """Take the campaign in a folder on, to its budget or a number of commits; the exit code as the command line's."""
+    compaction.COMPACT_AT, store.STATES_KEPT = COMPACT_AT, STATES_KEPT
+    Telling.log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    match (fault or "").split():
+        case ["small", "files", limit]:
+            small_files(int(limit))
+        case ["jumping", "clock"]:
+            jumping_clock()
+        case ["without", "locks"]:
+            without_locks()
+    try:
+        with opened(folder) as record:
+            observer = Observer(stop=lambda: commits is not None and len(record.batches) >= commits)
+            run(campaign(), record, Inline(), BUDGET, observer)
+            for warning in record.warnings:
+                os.write(Telling.log, f"warning {warning}\n".encode())
+    except ActivefailError as error:
+        os.write(Telling.log, f"error {error}\n".encode())
+        return 1
+    except BaseException:
+        os.write(Telling.log, f"traceback {traceback.format_exc()!r}\n".encode())
+        return 70
+    return 0
+
+
+def small_files(limit: int) -> None:
+    """As after `ulimit -f`: no file may be longer."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+
+def jumping_clock() -> None:
+    """A clock that is set years forth and back, and a time zone that changes."""
+    real, jumps = time.time, itertools.cycle([0.0, 1e9, -1e9, 3600.0])
+    time.time = lambda: real() + next(jumps)
+
+
+def without_locks() -> None:
+    """As on a file system whose locks do nothing."""
+
+    class Nothing:
+        def release(self) -> None: ...
+
+    store._lock = lambda folder: Nothing()  # type: ignore[assignment,return-value]
+
+
+def serve() -> None:
+    """Obey until the input ends."""
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    for line in sys.stdin:
+        command = json.loads(line)
+        if "wait" in command:
+            answer = os.waitstatus_to_exitcode(os.waitpid(command["wait"], 0)[1])
+        else:
+            answer = os.fork()
+            if answer == 0:
+                Telling.gate = Gate(command["place"], command["fifo"])
+                if not command["place"]:
+                    Telling.gate.wait()
+                os._exit(work(Path(command["folder"]), Path(command["log"]), command["commits"], command["fault"]))
+        sys.stdout.write(f"{answer}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    serve()

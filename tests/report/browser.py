@@ -1,0 +1,70 @@
+"""A real browser for the tests: Debian's Chromium, driven by Selenium; skips where one of them is missing."""
+
+import importlib.util
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NO_BROWSER = next(
+    (
+        f"needs {what}"
+        for what, there in (
+            ("selenium (pip install 'activefail[dev]')", importlib.util.find_spec("selenium")),
+            ("Chromium (apt-get install chromium)", shutil.which("chromium")),
+            ("its driver (apt-get install chromium-driver)", shutil.which("chromedriver")),
+        )
+        if not there
+    ),
+    "",
+)
+"""Why there is no browser to test with; empty if there is one."""
+
+
+def screenshots(name: str, fallback: Path) -> Path:
+    """Where a screenshot goes: the folder that ACTIVEFAIL_SCREENSHOTS names, where it is set, else the test's own."""
+    folder = Path(os.environ.get("ACTIVEFAIL_SCREENSHOTS") or fallback)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / name
+
+
+@contextmanager
+def browser(width: int = 1280, height: int = 900) -> Iterator[Any]:
+    """A headless Chromium whose console and requests are recorded; the test skips if there is none."""
+    if NO_BROWSER:
+        pytest.skip(NO_BROWSER)
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(shutil.which("chromium"))
+    # As root, in a container without much shared memory.
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):
+        options.add_argument(argument)
+    options.add_argument(f"--window-size={width},{height}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    service = webdriver.ChromeService(str(shutil.which("chromedriver")))
+    driver = webdriver.Chrome(options, service)
+    try:
+        driver.set_page_load_timeout(120)
+        yield driver
+    finally:
+        driver.quit()
+
+
+def console_errors(driver: Any) -> list[str]:
+    """What the console has complained of since this was last asked."""
+    return [entry["message"] for entry in driver.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
+
+
+def requested(driver: Any) -> list[str]:
+    """Addresses that were requested since this was last asked."""
+    import json
+
+    messages = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    return [
+        message["params"]["request"]["url"] for message in messages if message["method"] == "Network.requestWillBeSent"
+    ]

@@ -1,0 +1,423 @@
+"""The report: one file that stands for itself, whose numbers are the campaign's, whatever the campaign is."""
+
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from campaign.stub import disc
+from matplotlib.figure import Figure
+
+from activefail.bearing.design import TABLE_1
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.config import parse_settings
+from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.folder import create_run, open_campaign
+from activefail.campaign.learning import current_classifier
+from activefail.campaign.loop import Observer, one_thread, run
+from activefail.campaign.store import FolderStore
+from activefail.errors import InputError
+from activefail.features import paper_features
+from activefail.report import contours, findings, page, quantities, samples, svg
+from activefail.report.marks import outcome_colour
+from activefail.space import Parameter
+from activefail.study.compare import Score
+from activefail.table import writing
+
+SECTIONS = (
+    *("run", "outcomes", "learning", "samples", "boundaries"),
+    *("reliability", "scales", "uncertain", "gallery", "reproduce"),
+)
+SCRIPT = "<script>alert(1)</script> & $\\frac{"
+TINY = """
+description = '''{description}'''
+seed = 3
+sampling = {{ initial = 20, budget = {budget}, batch = 5 }}
+classifier.features = "{features}"
+{more}
+"""
+
+
+class Page(HTMLParser):
+    """What a browser would find in a page: elements with their attributes, ids, and the text of cells."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self._rows: list[list[str]] = []
+        self._cell = False
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.elements.append((tag, found))
+        if tag == "table":
+            self._rows = self.tables.setdefault(str(found.get("id")), [])
+        elif tag == "tr":
+            self._rows.append([])
+        elif tag in ("td", "th"):
+            self._rows[-1].append("")
+        self._cell = tag in ("td", "th") or (self._cell and tag not in ("tr", "table"))
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self._cell = False
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        if self._cell:
+            self._rows[-1][-1] += data
+
+
+def made(campaign: Campaign, folder: Path, store: FolderStore) -> str:
+    with one_thread():
+        classifier = current_classifier(campaign, store, write=False)
+        return page.render(findings.gather(folder, campaign, store, classifier), store)
+
+
+def ran(folder: Path, campaign: Campaign, budget: int | None = None, batches: int | None = None) -> None:
+    """A run folder with the campaign taken to its budget, or stopped after some batches."""
+    with create_run(folder, campaign) as store, ThreadExecutor(2) as executor:
+        stop = (lambda: len(store.batches) == batches) if batches else (lambda: False)
+        run(campaign, store, executor, budget or campaign.settings.sampling.budget, Observer(stop=stop))
+
+
+def settings(features: str = "paper", budget: int = 30, description: str = SCRIPT, more: str = "") -> Campaign:
+    text = TINY.format(features=features, budget=budget, description=description, more=more)
+    return Campaign.of(parse_settings(text, "tiny"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small campaign over the paper's variables, with a hostile name and a validation set."""
+    where = tmp_path_factory.mktemp("report") / "run"
+    ran(where, settings(more="validation.size = 60"))
+    return where
+
+
+@pytest.fixture(scope="module")
+def html(folder: Path) -> str:
+    with open_campaign(folder, write=False) as (campaign, store):
+        return made(campaign, folder, store)
+
+
+def self_contained(text: str, without: tuple[str, ...] = ()) -> Page:
+    """Assert that a page needs nothing but itself, is well made and lacks these sections alone; the page."""
+    found = Page(text)
+    assert len(text.encode()) < 2_000_000
+    links = re.findall(r"https?://[^\s\"'<>]*", text)
+    assert set(links) <= {"http://www.w3.org/2000/svg"}
+    assert not {"script", "iframe", "object", "embed", "audio", "video"} & {tag for tag, _ in found.elements}
+    ids = [attributes["id"] for _, attributes in found.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    for tag, attributes in found.elements:
+        assert not [name for name in attributes if name.startswith("on")]
+        for name in ("src", "href", "xlink:href"):
+            target = attributes.get(name) or "#"
+            assert target.startswith(("#", "data:")), (tag, target)
+            if target.startswith("#") and len(target) > 1:
+                assert target[1:] in ids
+    for target in re.findall(r"url\(([^)]*)\)", text):
+        assert target[0] == "#"
+        assert target[1:] in ids
+    assert [section for section in SECTIONS if section not in ids] == list(without)
+    figures = [tag for tag, _ in found.elements if tag in ("figure", "figcaption")]
+    assert figures[::2] == ["figure"] * (len(figures) // 2)
+    assert figures[1::2] == ["figcaption"] * (len(figures) // 2)
+    return found
+
+
+# --- the page ----------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_whole_small_and_refers_to_nothing_outside(html):
+    found = self_contained(html)
+    assert ("html", {"lang": "en"}) in found.elements
+    policies = [a["content"] for tag, a in found.elements if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policies == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
+    assert html.count("<figure") == html.count("<figcaption") >= 10
+
+
+def test_a_campaign_named_script_shows_as_text(html):
+    found = Page(html)
+    assert "<script" not in html
+    heading = found.text[found.text.index("What a campaign") - 200 :]
+    assert SCRIPT in heading
+
+
+def test_the_counts_in_the_page_are_the_record_s(html, folder):
+    with open_campaign(folder, write=False) as (campaign, store):
+        outcome = np.concatenate([batch.results.outcome for batch in store.batches])
+        seed = np.concatenate([np.full(len(batch), batch.iteration == 0) for batch in store.batches])
+    rows = {row[0]: [int(cell) for cell in row[1:]] for row in Page(html).tables["counts"][1:]}
+    assert campaign.simulator.outcomes == ("no_impact", "impact", "failure")
+    for title, kept in (("seed design", seed), ("chosen by the learner", ~seed), ("all", np.ones(len(seed), bool))):
+        counts = [int(np.sum(outcome[kept] == label)) for label in (0, 1, 2, -1)]
+        assert rows[title] == [*counts, int(kept.sum())]
+
+
+def test_without_a_comparison_the_curve_is_of_the_validation_set_and_the_page_says_what_adds_the_other(html, folder):
+    found = Page(html)
+    assert f"activefail compare {folder} adds" in found.text
+    assert f"activefail verify {folder} estimates" in found.text
+    scores = found.tables["scores"][1:]
+    assert [row[0] for row in scores][-1] == "30"
+    assert {row[1] for row in scores} == {"active"}
+
+
+def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_path):
+    copy = Path(shutil.copytree(folder, tmp_path / "run"))
+    (copy / "compare").mkdir()
+    given = [
+        Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41),
+        Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21),
+        Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125),
+    ]
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_designs"]) as write:
+        write([[*score.row(), 400] for score in given])
+    with open_campaign(copy, write=False) as (campaign, store):
+        text = made(campaign, copy, store)
+    rows = Page(text).tables["scores"][1:]
+    assert rows[2] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
+    assert "91.2 % of 400 fresh designs, after 30 active simulations" in Page(text).text
+    assert "adds the curve of static" not in text
+    (copy / "compare" / "scores.csv").write_text("sampling,simulations\nactive,many\n")
+    with open_campaign(copy, write=False) as (campaign, store):
+        text = made(campaign, copy, store)
+    assert "scores.csv: row 1: is not one that" in Page(text).text
+
+
+def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
+    with open_campaign(folder, write=False) as (campaign, store):
+        classifier = current_classifier(campaign, store, write=False)
+    scales = np.exp(classifier.latent("failure").trained.hyperparameters.log_lengthscale.numpy())
+    rows = Page(html).tables["lengths"][1:]
+    shown = {row[0]: row[4] for row in rows}
+    names = [quantity.text.replace("_", "") for quantity in quantities.features(campaign)]
+    assert shown == {name: quantities.significant(float(value), 2) for name, value in zip(names, scales, strict=True)}
+
+
+def test_the_same_folder_gives_the_same_page(html, folder):
+    with open_campaign(folder, write=False) as (campaign, store):
+        assert made(campaign, folder, store) == html
+
+
+# --- other campaigns ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("features", ["design", "collision"])
+def test_other_features_of_the_bearing_have_a_page_too(features, tmp_path):
+    campaign = settings(features, budget=20, description="other features")
+    ran(tmp_path / "run", campaign)
+    with open_campaign(tmp_path / "run", write=False) as (campaign, store):
+        found = self_contained(made(campaign, tmp_path / "run", store))
+    assert "None was chosen yet" in found.text
+    assert "each left out of the training in turn" in found.text
+    assert "no validation set" in found.text
+
+
+def test_a_part_of_the_seed_is_enough_for_a_page_that_says_how_to_go_on(tmp_path):
+    ran(tmp_path / "run", settings(description=""), batches=1)
+    with open_campaign(tmp_path / "run", write=False) as (campaign, store):
+        found = self_contained(made(campaign, tmp_path / "run", store))
+    assert "25 of the planned simulations are still to do" in found.text
+    assert f"activefail resume {tmp_path / 'run'} goes on" in found.text
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+def test_another_simulator_has_a_page_without_bearings(dimension, tmp_path):
+    more = "validation.size = 40" if dimension == 2 else ""
+    campaign = disc(more=more) if dimension == 2 else other(dimension)
+    ran(tmp_path / "run", campaign)
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store:
+        found = self_contained(made(campaign, tmp_path / "run", store), without=("gallery",))
+    assert "Bearings at the boundary" not in found.text
+    labels = [a["aria-label"] for tag, a in found.elements if tag == "svg"]
+    assert (
+        len([label for label in labels if label.startswith("Probabilities in the plane")])
+        == {1: 0, 2: 1, 3: 3}[dimension]
+    )
+
+
+def other(dimension: int) -> Campaign:
+    """A campaign on a ball in some variables whose unit would be mathtext."""
+    from campaign.stub import Disc
+
+    class Ball(Disc):
+        def run(self, X: Any) -> Any:
+            near = np.column_stack([X, np.zeros((len(X), 2))])[:, :2] * 2.0
+            return super().run(near + np.array([0.0, 24.0]))
+
+    space = "\n".join(f'space.x{i} = {{ low = -1.0, high = 1.0, unit = "$\\\\frac{{" }}' for i in range(dimension))
+    text = f"""
+        seed = 1
+        sampling = {{ initial = 12, budget = 16, batch = 4 }}
+        classifier.features = "design"
+        acquisition.boundary = "broken"
+        {space}
+        """
+    return Campaign.with_simulator(parse_settings(text, "ball"), Ball())
+
+
+# --- its pieces --------------------------------------------------------------------------------------------------
+
+
+def test_designs_with_given_features_have_them_and_lie_in_the_space():
+    X = TABLE_1.latin_hypercube(200, np.random.default_rng(0))
+    F = paper_features(X)
+    found, there = contours.designs_with(F, TABLE_1.low, TABLE_1.high)
+    assert there.mean() > 0.97  # each has at least the design it came from; projections close in slowly at corners
+    assert TABLE_1.contains(found[there]).all()
+    np.testing.assert_allclose(paper_features(found[there]), F[there], rtol=0.05)
+
+
+def test_features_that_no_design_has_are_told_apart():
+    F = np.tile(paper_features(0.5 * (TABLE_1.low + TABLE_1.high)[None]), (2, 1))
+    F[1, 0] = 100.0  # beyond the largest pulse displacement over the smallest capacity
+    _, there = contours.designs_with(F, TABLE_1.low, TABLE_1.high)
+    assert there.tolist() == [True, False]
+
+
+def test_an_inlined_figure_keeps_its_marks_and_names_nothing_twice():
+    figure = Figure()
+    axes = figure.add_subplot()
+    axes.scatter(range(30), range(30))
+    axes.set_title("a < b -- > c")
+    text = str(svg.inline(figure, "one", 'say "it"'))
+    assert text.startswith('<svg role="img" aria-label="say &#34;it&#34;"')
+    assert "<!--" not in text
+    assert "xlink" not in text
+    (path,) = re.findall(r'<path d="M([^"]*)" fill="none" marker-start', text)
+    assert len(path.split("L")) == 30
+    ids = re.findall(r'\bid="([^"]*)"', text)
+    assert len(ids) == len(set(ids))
+    assert all(name.startswith("one-") for name in ids)
+
+
+def test_pairs_of_ten_thousand_designs_are_drawn_with_some_of_each_kind_and_stay_small():
+    rng = np.random.default_rng(0)
+    outcome, chosen = rng.integers(0, 3, 10_000).astype(np.int8), np.arange(10_000) >= 4_000
+    names = [quantities.quantity(f"x{i}") for i in range(6)]
+    figure = samples.plot_pairs(rng.random((10_000, 6)), outcome, chosen, names, [False] * 6, ("a", "b", "c"))
+    shown = [sum(len(c.get_offsets()) for c in axes.collections) for axes in figure.axes]
+    assert shown == [0 if row == column else samples.MOST_SHOWN for row in range(6) for column in range(6)]
+    assert len(svg.inline(figure, "pairs", "pairs")) < 600_000
+
+
+def test_the_spread_of_a_variable_is_told_in_words():
+    assert page.spread(Parameter("a", 1.0, 2.0)) == "uniform"
+    assert page.spread(Parameter("b", 1.0, 2.0, distribution="log_uniform")) == "log-uniform"
+    normal = Parameter("c", 1.0, 2.0, distribution="truncated_normal", mean=1.5, sd=0.25)
+    assert page.spread(normal) == "normal, 1.50 ± 0.250, within the bounds"
+
+
+def test_powers_in_units_are_raised():
+    assert quantities.quantity("k", "N/m^1.5").axis == "$k$ [N/m¹·⁵]"
+    assert quantities.quantity("gust", "m/s^-2").axis == "gust [m/s⁻²]"
+    assert quantities.quantity("cost", "$^").axis == r"cost [\$^]"
+
+
+def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
+    copy = Path(shutil.copytree(folder, tmp_path / "run"))
+    (copy / "compare").mkdir()
+    given = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4) for n in (20, 30) for name in ("active", "static")]
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_designs"]) as write:
+        write([[*score.row(), 400] for score in given])
+    with open_campaign(copy, write=False) as (campaign, store):
+        found = Page(made(campaign, copy, store))
+    run = f"activefail run campaign.toml --out {copy}"
+    assert f"{run}\nactivefail compare {copy} --budgets 20,30 --test 400\nactivefail report {copy}\n" in found.text
+
+
+def test_numbers_are_written_as_people_read_them():
+    assert [quantities.significant(x) for x in (0.0, 0.05, 12.345, 2.5e8, -0.5, 1234.0)] == [
+        "0",
+        "0.0500",
+        "12.3",
+        "2.50·10⁸",
+        "−0.500",
+        "1234",
+    ]
+
+
+def test_a_table_that_compare_did_not_write_is_refused_by_row(tmp_path):
+    path = tmp_path / "scores.csv"
+    path.write_text(",".join([*Score.columns(), "test_designs"]) + "\nactive,x,1,1,1,1,1,1\n")
+    with pytest.raises(InputError, match=r"scores\.csv: row 1"):
+        findings.read_scores(path)
+    path.write_text("")
+    with pytest.raises(InputError, match="has no rows"):
+        findings.read_scores(path)
+
+
+# --- colours -----------------------------------------------------------------------------------------------------
+
+# Machado, Oliveira and Fernandes 2009, Table 1, severity 1.0, on linear RGB.
+VISION = {
+    "usual": np.eye(3),
+    "protanopia": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranopia": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
+}
+
+
+def lab(colour: str, vision: str) -> np.ndarray:
+    """CIE L*a*b* of a colour as an eye sees it."""
+    rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(VISION[vision] @ linear, 0.0, 1.0)
+    to_xyz = np.array([[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
+    x, y, z = np.cbrt(to_xyz @ seen / (0.9505, 1.0, 1.0888))
+    return np.array([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])
+
+
+@pytest.mark.parametrize("vision", VISION)
+@pytest.mark.parametrize("outcomes", [("no_impact", "impact", "failure"), ("safe", "broken")])
+def test_the_outcomes_colours_are_told_apart_by_every_eye(outcomes, vision):
+    colours = [outcome_colour(outcomes, index) for index in range(len(outcomes))]
+    seen = [lab(colour, vision) for colour in colours]
+    # 2.3 is a just noticeable difference (Mahy et al. 1994).
+    for i in range(len(seen)):
+        for j in range(i):
+            assert np.linalg.norm(seen[i] - seen[j]) > 6 * 2.3, (colours[i], colours[j])
+
+
+@pytest.mark.parametrize(
+    ("name", "symbol", "text"),
+    [
+        ("T_s", "$T_{s}$", "T_s"),
+        ("mu", r"$\mu$", "μ"),
+        ("mu_1", r"$\mu_{1}$", "μ_1"),
+        ("p", "$p$", "p"),
+        ("peak_drift", "peak_drift", "peak drift"),
+        ("x_1_2", "x_1_2", "x 1 2"),
+        ("a_$b", r"a_\$b", "a $b"),
+        ("mine[0]", "mine[0]", "mine[0]"),
+    ],
+)
+def test_a_name_of_one_s_own_is_a_symbol_where_it_is_a_letter_and_has_no_meaning(name, symbol, text):
+    told = quantities.own_quantity(name, "s")
+    assert (told.symbol, told.text, told.unit, told.meaning) == (symbol, text, "s", "")
+
+
+def test_what_a_letter_means_is_known_of_the_bearing_s_variables_alone():
+    bearing = settings()
+    assert [told.meaning for told in quantities.variables(bearing)][1] == "friction coefficient"
+    more = 'classifier.features.expressions = { D_ratio = "sin(T_p)" }'
+    text = TINY.format(features="paper", budget=30, description="", more="").replace(
+        'classifier.features = "paper"', more
+    )
+    own = Campaign.of(parse_settings(text, "tiny"))
+    told = {quantity.name: quantity.meaning for quantity in quantities.features(own)}
+    assert (told["mu"], told["D_ratio"]) == ("friction coefficient", "")

@@ -1,0 +1,68 @@
+"""The report as a browser shows it: no complaint, no request, nothing wider than the page, every figure drawn."""
+
+from pathlib import Path
+
+import pytest
+from report.browser import NO_BROWSER, browser, console_errors, requested, screenshots
+from report.test_report import SCRIPT, made, ran, settings
+
+from activefail.campaign.folder import open_campaign
+
+pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "run"
+    ran(folder, settings(more="validation.size = 60"))
+    with open_campaign(folder, write=False) as (campaign, store):
+        path = folder / "report.html"
+        path.write_text(made(campaign, folder, store), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("name", "width"), [("desktop", 1280), ("phone", 390)])
+def test_the_report_opens_without_a_complaint_or_a_request(report, name, width, tmp_path):
+    with browser(width, 900) as driver:
+        # A headless window is no narrower than 500; the page is what must be.
+        driver.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500},
+        )
+        driver.get(report.as_uri())
+        assert driver.find_element("tag name", "h1").text == SCRIPT
+        assert console_errors(driver) == []
+        assert [url for url in requested(driver) if not url.startswith(("file:", "data:"))] == []
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        figures = driver.find_elements("tag name", "figure")
+        assert len(figures) >= 10
+        for figure in figures:
+            drawing = figure.find_element("tag name", "svg")
+            assert drawing.size["width"] > 300
+            assert drawing.size["height"] > 50
+            assert figure.find_element("tag name", "figcaption").text
+        drawn = driver.execute_script("return [...document.querySelectorAll('figure svg path')].length")
+        assert drawn > 1000
+        driver.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {
+                "width": width,
+                "height": driver.execute_script("return document.documentElement.scrollHeight"),
+                "deviceScaleFactor": 1,
+                "mobile": width < 500,
+            },
+        )
+        shot = screenshots(f"report-{name}.png", tmp_path)
+        assert driver.save_screenshot(str(shot))
+
+
+def test_the_report_prints(report, tmp_path):
+    import base64
+
+    with browser() as driver:
+        driver.get(report.as_uri())
+        printed = base64.b64decode(driver.print_page())
+    assert printed.startswith(b"%PDF")
+    pages = printed.count(b"/Type /Page\n") + printed.count(b"/Type /Page/") + printed.count(b"/Type /Page ")
+    assert 6 <= pages <= 25
+    screenshots("report.pdf", tmp_path).write_bytes(printed)
