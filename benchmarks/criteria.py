@@ -69,7 +69,9 @@ def trajectory(
         if done >= budgets[-1]:
             return scores
         iteration, done = iteration + 1, done + batch
-        more_X, more_outcome = answered(campaign, next_batch(campaign, classifier, iteration, batch))
+        more_X, more_outcome = answered(
+            campaign, next_batch(campaign, classifier, iteration, batch, (iteration - 1) * batch)
+        )
         X, outcome = np.concatenate([X, more_X]), np.concatenate([outcome, more_outcome])
         classifier = learned(campaign, X, outcome, classifier)
 

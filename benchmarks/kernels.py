@@ -4,10 +4,12 @@
 
 A variant is a covariance (rbf, matern32, matern52, rq), with further parts added to it: "+linear"; "+one", one of the
 last feature alone; "+lapseX", labels that are wrong with probability X whatever the latent; "+tight", a prior of the
-logarithm of the length scales of deviation 1, not 1.7; "+average", probabilities averaged over hyperparameters drawn
-from a Laplace approximation. "ordinal" is one latent and two thresholds for the three outcomes. Judged on fresh
-designs: right sides of the failure boundary [%] and mean log probability of the side [nat, times 100]; for "ordinal"
-also that of the outcome.
+logarithm of the length scales of deviation 1, not 1.7; "+narrow", that of the output scale of deviation 1, not 2, with
+N(0, 1) for the mean; "+initial", hyperparameters learned on the first 250 designs alone; "+warped", every feature
+brought to a normal distribution over the design space; "+average", probabilities averaged over hyperparameters drawn
+from a Laplace approximation. "ordinal" is one latent and two thresholds for the three outcomes.
+Judged on fresh designs: right sides of the boundary [%], mean log probability of the side [nat, times 100]; for
+"ordinal" also that of the outcome.
 """
 
 import argparse
@@ -15,17 +17,19 @@ import math
 
 import numpy as np
 import torch
-from outcomes import FRESH, designs, outcome_of
+from outcomes import FRESH, INITIAL, Sampling, designs, outcome_of
 from scipy.optimize import minimize
 from scipy.special import ndtr, ndtri
+from scipy.stats import norm
 
 from activefail.bearing import TABLE_1
 from activefail.features import feature_map
-from activefail.surrogate import fitting
-from activefail.surrogate.fitting import JITTER, Sites, solve_sites
+from activefail.surrogate import sites
+from activefail.surrogate.covariance import JITTER
+from activefail.surrogate.sites import Sites, solve_sites
 
-PROBIT = fitting.probit_expectations
-NODES, WEIGHTS = fitting._NODES, fitting._WEIGHTS
+PROBIT = sites.probit_expectations
+NODES, WEIGHTS = sites._NODES, sites._WEIGHTS
 
 
 def density(z, log_scale):
@@ -121,7 +125,11 @@ class Variant:
 
         scale, more = theta[2 : 2 + self.m], theta[2 + self.m :]
         width = 1.0 if "tight" in self.parts else math.sqrt(3.0)
-        value = normal(scale, math.sqrt(2.0) + 0.5 * math.log(self.m), width) + normal(theta[1], math.log(10.0), 2.0)
+        narrow = "narrow" in self.parts
+        value = normal(scale, math.sqrt(2.0) + 0.5 * math.log(self.m), width)
+        value = value + normal(theta[1], math.log(10.0), 1.0 if narrow else 2.0)
+        if narrow:
+            value = value + normal(theta[0], 0.0, 1.0)
         return value + normal(more, 1.0 if self.threshold else 0.0, 2.0)
 
     def likelihood(self, theta):
@@ -130,7 +138,7 @@ class Variant:
         return lapse(self.rate) if self.rate else PROBIT
 
     def solve(self, theta, K, tolerance):
-        fitting.probit_expectations = self.likelihood(theta)  # what solve_sites climbs
+        sites.probit_expectations = self.likelihood(theta)  # what solve_sites climbs
         K = K.detach().clone()
         K.diagonal().add_(JITTER)
         self.sites, state = solve_sites(K, float(theta[0]), self.labels, self.sites, tolerance)
@@ -183,21 +191,39 @@ class Variant:
         return np.mean(p, axis=0)
 
 
+def warped(F, reference):
+    """Features as normal scores of their ranks among the reference, (n, m)."""
+    ranks = [np.searchsorted(np.sort(column), f) for f, column in zip(F.T, reference.T, strict=True)]
+    return norm.ppf(np.clip((np.column_stack(ranks) + 0.5) / (len(reference) + 1), 1e-4, 1.0 - 1e-4))
+
+
 def log_score(p):
     return 100.0 * np.log(np.clip(p, 1e-12, None)).mean()
 
 
-def report(name, F, outcome, F_fresh, happened):
-    failed = happened == 2
-    variant = Variant(name, F, outcome if name == "ordinal" else np.where(outcome == 2, 1.0, -1.0))
+def report(name, F, outcome, F_fresh, happened, severity):
+    beyond, labels = happened >= severity, np.where(outcome >= severity, 1.0, -1.0)
+    variant = Variant(name, F, outcome if name == "ordinal" else labels)
+    if "initial" in variant.parts:
+        variant = learned_on_first(name, F, labels)
     first = ndtr(variant.probit(F_fresh))
-    p, more = first, ""
+    p, more = variant.rate + (1.0 - 2.0 * variant.rate) * first, ""
     if variant.threshold:
         p = ndtr(variant.probit(F_fresh, math.exp(variant.theta[-1])))
         more = f"  {log_score(np.choose(happened, [1.0 - first, first - p, p])):8.3f}"
     if "average" in variant.parts:
         p = variant.averaged(F_fresh)
-    return f"{100.0 * np.mean((p > 0.5) == failed):8.3f}  {log_score(np.where(failed, p, 1.0 - p)):8.3f}{more}"
+    return f"{100.0 * np.mean((p > 0.5) == beyond):8.3f}  {log_score(np.where(beyond, p, 1.0 - p)):8.3f}{more}"
+
+
+def learned_on_first(name, F, labels):
+    """The posterior of all designs under the hyperparameters of the first `INITIAL`."""
+    variant, all_of = Variant(name, F[:INITIAL], labels[:INITIAL]), Variant.__new__(Variant)
+    all_of.__dict__ |= variant.__dict__
+    all_of.F, all_of.labels = torch.from_numpy(F), torch.from_numpy(labels)
+    all_of.sites = Sites(0.1 * all_of.labels, torch.full_like(all_of.labels, 0.1))
+    all_of.at(variant.theta)
+    return all_of
 
 
 def main() -> None:
@@ -208,18 +234,26 @@ def main() -> None:
     parser.add_argument("--active", nargs="*", type=int, default=[], help="budgets of active learning")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1000])
     parser.add_argument("--fresh", nargs="+", type=int, default=[777, 8], help="seed of the fresh designs")
+    parser.add_argument("--boundary", choices=["failure", "impact"], default="failure")
+    parser.add_argument("--criterion", default="entropy")
+    parser.add_argument("--impact", type=float, default=0.0, help="share of active designs for the impact boundary")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
 
     features = feature_map(arguments.set, TABLE_1)
     X_fresh = TABLE_1.from_unit(np.random.default_rng(arguments.fresh).random((FRESH, TABLE_1.dimension)))
     happened, F_fresh = outcome_of(X_fresh), features(X_fresh)
+    reference = features(TABLE_1.sobol(4096, np.random.default_rng(0)))
+    sampling = Sampling(arguments.criterion, arguments.impact)
+    severity = 2 if arguments.boundary == "failure" else 1
     for n, active in [(n, False) for n in arguments.static] + [(n, True) for n in arguments.active]:
         for seed in arguments.seeds:
-            fitting.probit_expectations = PROBIT
-            X, outcome = designs(features, n, active, seed)
+            sites.probit_expectations = PROBIT
+            X, outcome = designs(features, n, active, seed, sampling)
+            F = features(X)
             for name in arguments.variants:
-                figures = report(name, features(X), outcome, F_fresh, happened)
+                seen = (warped(F, reference), warped(F_fresh, reference)) if "warped" in name else (F, F_fresh)
+                figures = report(name, seen[0], outcome, seen[1], happened, severity)
                 print(f"{'active' if active else 'static'} {n} seed {seed}  {name:22}  {figures}", flush=True)
 
 

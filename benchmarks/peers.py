@@ -4,10 +4,10 @@ Every peer starts from the same Latin hypercube of a seed, asks for the rest in 
 designs: the share on the right side of the failure boundary, and the mean log probability [nat] of the true side. Each
 sees the same scaled features; all but activefail, which searches the design space, choose from the same fresh Sobol'
 pool of designs (AEPsych from its first quarter), since features are no independent variables over which an optimiser of
-theirs could run. `activefail-pool` is activefail without its search.
+theirs could run. activefail's EAVC does without its search, and chooses from the pool, too.
 
     python benchmarks/peers.py --seeds 3 --cache fresh.npz --results peers.jsonl
-    python benchmarks/peers.py --peers activefail,boosting --features collision --results peers.jsonl
+    python benchmarks/peers.py --peers activefail,activefail-eavc --features collision --results peers.jsonl
 
 Peers are optional (benchmarks/requirements-peers.txt): one that is not installed is left out. Finished campaigns are
 lines of the results file and are not run again, so that a run that was interrupted goes on where it stopped.
@@ -28,8 +28,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.acquisition.batch import POOL, SHORTLIST, greedy_batch, propose
-from activefail.acquisition.criteria import entropy
+from activefail.acquisition.batch import POOL, propose
+from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
 from activefail.campaign.campaign import stream
@@ -93,13 +93,13 @@ def pool(features: FeatureMap, rng: np.random.Generator) -> tuple[Array, Array]:
 
 @dataclass
 class Activefail:
-    """Matérn-5/2 classifier, entropy: `activefail` with its defaults but the kernel.
+    """Matérn-5/2 classifier; designs as `activefail` chooses them by a criterion.
 
     Attributes:
-        search: whether the pool's best are improved by searches of the design space, as `activefail` does.
+        criterion: by its name in a campaign file.
     """
 
-    search: bool = True
+    criterion: str = "entropy"
     latent: Latent | None = None
 
     def learn(self, F: Array, answers: Answers, last: bool) -> None:
@@ -108,11 +108,7 @@ class Activefail:
         self.latent = Latent(fit(torch.from_numpy(F), y, "matern52", start))
 
     def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
-        if self.search:
-            return propose(self.latent, features, TABLE_1, entropy, q, rng)
-        X, F = pool(features, rng)
-        best = np.argsort(-entropy(*self.latent.moments(F)), kind="stable")[:SHORTLIST]
-        return X[best[greedy_batch(*self.latent.joint(F[best]), q, entropy)]]
+        return propose(self.latent, features, TABLE_1, criterion(self.criterion), q, rng)
 
     def probability(self, F: Array) -> Array:
         return self.latent.moments(F).probability
@@ -317,7 +313,7 @@ def entries(fit_seconds: float) -> dict[str, Entry]:
     skl = ("skactiveml", "sklearn")
     return {
         "activefail": Entry("activefail, entropy", ours),
-        "activefail-pool": Entry("activefail without its search", lambda seed: Activefail(search=False)),
+        "activefail-eavc": Entry("activefail, EAVC", lambda seed: Activefail("eavc")),
         "random": Entry("random designs, our classifier", ours, static=uniform),
         "lhs": Entry("static LHS, our classifier", ours, static=TABLE_1.latin_hypercube),
         "sobol": Entry("static Sobol', our classifier", ours, static=sobol),

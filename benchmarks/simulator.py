@@ -4,11 +4,14 @@ All solve the same equations of motion with the same compiled right-hand side an
 alike, check the same event functions at accepted steps and stop by the same rules. The longest step is ours, except
 that ours shortens it to 10 ms while a plate is off the slider, which the peers are spared. What a label should be is
 said by our integrator at a tolerance 100 times tighter. SciPy's solvers step in Python, so the times compare what a
-user would wait for; the evaluations of the right-hand side compare the methods. Semi-implicit Euler is compiled as
-ours is.
+user would wait for; the evaluations of the right-hand side compare the methods. They run as fast as can be, each by its
+solver class and one compiled look at a step's end, and LSODA also as a user would call it, by solve_ivp with event
+functions. Semi-implicit Euler is compiled as ours is, and so is LSODA in numbalsoda, which is skipped where it is not
+installed (it is built from source: `pip install numbalsoda` with CMake and a Fortran compiler).
 
     python benchmarks/simulator.py --n 500 --peers 20
 
+    python benchmarks/simulator.py --n 500 --peers 500 --only numbalsoda
     python benchmarks/simulator.py --n 5000 --peers 0     labels only
     python benchmarks/simulator.py --settled 20000        is any run ended that would have failed?
     python benchmarks/simulator.py --threads 2            scaling
@@ -16,13 +19,15 @@ ours is.
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import carray, cfunc, njit
 from numpy.typing import NDArray
-from scipy.integrate import BDF, LSODA, OdeSolver, Radau
+from scipy.integrate import BDF, LSODA, OdeSolver, Radau, solve_ivp
 from threadpoolctl import threadpool_limits
 
 from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Responses, Tolerance, simulate
@@ -40,6 +45,8 @@ PEER_TOLERANCES = (1e-4, 1e-5, 1e-6)
 SCALE = np.array([*SCALE_Q, *SCALE_V])
 """Positions [m, rad] and velocities below which errors count as absolute, as ours do."""
 EULER_STEPS = (4e-6, 2e-6, 1e-6)
+OUTPUT_STEP = 2e-3
+"""Times between the states that numbalsoda gives [s]."""
 REPEATS = 5
 
 
@@ -126,13 +133,13 @@ def euler(constants, q, v, end, step, levels):
 
 
 class Answer(NamedTuple):
-    """What a peer gave for one design."""
+    """What a peer gave for one design; what it does not count is NaN."""
 
     label: int
     seconds: float
-    steps: int
-    evaluations: int
-    jacobians: int
+    steps: float
+    evaluations: float
+    jacobians: float
 
 
 def problem(row: Array) -> tuple[System, Barrier, float]:
@@ -173,6 +180,114 @@ def solve(solver: type[OdeSolver], row: Array, relative: float) -> Answer:
         if settled(stepper.t, label == o.IMPACT, stored, constants, levels):
             break
     return Answer(label, time.process_time() - began, steps, stepper.nfev, stepper.njev)
+
+
+@njit(error_model="numpy")
+def events(t, y, p, touched, levels):
+    """What solve_ivp looks for a root of: touch, escape, loss of confinement, overturning, a settled label."""
+    constants = _unpack(p)
+    q, v = _halves(y)
+    seen = o.observe(constants, q, v)
+    stored = energy(constants, t, q, v).stored
+    done = settled(t, touched, stored, constants, Barrier(levels[0], levels[1], levels[2]))
+    gap, tilt = seen.confinement_gap - constants.rim_height, seen.tilt - constants.tilt_limit
+    return max(seen.touch, -1.0), max(seen.escape, -1.0), gap, tilt, 1.0 if done else -1.0
+
+
+def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
+    """One design by LSODA as a user would call it: one call of solve_ivp, with the compiled functions of `solve`.
+
+    `derivative` says whether it is given the Jacobian or finds it by differences.
+
+    An event function for each way in which a run ends, and one for the touch, which says from when on the label is
+    settled by another energy. solve_ivp calls each at the end of every step and refines the roots.
+    """
+    began = time.process_time()
+    constants, levels, end = problem(row)
+    p, barriers, touched = pack(constants), np.array(levels), False
+
+    def event(place: int) -> Any:
+        def function(t: float, y: Array) -> float:
+            nonlocal touched
+            values = events(t, y, p, touched, barriers)
+            touched = touched or values[0] > 0.0
+            return float(values[place])
+
+        function.terminal, function.direction = place > 0, 1.0  # type: ignore[attr-defined]
+        return function
+
+    path = solve_ivp(
+        lambda t, y: slope(t, y, p),
+        (-HALF_DURATION * constants.period, end),
+        np.array([*equilibrium(constants), 0.0, 0.0, 0.0, 0.0, 0.0]),
+        method="LSODA",
+        events=[event(place) for place in range(5)],
+        first_step=1e-3 * constants.period,
+        max_step=min(Tolerance().longest_step, 0.1 * constants.period),
+        rtol=relative,
+        atol=relative * SCALE,
+        **({"jac": lambda t, y: jacobian(t, y, p)} if derivative else {}),
+    )
+    failed = any(len(times) for times in path.t_events[1:4])
+    label = o.FAILURE if failed else o.IMPACT if touched else o.NO_IMPACT
+    if path.status < 0 or (failed and not touched):
+        label = o.NUMERICAL_FAILURE
+    return Answer(label, time.process_time() - began, len(path.t) - 1, path.nfev, path.njev)
+
+
+def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
+    """How numbalsoda solves one design; None where it is not installed.
+
+    It integrates to given times, without a Jacobian, a bound on its steps or events. So the end is given: 0.1 s after
+    the end of our own run, whose time does not count. Events are looked for in the states every `OUTPUT_STEP`. The
+    state is in units of `SCALE`, for it takes one absolute tolerance for all coordinates.
+    """
+    try:
+        from numbalsoda import lsoda, lsoda_sig
+    except ImportError:
+        return None
+    scale = SCALE
+
+    @cfunc(lsoda_sig)
+    def scaled_slope(t, y, dy, data):
+        p = carray(data, 26)
+        p[25] += 1.0
+        at = carray(y, 10)
+        q = (at[0] * scale[0], at[1] * scale[1], at[2] * scale[2], at[3] * scale[3], at[4] * scale[4])
+        v = (at[5] * scale[5], at[6] * scale[6], at[7] * scale[7], at[8] * scale[8], at[9] * scale[9])
+        a = dfp_acceleration(_unpack(p), t, q, v)
+        out = carray(dy, 10)
+        for i in range(5):
+            out[i] = v[i] / scale[i]
+            out[5 + i] = a[i] / scale[5 + i]
+
+    address = scaled_slope.address
+
+    @njit(error_model="numpy")
+    def run(p, y, times, relative):
+        states, success = lsoda(address, y / scale, times, data=p, rtol=relative, atol=relative, mxstep=100_000)
+        if not success:
+            return o.NUMERICAL_FAILURE
+        label = o.NO_IMPACT
+        for i in range(len(times)):
+            touched, cause, _ = look(times[i], states[i] * scale, p)
+            if touched:
+                label = o.IMPACT
+            if cause != o.NONE:
+                return o.FAILURE if label == o.IMPACT else o.NUMERICAL_FAILURE
+        return label
+
+    def solve_row(row: Array, relative: float) -> Answer:
+        end = float(simulate(row[None, :], threads=1).margin("end_time")[0]) + 0.1
+        began = time.process_time()
+        constants, _, _ = problem(row)
+        p = np.array([*pack(constants), 0.0])
+        y = np.array([*equilibrium(constants), 0.0, 0.0, 0.0, 0.0, 0.0])
+        times = np.arange(-HALF_DURATION * constants.period, end, OUTPUT_STEP)
+        label = run(p, y, times, relative)
+        return Answer(label, time.process_time() - began, np.nan, p[25], np.nan)
+
+    return solve_row
 
 
 def solve_by_euler(row: Array, step: float) -> Answer:
@@ -217,8 +332,8 @@ def print_ours(X: Array, tolerance: Tolerance) -> NDArray[np.int8]:
     return tight.label
 
 
-def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[np.int8]) -> None:
-    """Run SciPy's solvers on the designs and print them beside ours; looser tolerances first, until labels agree."""
+def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[np.int8], only: list[str]) -> None:
+    """Run the peers, or `only` those, and print them beside ours; looser tolerances first, until labels agree."""
 
     def line(name: str, relative: float, means: Array, equal: int, base: Array) -> None:
         counts = "".join(f"{count:>10.0f}" for count in means[1:])
@@ -236,10 +351,21 @@ def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[
     )
     line("activefail", Tolerance().relative, base, int((ours.label == reference).sum()), base)
     best: list[tuple[float, str]] = []
-    runs = [(kind.__name__, kind, PEER_TOLERANCES) for kind in PEERS]
-    for name, kind, settings in [*runs, ("Euler", None, EULER_STEPS)]:
+    runs: list[tuple[str, Callable[[Array, float], Answer], tuple[float, ...]]] = [
+        ("solve_ivp", partial(solve_by_solve_ivp, False), PEER_TOLERANCES),
+        ("solve_ivp, J", partial(solve_by_solve_ivp, True), PEER_TOLERANCES),
+        *((kind.__name__, partial(solve, kind), PEER_TOLERANCES) for kind in PEERS),
+        ("Euler", solve_by_euler, EULER_STEPS),
+    ]
+    compiled_lsoda = numbalsoda_solver()
+    if compiled_lsoda is not None:
+        runs.append(("numbalsoda", compiled_lsoda, PEER_TOLERANCES))
+    for name, solver, settings in runs:
+        if only and name not in only:
+            continue
+        solver(X[0], settings[0])  # compiled before the clock runs
         for setting in settings:
-            answers = [solve_by_euler(row, setting) if kind is None else solve(kind, row, setting) for row in X]
+            answers = [solver(row, setting) for row in X]
             equal = sum(answer.label == label for answer, label in zip(answers, reference, strict=True))
             means = np.mean([(1e3 * a.seconds, a.steps, a.evaluations, a.jacobians) for a in answers], axis=0)
             line(name, setting, means, equal, base)
@@ -248,13 +374,14 @@ def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[
                 break
         else:
             print(f"  {name} does not give all labels with any of these")
-    print("  Euler's setting is its step [s]; it is compiled and its clock is inside, the others step in Python")
-    try:
-        import numbalsoda  # noqa: F401
-    except ImportError:
-        print("  numbalsoda is not installed")
+    print("  Euler's setting is its step [s]")
+    print(
+        "  solve_ivp's method is LSODA; its calls and those of the next three step in Python, the others are compiled"
+    )
+    if compiled_lsoda is None:
+        print("  numbalsoda is not installed: skipped")
     else:
-        print("  numbalsoda integrates to given times and cannot stop at an event: not compared")
+        print("  numbalsoda is told when to end, 0.1 s after the end of our run")
     if best:
         ratio, name = min(best)
         print(f"At equal labels ours takes a {ratio:.0f}th of the time of the fastest of these, {name}.")
@@ -289,7 +416,8 @@ def print_scaling(X: Array, threads: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description="The simulator's speed beside other integrators.")
     parser.add_argument("--n", type=int, default=500, help="designs of Table 1 for ours")
-    parser.add_argument("--peers", type=int, default=20, help="how many of them for SciPy's solvers; 0: none")
+    parser.add_argument("--peers", type=int, default=20, help="how many of them for the peers; 0: none")
+    parser.add_argument("--only", nargs="+", default=[], metavar="SOLVER", help="some of the peers, by name")
     parser.add_argument("--seed", type=int, default=0, help="of the Latin hypercube")
     parser.add_argument("--settled", type=int, default=0, help="look at this many designs for runs ended too early")
     parser.add_argument("--threads", type=int, default=0, help="measure the scaling to this many threads")
@@ -308,10 +436,7 @@ def main() -> None:
         reference = print_ours(X, Tolerance())
         some = X[: arguments.peers]
         if len(some):
-            for solver in PEERS:
-                solve(solver, X[0], 1e-2)
-            solve_by_euler(X[0], 1e-4)
-            print_peers(some, *least_of(REPEATS, some, Tolerance()), reference[: len(some)])
+            print_peers(some, *least_of(REPEATS, some, Tolerance()), reference[: len(some)], arguments.only)
 
 
 if __name__ == "__main__":

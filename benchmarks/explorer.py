@@ -1,0 +1,86 @@
+"""How long the explorer's page waits for an answer: a prediction, a plane, a fragility curve, a simulation.
+
+    python benchmarks/explorer.py --run runs/bearing --n 50
+
+Designs are drawn from the campaign's space. Each question is asked n times (a plane and a curve a fifth of that), with
+nothing else asked meanwhile; the prediction also while planes are asked for without a pause, as a moved slider does.
+Times are those of the answer [ms], without HTTP and the browser, which take a few more.
+"""
+
+import argparse
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from activefail.campaign.folder import open_campaign
+from activefail.campaign.learning import current_classifier
+from activefail.campaign.loop import one_thread
+from activefail.explorer.answers import Answers
+from activefail.report.findings import glance
+
+GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation": 300}
+"""Within which an answer is felt as at once [ms]."""
+
+
+def waited(ask, designs):
+    """Time of each answer [ms]."""
+    taken = []
+    for design in designs:
+        began = time.perf_counter()
+        ask(design)
+        taken.append(1e3 * (time.perf_counter() - began))
+    return taken
+
+
+def waited_among_planes(answers, designs):
+    """The same of predictions, a twentieth of a second apart, while another thread asks for planes."""
+    over = threading.Event()
+
+    def planes():
+        while not over.is_set():
+            answers.plane(designs[0], 0, 1, answers.outcomes[-1])
+
+    other = threading.Thread(target=planes)
+    other.start()
+    try:
+        taken = []
+        for design in designs:
+            time.sleep(0.05)
+            taken += waited(answers.predict, [design])
+    finally:
+        over.set()
+        other.join()
+    return taken
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", required=True, help="run folder of a campaign on the bearing")
+    parser.add_argument("--n", type=int, default=50, help="designs")
+    arguments = parser.parse_args()
+
+    with one_thread():
+        with open_campaign(Path(arguments.run), write=False) as (campaign, store):
+            classifier = current_classifier(campaign, store, write=False)
+            answers = Answers(glance(Path(arguments.run), campaign, store, classifier))
+        designs = campaign.space.latin_hypercube(arguments.n, np.random.default_rng(0)).tolist()
+        few = designs[: max(2, arguments.n // 5)]
+        last = len(designs[0]) - 1
+        answers.plane(designs[0], 0, 1, answers.outcomes[-1])  # loads what a first drawing needs
+        times = {
+            "prediction": waited(answers.predict, designs),
+            "prediction while planes are drawn": waited_among_planes(answers, designs),
+            "plane": waited(lambda design: answers.plane(design, last - 1, last, answers.outcomes[-1]), few),
+            "fragility curve": waited(lambda design: answers.fragility(design, last), few),
+            "simulation": waited(answers.simulate, designs),
+            "its histories as a figure": waited(lambda design: answers.histories(design, False), few),
+        }
+    print(f"{'answer [ms]':34s} {'median':>8} {'worst':>8} {'goal':>6}")
+    for name, taken in times.items():
+        print(f"{name:34s} {np.median(taken):8.1f} {max(taken):8.1f} {GOALS.get(name, '–'):>6}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,308 @@
+"""What the loop costs without its simulations: learning a boundary, and proposing ten designs; ours and others'.
+
+    python benchmarks/loop.py --n 250 1000 4000 16000 50000
+    python benchmarks/loop.py --n 500 --peers lbfgs,svgp,aepsych --limit 120
+
+The boundary of failure, designs of a Latin hypercube of Table 1, labels from the bearing model, Matérn-5/2, fresh
+uniform designs to judge by. Seconds are processor time of this process, all its threads together. Ours is measured
+
+    cold       from nothing;
+    warm       ten designs more than an earlier fit;
+    relearned  hyperparameters anew, as a campaign does when it has grown by a twentieth;
+    propose    a batch of ten by entropy.
+
+What is learned is timed until it can predict.
+
+Peers, each with a limit of processor time, learn cold from the same designs; ours comes first, since it says where they
+may stop. The objective is the bound plus the log prior of mean and scales, which lbfgs and svgp share with ours.
+
+    lbfgs      GPyTorch's whitened strategy, every point an inducing point (so of at most 1,000), by SciPy's L-BFGS;
+    svgp       GPyTorch's whitened strategy, 500 inducing points that move, by Adam on batches of 1,000, at a rate of
+               0.05 for half of the time and then 0.01;
+    aepsych    AEPsych's classifier with its output scale learned, its own objective, and a batch by EAVC.
+
+With --inducing, the posterior with inducing points beside the exact one at the same hyperparameters instead: what their
+number costs, chosen by site precision times unexplained variance, or by the latter alone.
+
+    python benchmarks/loop.py --n 2000 --inducing 250 500 1000
+
+lbfgs and svgp stop when they are within --short nats of our objective. Those not installed are left out.
+"""
+
+import argparse
+import math
+import time
+import warnings
+
+import gpytorch
+import numpy as np
+import torch
+from scipy.optimize import minimize
+from scipy.special import ndtr
+
+from activefail.acquisition.batch import propose
+from activefail.acquisition.criteria import entropy
+from activefail.bearing import TABLE_1, simulate
+from activefail.bearing.outcome import FAILURE
+from activefail.campaign.loop import one_thread
+from activefail.features import feature_map
+from activefail.surrogate import fitting
+from activefail.surrogate.classifier import Latent
+from activefail.surrogate.covariance import JITTER, covariance_module
+from activefail.surrogate.inducing import choose, project
+from activefail.surrogate.sites import Sites, solve_sites
+
+FRESH, BATCH, KERNEL = 4000, 10, "matern52"
+INDUCING, MINIBATCH = 500, 1000
+
+
+class Clock:
+    """Seconds of processor time since it was made, without those spent paused."""
+
+    def __init__(self):
+        self.began, self.left_out = time.process_time(), 0.0
+
+    @property
+    def seconds(self):
+        return time.process_time() - self.began - self.left_out
+
+    def without(self, function):
+        answer, seconds = timed(function)
+        self.left_out += seconds
+        return answer
+
+
+def timed(function):
+    clock = Clock()
+    return function(), clock.seconds
+
+
+def labels(X):
+    return np.where(simulate(X, threads=1).label == FAILURE, 1.0, -1.0)
+
+
+def verdict(probit, y):
+    """Accuracy and mean log probability of the true side from (mean)/√(1 + sd²) at fresh designs."""
+    log_score = np.log(np.clip(ndtr(probit * y), 1e-12, None)).mean()
+    return f"{100.0 * np.mean((probit > 0.0) == (y > 0.0)):9.2f} {log_score:9.4f}"
+
+
+def line(n, who, objective, seconds, judged, note=""):
+    known = f"{objective:10.1f}" if objective is not None else f"{'':10}"
+    print(f"{n:6} {who:10} {seconds:9.2f} {known} {judged:>19}  {note}", flush=True)
+
+
+class Problem:
+    """n designs, their labels, and fresh ones."""
+
+    def __init__(self, features, n, seed):
+        more = math.ceil((1.0 + fitting.GROWTH) * n) + 1
+        self.n, self.features = n, features
+        self.X = TABLE_1.latin_hypercube(more, np.random.default_rng([seed, n]))
+        np.random.default_rng([seed, n, 1]).shuffle(self.X)
+        self.fresh = TABLE_1.from_unit(np.random.default_rng([seed, 1]).random((FRESH, TABLE_1.dimension)))
+        self.F, self.y = torch.from_numpy(features(self.X)), torch.from_numpy(labels(self.X))
+        self.F_fresh, self.y_fresh = features(self.fresh), labels(self.fresh)
+
+    def fit(self, n, warm=None):
+        return fitting.fit(self.F[:n], self.y[:n], KERNEL, warm)
+
+    def judged(self, trained):
+        return verdict(Latent(trained).moments(self.F_fresh).standardised, self.y_fresh)
+
+
+def ours(problem):
+    """Print what ours costs; the cold fit's objective."""
+    n = problem.n
+
+    def ready(*of):
+        trained = problem.fit(*of)
+        fitting.readout(trained)
+        return trained
+
+    cold, seconds = timed(lambda: ready(n))
+    objective = fitting.objective(cold)
+    points = n if cold.inducing is None else len(cold.inducing)
+    line(n, "cold", objective, seconds, problem.judged(cold), f"{cold.evaluations} evaluations, {points} points")
+    warm, seconds = timed(lambda: ready(n + BATCH, cold))
+    line(n, "warm", fitting.objective(warm), seconds, problem.judged(warm), f"{BATCH} designs more")
+    again, seconds = timed(lambda: ready(len(problem.y), cold))
+    line(n, "relearned", fitting.objective(again), seconds, problem.judged(again), f"{len(problem.y) - n} designs more")
+    rng = np.random.default_rng(1)
+    _, seconds = timed(lambda: propose(Latent(warm), problem.features, TABLE_1, entropy, BATCH, rng))
+    line(n, "propose", None, seconds, "")
+    return objective
+
+
+def inducing_points(problem, numbers):
+    n, F, y = problem.n, problem.F[: problem.n], problem.y[: problem.n]
+    h = problem.fit(n).hyperparameters
+    fitting.EXACT = n
+    start = Sites(0.1 * y, torch.full_like(y, 0.1))
+    exact, seconds = timed(lambda: fitting.condition(F, y, KERNEL, h, tolerance=1e-3))
+    line(n, "exact", exact.elbo, seconds, problem.judged(exact))
+    for name, weights in (("W rest", exact.sites.precision), ("rest", torch.ones(n, dtype=torch.float64))):
+        for most in numbers:
+            rows, _ = choose(F, weights, KERNEL, h, most=most)
+            prior = project(F, rows, KERNEL, h)
+            (sites, state), seconds = timed(lambda prior=prior: solve_sites(prior, h.mean, y, start, 1e-3))
+            fit = fitting.Fit(KERNEL, F, y, h, sites, state.elbo, 0, n, rows)
+            line(
+                n,
+                name,
+                fit.elbo,
+                seconds,
+                problem.judged(fit),
+                f"{len(rows)} points, {exact.elbo - fit.elbo:.2f} short",
+            )
+
+
+class Variational(gpytorch.models.ApproximateGP):
+    """GPyTorch's own, with our covariance and priors."""
+
+    def __init__(self, Z, move):
+        q = gpytorch.variational.CholeskyVariationalDistribution(len(Z)).double()
+        super().__init__(gpytorch.variational.VariationalStrategy(self, Z, q, move, jitter_val=JITTER))
+        self.mean_module = gpytorch.means.ConstantMean().double()
+        self.covar_module = covariance_module(KERNEL, Z.shape[1])
+        # Where ours starts.
+        self.covar_module.outputscale = 10.0
+        self.covar_module.base_kernel.lengthscale = math.sqrt(Z.shape[1])
+
+    def forward(self, x):
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+    def log_prior(self):
+        scales = [(density, closure(module)) for _, module, density, closure, _ in self.named_priors()]
+        own = -0.5 * self.mean_module.constant.squeeze() ** 2
+        return own + sum((density.log_prob(scale) + scale.log()).sum() for density, scale in scales)
+
+    def objective(self, F, y, n):
+        """Bound plus log prior, estimated from some of n points."""
+        expected = gpytorch.likelihoods.BernoulliLikelihood().expected_log_prob((y > 0.0).double(), self(F)).sum()
+        return expected * (n / len(y)) - self.variational_strategy.kl_divergence() + self.log_prior()
+
+    def whole(self, F, y):
+        with torch.no_grad():
+            parts = [self.objective(f, t, len(t)) for f, t in zip(F.split(4000), y.split(4000), strict=True)]
+            once = self.log_prior() - self.variational_strategy.kl_divergence()
+            return float(sum(parts) - (len(parts) - 1) * once)
+
+    def judged(self, problem):
+        self.eval()
+        with torch.no_grad():
+            parts = [self(f) for f in torch.from_numpy(problem.F_fresh).split(1000)]
+            mean, variance = torch.cat([p.mean for p in parts]), torch.cat([p.variance for p in parts])
+        return verdict((mean / (1.0 + variance).sqrt()).numpy(), problem.y_fresh)
+
+
+class DoneError(Exception):
+    """A peer is there, or out of time."""
+
+
+def lbfgs(problem, target, limit):
+    if problem.n > 1000:
+        return
+    F, y = problem.F[: problem.n], problem.y[: problem.n]
+    model = Variational(F, False).train()
+    parameters = [p for p in model.parameters() if p.requires_grad]
+    clock, best = Clock(), -math.inf
+
+    def negative(packed):
+        nonlocal best
+        torch.nn.utils.vector_to_parameters(torch.from_numpy(packed), parameters)
+        model.zero_grad()
+        value = model.objective(F, y, len(y))
+        value.backward()
+        best = max(best, float(value.detach()))
+        if best > target or clock.seconds > limit:
+            raise DoneError
+        return -float(value.detach()), -torch.cat([p.grad.reshape(-1) for p in parameters]).numpy()
+
+    with torch.no_grad():  # GPyTorch sets q from the prior in the first call
+        model(F)
+    start = torch.nn.utils.parameters_to_vector(parameters).detach().numpy().copy()
+    note = "converged"
+    try:
+        minimize(negative, start, jac=True, method="L-BFGS-B", options={"maxiter": 100_000, "maxfun": 100_000})
+    except DoneError:
+        note = "there" if best > target else "limit"
+    line(problem.n, "lbfgs", best, clock.seconds, model.judged(problem), note)
+
+
+def svgp(problem, target, limit):
+    n, F, y = problem.n, problem.F[: problem.n], problem.y[: problem.n]
+    torch.manual_seed(0)
+    model = Variational(F[torch.randperm(n)[: min(INDUCING, n)]].clone(), True).train()
+    optimizer = torch.optim.Adam(model.parameters(), lr=0.05)
+    clock, step, best, note = Clock(), 0, -math.inf, "limit"
+    while clock.seconds < limit:
+        rows = torch.randperm(n)[:MINIBATCH]
+        optimizer.param_groups[0]["lr"] = 0.05 if clock.seconds < 0.5 * limit else 0.01
+        optimizer.zero_grad()
+        (-model.objective(F[rows], y[rows], n)).backward()
+        optimizer.step()
+        step += 1
+        if step % 50 == 0:
+            best = clock.without(lambda: model.whole(F, y))
+            if best > target:
+                note = "there"
+                break
+    line(n, "svgp", model.whole(F, y), clock.seconds, model.judged(problem), f"{note}, {step} steps")
+
+
+def aepsych(problem, target, limit):
+    from peers import AEPsych
+
+    n, F = problem.n, problem.F[: problem.n].numpy()
+    torch.manual_seed(0)
+    peer = AEPsych(True, limit)
+    peer.bounds = F.min(axis=0), F.max(axis=0)
+    y = torch.from_numpy((problem.y[:n].numpy() > 0.0).astype(float))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its optimiser: it is the result that counts
+        peer.model = peer._fresh(F.shape[1])
+        _, seconds = timed(lambda: peer.model.fit(peer._unit(F), y, max_fit_time=limit))
+        with torch.no_grad():
+            mean, variance = peer.model.predict(peer._unit(problem.F_fresh))
+        _, choosing = timed(lambda: peer.choose(problem.features, BATCH, np.random.default_rng(1)))
+    judged = verdict((mean / (1.0 + variance).sqrt()).numpy(), problem.y_fresh)
+    line(n, "aepsych", None, seconds, judged, f"a batch {choosing:.2f} s")
+
+
+PEERS = {"lbfgs": lbfgs, "svgp": svgp, "aepsych": aepsych}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", nargs="+", type=int, default=[250, 1000, 4000, 16000])
+    parser.add_argument("--features", default="paper", help="paper, design, sliding, collision")
+    parser.add_argument("--peers", default="", help=f"of {','.join(PEERS)}")
+    parser.add_argument("--limit", type=float, default=60.0, help="processor seconds of a peer's fit")
+    parser.add_argument("--short", type=float, default=0.5, help="nats of our objective at which a peer may stop")
+    parser.add_argument("--inducing", nargs="+", type=int, help="numbers of inducing points to compare, and no more")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    asked = [name for name in arguments.peers.split(",") if name]
+    if unknown := [name for name in asked if name not in PEERS]:
+        parser.error(f"--peers must be of {', '.join(PEERS)}, got {unknown[0]!r}.")
+    features = feature_map(arguments.features, TABLE_1)
+    with one_thread():
+        problem = Problem(features, 32, arguments.seed)  # everything is loaded and compiled before the clock runs
+        propose(Latent(problem.fit(32)), features, TABLE_1, entropy, 1, np.random.default_rng(0))
+        print(f"{'n':>6} {'':10} {'seconds':>9} {'objective':>10} {'accuracy':>9} {'log score':>9}")
+        for n in arguments.n:
+            problem = Problem(features, n, arguments.seed)
+            if arguments.inducing:
+                inducing_points(problem, arguments.inducing)
+                continue
+            objective = ours(problem)
+            for name in asked:
+                try:
+                    PEERS[name](problem, objective - arguments.short, arguments.limit)
+                except ImportError as error:
+                    print(f"{n:6} {name:10} left out: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""The bearing before any rim touch beside OpenSees' friction pendulum element, and both beside a rigid pendulum.
+
+    python benchmarks/opensees.py --python /path/to/python/with/openseespy
+    python benchmarks/opensees.py --n 400 --seed 2 --labels 500
+
+Designs of Table 1 that meet no rim, drawn at random. Each is simulated as it is, with slow creep (friction regularised
+over 10^-5 m/s instead of 10^-3) and, besides, as nearly rigid (contacts 10^4 times as stiff); by OpenSees
+(campaigns/opensees_model.py, in the interpreter that is named, by default this one) as it is, without the rise of the
+mass, and with friction mobilised over the displacement that the bearing's elastic contacts allow; and by the equation
+of a rigid pendulum, integrated here. What is compared is the peak displacement, and the largest difference of the
+histories over that peak. docs/opensees.md says what comes out.
+"""
+
+import argparse
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate, simulate_one
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.bearing.simulation import FREE_PERIODS
+
+PROGRAM = Path(__file__).parents[1] / "campaigns" / "opensees_model.py"
+MODEL = Model()
+COULOMB = Model(friction_velocity=1e-5)
+RIGID_STIFFNESS = 1e4
+
+
+class Path1D(NamedTuple):
+    """Displacement of the top plate [m] over time [s], 0 at the pulse's centre."""
+
+    t: np.ndarray
+    x: np.ndarray
+
+    @property
+    def peak(self):
+        return np.abs(self.x).max()
+
+    def difference(self, other):
+        """Largest difference of the histories over the other's peak, at the other's times as far as both go."""
+        within = (other.t >= self.t[0]) & (other.t <= self.t[-1])
+        return np.abs(np.interp(other.t[within], self.t, self.x) - other.x[within]).max() / other.peak
+
+
+def rigid_limit(bearing):
+    """L between the dishes' circles [m] and the friction coefficient on a surface of that radius (docs/opensees.md)."""
+    half_angle = math.asin(0.5 * bearing.slider_diameter / bearing.radius)
+    length = 2.0 * bearing.radius * math.cos(half_angle) - bearing.slider_height
+    lever = 2.0 * bearing.radius * math.sin(math.atan(bearing.mu)) / (length * math.cos(half_angle))
+    return length, math.tan(math.asin(lever))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _swing(length, friction, amplitude, period, step, count):
+    t, x = np.empty(count + 1), np.zeros(count + 1)
+    angle, rate = 0.0, 0.0
+    t[0] = -HALF_DURATION * period
+    for n in range(count):
+        ground = ground_acceleration(t[n], amplitude, period)
+        pressed = length * rate * rate + GRAVITY * math.cos(angle) - ground * math.sin(angle)
+        rate -= step / length * (GRAVITY * math.sin(angle) + ground * math.cos(angle))
+        rate = math.copysign(max(abs(rate) - step / length * friction * pressed, 0.0), rate)
+        angle += step * rate
+        t[n + 1], x[n + 1] = t[n] + step, length * math.sin(angle)
+    return t, x
+
+
+def pendulum(length, friction, pulse, free_time, steps=6400):
+    """A point mass on a circle with Coulomb friction, at whatever displacement: what a rigid bearing is.
+
+        L φ'' = −g sin φ − ü_g cos φ − μ n sgn φ',    n = L φ'² + g cos φ − ü_g sin φ,    x = L sin φ
+
+    By leapfrog, as `activefail.bearing.sliding`, whose equation is this one's for small φ.
+    """
+    step = min(pulse.period, 1.0) / steps
+    count = math.ceil((2.0 * HALF_DURATION * pulse.period + free_time) / step)
+    return Path1D(*_swing(length, friction, pulse.amplitude, pulse.period, step, count))
+
+
+def ours(row, model=MODEL, stiffness=1.0, tolerance=None):
+    """The bearing itself, to the end; None where it meets a rim."""
+    stiff = np.array(row)
+    stiff[6] *= stiffness
+    response = simulate_one(
+        Bearing.from_row(stiff.tolist(), model.slider_diameter),
+        Pulse.from_table(*row[7:]),
+        model,
+        tolerance or Tolerance(),
+        to_the_end=True,
+    )
+    return Path1D(response.t, response.q[:, 3]) if response.outcome == "no_impact" else None
+
+
+def opensees(python, row, *options):
+    """OpenSees' element, by the program of the campaign; None where it meets a rim."""
+    T_b, mu, D_tot, h_sl_ratio, _, _, _, T_p, A_p = map(repr, row)
+    with tempfile.TemporaryDirectory() as folder:
+        history = Path(folder, "history.csv")
+        words = [python, PROGRAM, "--t-b", T_b, "--mu", mu, "--d-tot", D_tot, "--t-p", T_p, "--a-p", A_p]
+        words += ["--h-sl-ratio", h_sl_ratio, "--slider-diameter", repr(MODEL.slider_diameter)]
+        done = subprocess.run([*words, "--history", history, *options], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            sys.exit(done.stderr)
+        t, x, _ = np.loadtxt(history, delimiter=",", skiprows=1).T
+    return Path1D(t, x) if '"safe"' in done.stdout else None
+
+
+def arbiter(row):
+    """The rigid pendulum of a design."""
+    bearing = Bearing.from_row(row, MODEL.slider_diameter)
+    return pendulum(*rigid_limit(bearing), Pulse.from_table(*row[7:]), FREE_PERIODS * row[0])
+
+
+def elastic_slip(bearing):
+    """Displacement [m] of the plate by the slider's rocking on its contacts when friction gives way.
+
+    Of each plate's two vertices one is pressed in and one relieved: a moment k_n D_sl²/2 per plate and radian, k_n the
+    stiffness of a contact that carries half of the weight. The shear μW has the arm h_sl, and so has the displacement.
+    """
+    load = 0.5 * bearing.plate_mass * GRAVITY
+    normal = 1.5 * bearing.stiffness ** (2.0 / 3.0) * load ** (1.0 / 3.0)
+    return 2.0 * load * bearing.mu * (bearing.slider_height / bearing.slider_diameter) ** 2 / normal
+
+
+def compare(python, n, seed, least):
+    X = TABLE_1.latin_hypercube(4 * n, np.random.default_rng(seed))
+    X = X[simulate(X).label == 0]
+    makers = {
+        "bearing": ours,
+        "bearing, slow creep": lambda row: ours(row, COULOMB),
+        "bearing, rigid": lambda row: ours(row, COULOMB, RIGID_STIFFNESS, Tolerance(1e-5)),
+        "OpenSees": lambda row: opensees(python, row),
+        "OpenSees, level": lambda row: opensees(python, row, "--level"),
+        "OpenSees, elastic": lambda row: opensees(
+            python, row, "--stick", repr(elastic_slip(Bearing.from_row(row, MODEL.slider_diameter)))
+        ),
+        "rigid pendulum": arbiter,
+    }
+    found, left_out = [], 0
+    for row in X.tolist():
+        if len(found) == n:
+            break
+        motions = {name: maker(row) for name, maker in makers.items()}
+        # One of them meets the rim that the others just miss, or hardly anything moves.
+        if any(motion is None for motion in motions.values()) or motions["rigid pendulum"].peak < least:
+            left_out += 1
+            continue
+        found.append(motions)
+    print(f"{len(found)} designs without a rim touch, {left_out} left out (a peak below {least:g} m, or a touch)")
+    peaks = [motions["rigid pendulum"].peak for motions in found]
+    print(f"peak displacement {min(peaks):.3f} to {max(peaks):.3f} m, median {np.median(peaks):.3f} m\n")
+    print("| motion | beside | peak: mean | median | 90 % | largest | history: median | 90 % | largest |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for one, other in (
+        ("bearing", "OpenSees"),
+        ("bearing, rigid", "OpenSees"),
+        ("bearing, rigid", "rigid pendulum"),
+        ("OpenSees", "rigid pendulum"),
+        ("OpenSees, level", "rigid pendulum"),
+        ("bearing", "OpenSees, elastic"),
+        ("bearing, slow creep", "OpenSees, elastic"),
+    ):
+        peak = np.array([100.0 * (motions[one].peak / motions[other].peak - 1.0) for motions in found])
+        history = np.array([100.0 * motions[one].difference(motions[other]) for motions in found])
+        cells = [f"{peak.mean():+.2f}"]
+        cells += [
+            f"{value:.2f}" for part in (np.abs(peak), history) for value in (*np.quantile(part, [0.5, 0.9]), part.max())
+        ]
+        print(f"| {one} | {other} | {' | '.join(cells)} |")
+
+
+def compare_labels(python, n, seed):
+    """Whether OpenSees says `impact` where the bearing meets a rim, over all of Table 1."""
+    X = TABLE_1.latin_hypercube(n, np.random.default_rng(seed + 1))
+    touched = simulate(X).label >= 1
+    said = np.array([opensees(python, row) is None for row in X.tolist()])
+    print(f"\nimpact or not: the same for {np.mean(said == touched):.1%} of {n} designs;")
+    print(f"{np.sum(touched & ~said)} touch a rim in the bearing alone, {np.sum(said & ~touched)} in OpenSees alone")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--python", default=sys.executable, help="an interpreter that has openseespy and NumPy")
+    parser.add_argument("--n", type=int, default=100, help="designs")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--least", type=float, default=0.01, help="smallest peak displacement that is compared [m]")
+    parser.add_argument("--labels", type=int, default=0, help="designs of all of Table 1 whose outcomes are compared")
+    given = parser.parse_args()
+    began = time.perf_counter()
+    compare(given.python, given.n, given.seed, given.least)
+    if given.labels:
+        compare_labels(given.python, given.labels, given.seed)
+    print(f"\n{time.perf_counter() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
