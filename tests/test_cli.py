@@ -771,6 +771,25 @@ def test_a_ctrl_c_while_the_program_is_ending_has_no_traceback() -> None:
 
 
 @pytest.mark.faults
+def test_a_ctrl_c_ends_the_program_though_a_thread_of_its_own_never_ends(tmp_path: Path) -> None:
+    # As one does not whose start a Ctrl-C met: Python leaves a lock of it taken.
+    (tmp_path / "program.py").write_text(
+        "import sys, threading\n"
+        "from activefail.cli import app, program\n"
+        "@app.command()\n"
+        "def hang() -> None:\n"
+        "    threading.Thread(target=threading.Event().wait).start()\n"
+        "    raise KeyboardInterrupt\n"
+        "sys.argv = ['activefail', 'hang']\n"
+        "program()\n"
+    )
+    words = [sys.executable, str(tmp_path / "program.py")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.faults
 @pytest.mark.parametrize("command", COMMANDS_ON_FOLDERS)
 def test_a_ctrl_c_ends_every_command_without_a_traceback(
     command: str, folder: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,6 +1,6 @@
 """The command line: parse, call, print."""
 
-from activefail.cli.app import app, ends_on_ctrl_c, main
+from activefail.cli.app import app, ends_on_ctrl_c, main, program
 from activefail.cli.campaigns import export, predict, resume, run, status, verify
 from activefail.cli.explore import explore
 from activefail.cli.report import report
@@ -11,4 +11,4 @@ from activefail.cli.studies import compare, paper
 for _command in (simulate, run, resume, status, predict, verify, export, compare, report, explore, paper):
     app.command()(ends_on_ctrl_c(_command))
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "program"]

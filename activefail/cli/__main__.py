@@ -1,5 +1,5 @@
 """`python -m activefail.cli`: the same as `activefail`."""
 
-from activefail.cli import main
+from activefail.cli import program
 
-main()
+program()

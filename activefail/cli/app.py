@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from activefail.cli.common import INTERRUPTED
 from activefail.errors import ActivefailError, InputError
 
 app = typer.Typer(
@@ -25,6 +26,30 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def program() -> None:
+    """Run the command line as a process of its own, and end it."""
+    try:
+        main()
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _leave()
+        raise
+
+
+def _leave() -> None:
+    """End the process after a Ctrl-C without waiting for its threads.
+
+    Where a Ctrl-C meets the start of a thread, Python may wait for that thread for ever, or not at all, and then abort
+    while compiled code runs on in it.
+    """
+    # Ends the processes that were started, too.
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError, OSError, ValueError):
+            stream.flush()
+    os._exit(INTERRUPTED)
 
 
 def main() -> None:
@@ -66,7 +91,7 @@ def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:
             command(*arguments, **options)
         except KeyboardInterrupt:
             print("activefail: stopped; what was recorded is safe", file=sys.stderr)
-            raise typer.Exit(130) from None
+            raise typer.Exit(INTERRUPTED) from None
 
     return ended
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from activefail.cli.common import (
+    INTERRUPTED,
     Code,
     ExecutorName,
     RunFolder,
@@ -140,10 +141,10 @@ def _take_to_budget(
             finished = run_loop(campaign, store, executor, budget, observer, failure_limit, good_enough)
     except KeyboardInterrupt:
         print(f"stopped; {words.at_once}. Go on with: {again}", file=sys.stderr)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     if not finished:
         print(f"stopped {words.in_order}. Go on with: {again}", file=sys.stderr)
-        raise typer.Exit(130)
+        raise typer.Exit(INTERRUPTED)
     done = standing(campaign, store.batches, budget).done
     if campaign.settings.stop is not None and done < budget:
         rule = campaign.settings.stop

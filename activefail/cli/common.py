@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from activefail.campaign.campaign import Campaign
     from activefail.campaign.executor import AsynchronousExecutor
 
+INTERRUPTED = 130
+"""The exit code of a program that a Ctrl-C ended, as shells have it."""
+
 RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", metavar="DIR", show_default=False)]
 
 Code = Annotated[

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, show_warnings, stop_on_signals, writing_to
+from activefail.cli.common import INTERRUPTED, Code, show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
 
 
@@ -161,7 +161,7 @@ def _compare_seeds(
             scores = None
         if scores is None:
             print(f"stopped; what was scored is kept in {out}. The same command goes on.", file=sys.stderr)
-            raise typer.Exit(130)
+            raise typer.Exit(INTERRUPTED)
         page = write_comparison(plan, scores, out)
     print("\n".join(comparison_lines(scores)))
     print(f"page       {page}")
@@ -192,7 +192,7 @@ def paper(
         study = run_study(draws, fresh, seed, stage)
     except KeyboardInterrupt:
         print("stopped; nothing is kept of it. The same command begins anew.", file=sys.stderr)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     command = {"draws": draws, "fresh": fresh, "seed": seed, "cores": os.cpu_count() or 1}
     command["minutes"] = math.ceil((time.monotonic() - begun) / 60.0)
     with writing_to(out):
