@@ -19,6 +19,34 @@ _LEAST_MASS = 1e-6
 """Of a normal between its bounds: far out in a tail its quantiles are lost to rounding."""
 
 
+def distribution_fault(
+    low: float, high: float, distribution: Distribution, mean: float | None, sd: float | None
+) -> str:
+    """Why numbers make no distribution of a variable, as a `Parameter` has them; empty where they do."""
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        return f"`low < high` must hold, got {low} and {high}"
+    if distribution == "log_uniform" and low <= 0.0:
+        return f"`low > 0` must hold with a uniform logarithm, got {low}"
+    if (distribution == "truncated_normal") != (mean is not None and sd is not None):
+        return (
+            "a mean and an sd belong to a truncated normal, and to it alone; "
+            f"got {distribution}, mean {mean} and sd {sd}"
+        )
+    if mean is not None and sd is not None:
+        if not (np.isfinite(mean) and np.isfinite(sd) and sd > 0.0):
+            return f"`sd > 0` must hold, got {sd}"
+        _, mass = _cut_normal(low, high, mean, sd)
+        if not mass >= _LEAST_MASS:
+            return f"{low} to {high} must hold at least {_LEAST_MASS:g} of the normal, got {mass:.1g}"
+    return ""
+
+
+def _cut_normal(low: float, high: float, mean: float, sd: float) -> tuple[float, float]:
+    """Mass of a normal below the lower bound, and between the bounds."""
+    normal = NormalDist(mean, sd)
+    return normal.cdf(low), normal.cdf(high) - normal.cdf(low)
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One variable of the design space, between `low` and `high` (in `unit`).
@@ -42,31 +70,14 @@ class Parameter:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise InputError(f"A variable's name must be an identifier, got {self.name!r}.")
-        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
-            raise InputError(f"`low < high` must hold for {self.name!r}, got {self.low} and {self.high}.")
-        if self.distribution == "log_uniform" and self.low <= 0.0:
-            raise InputError(f"`low > 0` must hold for {self.name!r} with a uniform logarithm, got {self.low}.")
-        if (self.distribution == "truncated_normal") != (self.mean is not None and self.sd is not None):
-            raise InputError(
-                f"A mean and an sd belong to a truncated normal, and to it alone; "
-                f"got {self.distribution}, mean {self.mean} and sd {self.sd} for {self.name!r}."
-            )
-        if self.mean is not None and self.sd is not None:
-            if not (np.isfinite(self.mean) and np.isfinite(self.sd) and self.sd > 0.0):
-                raise InputError(f"`sd > 0` must hold for {self.name!r}, got {self.sd}.")
-            _, mass = self._normal()
-            if not mass >= _LEAST_MASS:
-                raise InputError(
-                    f"{self.low} to {self.high} must hold at least {_LEAST_MASS:g} of the normal for {self.name!r}, "
-                    f"got {mass:.1g}."
-                )
+        fault = distribution_fault(self.low, self.high, self.distribution, self.mean, self.sd)
+        if fault:
+            raise InputError(f"The variable {self.name!r}: {fault}.")
 
     def _normal(self) -> tuple[float, float]:
-        """Mass of the normal below the lower bound, and between the bounds."""
         assert self.mean is not None
         assert self.sd is not None
-        normal = NormalDist(self.mean, self.sd)
-        return normal.cdf(self.low), normal.cdf(self.high) - normal.cdf(self.low)
+        return _cut_normal(self.low, self.high, self.mean, self.sd)
 
     def quantile(self, u: Any, ndtri: Callable[[Any], Any]) -> Any:
         """Values below which the shares u of the distribution lie.

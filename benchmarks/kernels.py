@@ -7,7 +7,8 @@ last feature alone; "+lapseX", labels that are wrong with probability X whatever
 logarithm of the length scales of deviation 1, not 1.7; "+narrow", that of the output scale of deviation 1, not 2, with
 N(0, 1) for the mean; "+initial", hyperparameters learned on the first 250 designs alone; "+warped", every feature
 brought to a normal distribution over the design space; "+average", probabilities averaged over hyperparameters drawn
-from a Laplace approximation. "ordinal" is one latent and two thresholds for the three outcomes.
+from a Laplace approximation; "+mixed", over those learned on all designs and those learned on the first 250. "ordinal"
+is one latent and two thresholds for the three outcomes.
 Judged on fresh designs: right sides of the boundary [%], mean log probability of the side [nat, times 100]; for
 "ordinal" also that of the outcome.
 """
@@ -213,6 +214,8 @@ def report(name, F, outcome, F_fresh, happened, severity):
         more = f"  {log_score(np.choose(happened, [1.0 - first, first - p, p])):8.3f}"
     if "average" in variant.parts:
         p = variant.averaged(F_fresh)
+    if "mixed" in variant.parts:
+        p = 0.5 * (p + ndtr(learned_on_first(name, F, labels).probit(F_fresh)))
     return f"{100.0 * np.mean((p > 0.5) == beyond):8.3f}  {log_score(np.where(beyond, p, 1.0 - p)):8.3f}{more}"
 
 

@@ -112,10 +112,10 @@ def test_a_uniform_variable_is_sampled_to_the_bit_as_low_plus_u_times_the_width(
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"distribution": "log_uniform", "low": 0.0}, "`low > 0` must hold for 'x' with a uniform logarithm, got 0.0"),
+        ({"distribution": "log_uniform", "low": 0.0}, "'x': `low > 0` must hold with a uniform logarithm, got 0.0"),
         ({"distribution": "truncated_normal"}, "belong to a truncated normal"),
         ({"mean": 0.5, "sd": 0.1}, "belong to a truncated normal"),
-        ({"distribution": "truncated_normal", "mean": 0.5, "sd": 0.0}, "`sd > 0` must hold for 'x', got 0.0"),
+        ({"distribution": "truncated_normal", "mean": 0.5, "sd": 0.0}, "'x': `sd > 0` must hold, got 0.0"),
         ({"distribution": "truncated_normal", "mean": 50.0, "sd": 0.5}, "must hold at least 1e-06 of the normal"),
     ],
 )
@@ -152,7 +152,7 @@ def test_picking_a_variable_that_is_missing_names_it_and_those_that_there_are() 
 def test_a_range_that_is_empty_or_not_finite_is_refused_with_rule_name_and_values(low: float, high: float) -> None:
     with pytest.raises(InputError) as refused:
         Parameter("mu", low, high)
-    assert str(refused.value) == f"`low < high` must hold for 'mu', got {low} and {high}."
+    assert str(refused.value) == f"The variable 'mu': `low < high` must hold, got {low} and {high}."
 
 
 @pytest.mark.parametrize("name", ["", "T b", "1st", "a-b", "x.y", "x/y"])

@@ -25,7 +25,7 @@ from activefail.bearing.design import LARGEST, TABLE_1, Model, Tolerance
 from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import InputError
 from activefail.features import FeatureSet
-from activefail.space import DesignSpace, Distribution, Parameter
+from activefail.space import DesignSpace, Distribution, Parameter, distribution_fault
 
 
 class _Section(BaseModel):
@@ -45,17 +45,13 @@ class Variable(_Section):
 
     @model_validator(mode="after")
     def _is_a_distribution(self) -> Self:
-        if not self.low < self.high:
-            raise ValueError(f"`low < high` must hold, got {self.low} and {self.high}")
         if max(-self.low, self.high) > LARGEST:
             raise ValueError(
                 f"`{-LARGEST:g} <= low` and `high <= {LARGEST:g}` must hold, got {self.low} and {self.high}"
             )
-        try:
-            self.parameter("x")
-        except InputError as broken:
-            # The key says which.
-            raise ValueError(str(broken).replace(" for 'x'", "").rstrip(".")) from None
+        fault = distribution_fault(self.low, self.high, self.distribution, self.mean, self.sd)
+        if fault:
+            raise ValueError(fault)
         return self
 
     def parameter(self, name: str) -> Parameter:

@@ -95,11 +95,11 @@ BROKEN = {
     "unknown key of a variable": ("space.mu = {low = 0.1, high = 0.2, men = 0.15}", ["space.mu.men: unknown key"]),
     "a mean of a uniform variable": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
-        ["space.mu: A mean and an sd belong to a truncated normal"],
+        ["space.mu: a mean and an sd belong to a truncated normal"],
     ),
     "a normal without its spread": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, distribution = 'truncated_normal'}",
-        ["space.mu: A mean and an sd belong to a truncated normal"],
+        ["space.mu: a mean and an sd belong to a truncated normal"],
     ),
     "a normal far from its bounds": (
         "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
