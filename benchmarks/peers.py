@@ -36,10 +36,13 @@ from activefail.campaign.campaign import stream
 from activefail.campaign.loop import one_thread
 from activefail.features import FeatureMap, feature_map
 from activefail.space import Array
+from activefail.study.estimate import Estimate
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.fitting import fit
 
 FIRST_SEED = 2000
+REFERENCE = "activefail-eavc"
+"""What the others are compared with, seed by seed."""
 FRESH = (778, 1)
 """Key of the random numbers behind the fresh designs."""
 
@@ -404,24 +407,37 @@ def judged(peer: Peer, F: Array, failed: NDArray[np.bool_]) -> dict[str, float]:
 
 
 def table(lines: list[dict[str, Any]], named: dict[str, Entry]) -> str:
-    """Means over seeds with their ranges, the most accurate first, in Markdown."""
+    """Means over seeds with their ranges, the most accurate first, and paired differences, in Markdown."""
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for line in lines:
         groups.setdefault((line["peer"], line["features"]), []).append(line)
+
+    def ahead(group: list[dict[str, Any]], key: str, factor: float, digits: int) -> str:
+        """How far the reference is ahead on the seeds that both have, with the 95 % interval of the mean."""
+        other = {line["seed"]: line[key] for line in group}
+        reference = groups.get((REFERENCE, group[0]["features"]), [])
+        pairs = [factor * (line[key] - other[line["seed"]]) for line in reference if line["seed"] in other]
+        if group[0]["peer"] == REFERENCE or len(pairs) < 2:
+            return ""
+        found = Estimate.over(np.array(pairs))
+        low, high = found.of_mean
+        return f"{found.mean:+.{digits}f} ({low:+.{digits}f} .. {high:+.{digits}f})"
 
     def span(group: list[dict[str, Any]], key: str, factor: float, digits: int) -> str:
         values = factor * np.array([line[key] for line in group])
         return f"{values.mean():.{digits}f} ({values.min():.{digits}f} .. {values.max():.{digits}f})"
 
     rows = [
-        "| peer | features | seeds | failure accuracy [%] | log score [nat] | own time [s] |",
-        "|---|---|---|---|---|---|",
+        f"| peer | features | seeds | failure accuracy [%] | {named[REFERENCE].said} ahead by | log score [nat] "
+        f"| {named[REFERENCE].said} ahead by | own time [s] |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for (peer, features), group in sorted(groups.items(), key=lambda g: -np.mean([x["accuracy"] for x in g[1]])):
         said = named[peer].said if peer in named else peer
         rows.append(
             f"| {said} | {features} | {len(group)} | {span(group, 'accuracy', 100.0, 2)} "
-            f"| {span(group, 'log_score', 1.0, 3)} | {np.mean([x['seconds'] for x in group]):.0f} |"
+            f"| {ahead(group, 'accuracy', 100.0, 2)} | {span(group, 'log_score', 1.0, 3)} "
+            f"| {ahead(group, 'log_score', 1.0, 3)} | {np.mean([x['seconds'] for x in group]):.0f} |"
         )
     return "\n".join(rows)
 
