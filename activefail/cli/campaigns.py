@@ -142,6 +142,8 @@ def _take_to_budget(
     except KeyboardInterrupt:
         print(f"stopped; {words.at_once}. Go on with: {again}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
+    if executor.first_fault:
+        print(f"warning: a simulation was given up; the first: {executor.first_fault}", file=sys.stderr)
     if not finished:
         print(f"stopped {words.in_order}. Go on with: {again}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)

@@ -41,6 +41,13 @@ def _command(plan: Plan) -> str:
     return f"activefail compare CAMPAIGN.toml --seeds {plan.seeds} {options} --test {plan.test} --out DIR"
 
 
+def _sought(plan: Plan) -> str:
+    shares = plan.settings.acquisition.boundaries
+    if len(shares) == 1:
+        return next(iter(shares))
+    return ", ".join(f"{name} with {share:.0%} of the chosen designs" for name, share in shares.items())
+
+
 def _row(cells: list[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
@@ -55,10 +62,10 @@ def comparison_text(plan: Plan, scores: list[Score]) -> str:
     lines = [
         f"# Samplings compared: {plan.settings.description or 'a campaign'}",
         "",
-        f"Boundary sought: {boundary}. Median over {plan.seeds} seeds (least to largest), on {plan.test} fresh designs "
-        f"that all share. *Near the boundary*: designs for which one of {NEIGHBOURS} designs displaced by "
-        f"{DISPLACEMENT:.0%} of the ranges is on the other side. *Small regions*: designs beyond the boundary "
-        "for which half of these are not. Written by",
+        f"Boundary sought: {_sought(plan)}. Judged at the {boundary} boundary. Median over {plan.seeds} seeds (least "
+        f"to largest), on {plan.test} fresh designs that all share. *Near the boundary*: designs for which one of "
+        f"{NEIGHBOURS} designs displaced by {DISPLACEMENT:.0%} of the ranges is on the other side. *Small regions*: "
+        "designs beyond the boundary for which half of these are not. Written by",
         "",
         "    " + _command(plan),
         "",

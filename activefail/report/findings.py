@@ -17,7 +17,7 @@ from activefail.campaign.campaign import Campaign
 from activefail.campaign.dfp import DfpSimulator
 from activefail.campaign.learning import first_rows, in_initial_design, initial_sets
 from activefail.campaign.loop import standing
-from activefail.campaign.record import Store
+from activefail.campaign.record import ACTIVE, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
 from activefail.campaign.verification import ErrorEstimate, expected_error, leave_one_out, verify
 from activefail.errors import InputError
@@ -87,7 +87,8 @@ class Findings:
 
     Attributes:
         X: (n, d) designs simulated so far, numerical failures included.
-        outcome: (n,) int8; iteration: (n,), 0 for the seed design.
+        outcome: (n,) int8; iteration: (n,).
+        chosen: (n,) bool, by the learner; the others are of the seed design.
         curve, reliability, error: None where nothing in the folder tells; `missing` says how to get it.
         pool, pool_prediction: designs of the space, the most uncertain of which are listed.
         missing: by section, which command adds it.
@@ -99,6 +100,7 @@ class Findings:
     X: Array
     outcome: NDArray[np.int8]
     iteration: NDArray[np.int64]
+    chosen: NDArray[np.bool_]
     curve: Curve | None
     reliability: Reliability | None
     error: ErrorEstimate | None
@@ -293,6 +295,7 @@ def glance(folder: Path, campaign: Campaign, store: Store, classifier: Classifie
         np.concatenate([batch.designs for batch in batches]),
         np.concatenate([batch.results.outcome for batch in batches]),
         np.concatenate([np.full(len(batch), batch.iteration) for batch in batches]),
+        np.concatenate([batch.origin == ACTIVE for batch in batches]),
         None,
         None,
         None,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from activefail import __version__
 from activefail.acquisition.criteria import bald
 from activefail.campaign.campaign import Campaign
-from activefail.campaign.config import PythonFeatures
+from activefail.campaign.config import PythonFeatures, Sampling
 from activefail.campaign.dfp import DfpSimulator
 from activefail.campaign.loop import standing
 from activefail.campaign.provenance import provenance
@@ -95,8 +95,8 @@ def _counts(findings: Findings) -> dict[str, NDArray[np.int64]]:
     """Simulations by outcome and, last, without an answer, (outcomes + 1,), by the group's title."""
     k = len(findings.campaign.simulator.outcomes)
     groups = {
-        "seed design": findings.iteration == 0,
-        "chosen by the learner": findings.iteration > 0,
+        "seed design": ~findings.chosen,
+        "chosen by the learner": findings.chosen,
         "all": np.ones(len(findings.X), dtype=bool),
     }
     code = np.where(findings.answered, findings.outcome, k)
@@ -143,7 +143,7 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> Picture:
     figure = plot_pairs(
         features.raw(findings.X[rows])[:, shown],
         findings.outcome[rows],
-        findings.iteration[rows] > 0,
+        findings.chosen[rows],
         [names[column] for column in shown],
         [bool(features.logarithmic[column]) for column in shown],
         campaign.simulator.outcomes,
@@ -153,7 +153,7 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> Picture:
         if len(shown) == len(names)
         else f" The {len(shown)} of {len(names)} features with the shortest length scales."
     )
-    chosen = int(np.sum(findings.iteration > 0))
+    chosen = int(np.sum(findings.chosen))
     caption = (
         "The simulated designs in pairs of features: below the diagonal the seed design, which fills the space "
         "evenly; above it, mirrored, the designs that the learner chose."
@@ -180,7 +180,7 @@ def _planes(findings: Findings) -> list[Picture]:
     what = (
         f"{listed} by the classifier, and at the foot how sure it is: the width of the 95 % interval of the "
         f"probability of {findings.beyond}. Along the thick line the probability is one half: that is the boundary. "
-        "Where the last row is dark, a simulation would teach most. Points are the simulated designs within the "
+        "Where the last row is dark, the classifier is least sure. Points are the simulated designs within the "
         "range of each column's title."
     )
     if len(severe) > 1:
@@ -291,7 +291,7 @@ def _gallery(findings: Findings) -> list[Picture]:
             f"P({words(name)}) {_probability(float(p))}"
             for name, p in zip(findings.campaign.simulator.outcomes, prediction.probabilities[0], strict=True)
         )
-        origin = "seed design" if findings.iteration[row] == 0 else f"iteration {findings.iteration[row]}"
+        origin = f"iteration {findings.iteration[row]}" if findings.chosen[row] else "seed design"
         pictures.append(
             _picture(
                 plot_snapshots(response),
@@ -315,13 +315,47 @@ def _what_was_run(findings: Findings, done: int) -> list[tuple[str, str]]:
     )
     return [
         ("simulator", f"{plan.simulator}, {findings.campaign.space.dimension} variables"),
-        ("simulations", f"{done} of {sampling.budget} planned, from a Latin hypercube of {sampling.initial} on"),
-        ("batches", f"of {sampling.batch}; {int(findings.iteration.max())} chosen by the learner"),
+        ("simulations", _planned(done, sampling)),
+        ("chosen by the learner", _chosen(findings, sampling)),
         ("learner", f"Gaussian process classifier, {settings.classifier.kernel} covariance"),
         ("features", plan.features),
         ("sought", f"{sought}, by the criterion {settings.acquisition.criterion}"),
         ("seed", str(settings.seed)),
     ]
+
+
+def _planned(done: int, sampling: Sampling) -> str:
+    beyond = (
+        f"{done}, beyond the {sampling.budget} planned"
+        if done > sampling.budget
+        else f"{done} of {sampling.budget} planned"
+    )
+    return f"{beyond}, from a Latin hypercube of {sampling.initial} on"
+
+
+def _chosen(findings: Findings, sampling: Sampling) -> str:
+    chosen = int(np.sum(findings.chosen))
+    if sampling.asynchronous:
+        return f"{chosen} designs, each as soon as an answer came, up to {sampling.batch} in flight"
+    batches = int(findings.iteration.max())
+    return f"{chosen} designs in {batches} {'batch' if batches == 1 else 'batches'} of {sampling.batch}"
+
+
+def _same_again(findings: Findings, sampling: Sampling) -> str:
+    """What running the same campaign again gives, and why it may not be the same."""
+    if sampling.asynchronous:
+        return (
+            "Another run chooses other designs: each is chosen from the answers that have come by then, and these come "
+            "in another order."
+        )
+    _, sizes = np.unique(findings.iteration[findings.chosen], return_counts=True)
+    said = "The same versions on the same kind of processor give the same bits"
+    if np.any(sizes[:-1] < sampling.batch):
+        return (
+            f"{said} where the campaign is extended as this one was: it ended before in a batch of fewer than "
+            f"{sampling.batch}, and a run to the whole number at once chooses other designs from there on."
+        )
+    return f"{said}."
 
 
 def _in_short(findings: Findings, done: int) -> list[tuple[str, str]]:
@@ -417,6 +451,7 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
         "left": max(0, settings.sampling.budget - done),
         "folder": quoted,
         "commands": [f"activefail run campaign.toml --out {quoted}{budget}", *_judging(findings, quoted, code)],
+        "same": _same_again(findings, settings.sampling),
         "code": code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),
         "settings": text,

@@ -674,6 +674,20 @@ def test_a_function_that_always_raises_stops_the_campaign_with_what_it_raised(mi
 
 
 @pytest.mark.faults
+def test_what_a_simulation_raised_is_told_of_a_campaign_that_went_on(mine: Path, tmp_path: Path) -> None:
+    source = MODEL.replace(
+        "    severity", "    if design['drift'] > 3.8:\n        raise ValueError('diverged')\n    severity"
+    )
+    (mine / "model.py").write_text(source)
+    (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert said.code == 0
+    assert "raised" in {row["cause"] for row in record(tmp_path / "run")}
+    assert "warning: a simulation was given up; the first: design" in said.err
+    assert "ValueError: diverged" in said.err
+
+
+@pytest.mark.faults
 def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_function_is_mended(
     mine: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -203,6 +203,7 @@ def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
 
 
 def test_the_same_folder_gives_the_same_page(html, folder):
+    assert "The same versions on the same kind of processor give the same bits." in html
     with open_campaign(folder, write=False) as (campaign, store):
         assert made(campaign, folder, store) == html
 
@@ -227,6 +228,26 @@ def test_a_part_of_the_seed_is_enough_for_a_page_that_says_how_to_go_on(tmp_path
         found = self_contained(made(campaign, tmp_path / "run", store))
     assert "25 of the planned simulations are still to do" in found.text
     assert f"activefail resume {tmp_path / 'run'} goes on" in found.text
+
+
+def test_the_page_says_when_running_it_again_is_not_the_same(tmp_path):
+    ran(tmp_path / "run", settings(budget=23))
+    with open_campaign(tmp_path / "run", write=True) as (campaign, store), ThreadExecutor(2) as executor:
+        run(campaign, store, executor, 32)
+        found = self_contained(made(campaign, tmp_path / "run", store))
+    assert "32, beyond the 23 planned" in found.text
+    assert "12 designs in 3 batches of 5" in found.text
+    assert "it ended before in a batch of fewer than 5" in found.text
+
+
+def test_the_page_of_a_campaign_without_batches_promises_no_second_of_its_kind(tmp_path):
+    text = TINY.format(features="paper", budget=30, description="", more="")
+    campaign = Campaign.of(parse_settings(text.replace("batch = 5", "batch = 5, asynchronous = true"), "tiny"))
+    ran(tmp_path / "run", campaign)
+    with open_campaign(tmp_path / "run", write=False) as (campaign, store):
+        found = self_contained(made(campaign, tmp_path / "run", store))
+    assert "10 designs, each as soon as an answer came, up to 5 in flight" in found.text
+    assert "Another run chooses other designs" in found.text
 
 
 @pytest.mark.parametrize("dimension", [1, 2, 3])
