@@ -31,6 +31,13 @@ function number(value) {
   return (size === 0 ? "0" : Number(value.toPrecision(3)).toString()).replace(/^-/, "−");
 }
 
+// As it may be typed again.
+function plain(value) {
+  const size = Math.abs(value);
+  const short = Number(value.toPrecision(6));
+  return size !== 0 && (size < 1e-3 || size >= 1e6) ? short.toExponential().replace("e+", "e") : short.toString();
+}
+
 const share = (p) => (p < 0.005 ? "< 0.01" : p > 0.995 ? "> 0.99" : p.toFixed(2));
 
 // --- asking --------------------------------------------------------------------------------------------------------
@@ -86,7 +93,7 @@ function showPoint() {
     const text = `${number(point[i])}${v.unit ? ` ${v.unit}` : ""}`;
     find(`v${i}`).value = toStep(i);
     find(`v${i}`).setAttribute("aria-valuetext", text);
-    find(`o${i}`).textContent = text;
+    find(`t${i}`).value = plain(point[i]);
   });
   placeMarker();
 }
@@ -105,6 +112,19 @@ function moved(changed) {
 function set(i, value) {
   const v = variables[i];
   point[i] = Math.min(v.high, Math.max(v.low, value));
+}
+
+function typed(i, text) {
+  const v = variables[i];
+  const value = text.trim() === "" ? NaN : Number(text.replace("−", "-"));
+  if (value >= v.low && value <= v.high) {
+    find("status").textContent = "";
+    set(i, value);
+    moved([i]);
+  } else {
+    find("status").textContent = `${v.text}: a number from ${plain(v.low)} to ${plain(v.high)}, not “${text}”.`;
+    showPoint();
+  }
 }
 
 // --- prediction ----------------------------------------------------------------------------------------------------
@@ -365,6 +385,7 @@ variables.forEach((v, i) => {
     set(i, v.low + (Number(event.target.value) / STEPS) * (v.high - v.low));
     moved([i]);
   });
+  find(`t${i}`).addEventListener("change", (event) => typed(i, event.target.value));
 });
 find("preset").addEventListener("change", (event) => {
   point = about.presets[Number(event.target.value)].point.slice();

@@ -76,18 +76,42 @@ def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_sho
 
     slider = visitor.one("#v8")
     slider.send_keys(Keys.HOME)
-    weakest = until(lambda: visitor.one("#o8").text == "0.1 g" and visitor.probabilities(), "A_p at its least")
+    weakest = until(
+        lambda: visitor.one("#t8").get_attribute("value") == "0.1" and visitor.probabilities(), "A_p at its least"
+    )
     point = answers.about()["presets"][0]["point"]
     expected = answers.predict([*point[:8], 0.1])["probabilities"]
     until(lambda: abs(visitor.probabilities()["no_impact"] - expected[0]) < 1e-9, "its prediction")
     slider.send_keys(Keys.END)
     strongest = answers.predict([*point[:8], 0.8])["probabilities"]
     until(lambda: abs(visitor.probabilities()["failure"] - strongest[2]) < 1e-9, "A_p at its largest")
-    assert visitor.one("#o8").text == "0.8 g"
+    assert visitor.one("#t8").get_attribute("value") == "0.8"
     assert visitor.one("#v8").get_attribute("aria-valuetext") == "0.8 g"
     assert strongest[2] > expected[2]
     assert visitor.one("#preset").get_attribute("value") == ""
     assert set(weakest) == {"no_impact", "impact", "failure"}
+
+
+def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_refused(visitor, answers):
+    from selenium.webdriver.common.keys import Keys
+
+    def types(place: int, text: str) -> None:
+        field = visitor.one(f"#t{place}")
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(Keys.BACKSPACE, text, Keys.ENTER)
+
+    point = answers.about()["presets"][0]["point"]
+    types(6, "2.5e9")
+    types(8, "0.4567")
+    expected = answers.predict([*point[:6], 2.5e9, point[7], 0.4567])["probabilities"]
+    until(lambda: abs(visitor.probabilities()["failure"] - expected[2]) < 1e-9, "its prediction")
+    for text in ("0.9", "much", ""):
+        types(8, text)
+        until(
+            lambda said=text: visitor.one("#status").text == f"A_p: a number from 0.1 to 0.8, not “{said}”.", "a reason"
+        )
+        assert visitor.one("#t8").get_attribute("value") == "0.4567"
+    assert visitor.one("#t6").get_attribute("value") == "2.5e9"
 
 
 def test_a_click_on_the_plane_moves_the_design_and_the_arrow_keys_move_it_on(visitor, answers):
@@ -96,7 +120,7 @@ def test_a_click_on_the_plane_moves_the_design_and_the_arrow_keys_move_it_on(vis
 
     x, y = answers.about()["plane"]
     columns = [answers.variable(x), answers.variable(y)]
-    before = visitor.marker(), [visitor.one(f"#o{i}").text for i in range(9)]
+    before = visitor.marker(), [visitor.one(f"#t{i}").get_attribute("value") for i in range(9)]
     drawing = visitor.one("#plane svg")
     visitor.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", drawing)
     box = drawing.size
@@ -107,7 +131,7 @@ def test_a_click_on_the_plane_moves_the_design_and_the_arrow_keys_move_it_on(vis
     left, top = visitor.marker()
     assert left == pytest.approx(30.0, abs=1.5)
     assert top == pytest.approx(70.0, abs=1.5)
-    after = [visitor.one(f"#o{i}").text for i in range(9)]
+    after = [visitor.one(f"#t{i}").get_attribute("value") for i in range(9)]
     assert {i for i in range(9) if after[i] != before[1][i]} == set(columns)
     visitor.one("#plane").send_keys(Keys.ARROW_RIGHT)
     until(lambda: visitor.marker()[0] > left, "the arrow key")
@@ -161,7 +185,7 @@ def test_on_a_phone_nothing_is_wider_than_the_page(address, tmp_path):
         visitor.one("#simulate").click()
         until(lambda: visitor.one("#outcome").text, "the outcome")
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
-        for control in driver.find_elements("css selector", "button, select, input[type=range]"):
+        for control in driver.find_elements("css selector", "button, select, input"):
             if control.is_displayed():
                 assert control.size["height"] >= 24
         height = driver.execute_script("return document.documentElement.scrollHeight")
@@ -177,8 +201,16 @@ def test_every_control_is_reached_by_the_tab_key(visitor):
     until(lambda: visitor.one("#film").is_displayed(), "the film")
     visitor.driver.execute_script("document.activeElement.blur(); window.scrollTo(0, 0)")
     reached = []
-    for _ in range(25):
+    for _ in range(34):
         visitor.driver.switch_to.active_element.send_keys(Keys.TAB)
         reached.append(visitor.driver.execute_script("return document.activeElement.id"))
-    expected = ["preset", *(f"v{i}" for i in range(9)), "plane-x", "plane-y", "plane-shown", "plane", "along"]
+    expected = [
+        "preset",
+        *(f"{kind}{i}" for i in range(9) for kind in "tv"),
+        "plane-x",
+        "plane-y",
+        "plane-shown",
+        "plane",
+        "along",
+    ]
     assert [name for name in [*expected, "simulate", "play", "time"] if name not in reached] == []
