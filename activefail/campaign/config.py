@@ -309,12 +309,21 @@ class CampaignSettings(_Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _with_features_that_any_simulator_has(cls, values: Any) -> Any:
-        """The default of `classifier.features` is for bearings; for a simulator of one's own it is the variables."""
-        if isinstance(values, dict) and isinstance(values.get("simulator"), dict):
-            classifier = values.get("classifier", {})
-            if isinstance(classifier, dict):
-                return values | {"classifier": {"features": "design"} | classifier}
+    def _with_defaults_of_any_simulator(cls, values: Any) -> Any:
+        """Those of `classifier.features` and `acquisition.boundary` are for bearings.
+
+        For a simulator of one's own they are the variables and the most severe outcome.
+        """
+        if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
+            return values
+        defaults: dict[str, dict[str, Any]] = {"classifier": {"features": "design"}}
+        outcomes = values["simulator"].get("outcomes")
+        if isinstance(outcomes, list) and outcomes:
+            defaults["acquisition"] = {"boundary": outcomes[-1]}
+        for section, default in defaults.items():
+            given = values.get(section, {})
+            if isinstance(given, dict):
+                values = values | {section: default | given}
         return values
 
     @field_validator("space")

@@ -341,6 +341,26 @@ def test_weights_of_boundaries_are_shares_and_the_largest_is_the_main_one() -> N
     assert (equal.boundaries, equal.main_boundary) == ({"impact": 0.5, "failure": 0.5}, "impact")
 
 
+@pytest.mark.parametrize(
+    ("outcomes", "acquisition", "boundary"),
+    [
+        ('outcomes = ["ok", "broken"]', "", "broken"),
+        ('outcomes = ["ok", "cracked", "broken"]', 'criterion = "bald"', "broken"),
+        ('outcomes = ["ok", "cracked", "broken"]', 'boundary = "cracked"', "cracked"),
+        ("", "", "failure"),
+    ],
+)
+def test_the_boundary_of_a_simulator_of_ones_own_is_that_of_its_most_severe_outcome_where_none_is_named(
+    outcomes: str, acquisition: str, boundary: str
+) -> None:
+    simulator = f'[simulator]\ncommand = "a {{out}}"\n{outcomes}\n'
+    text = f"{simulator}[space]\nx = {{ low = 0, high = 1 }}\n[acquisition]\n{acquisition}"
+    settings = parse_settings(text, "mine.toml")
+    assert settings.acquisition.boundaries == {boundary: 1.0}
+    assert Campaign.of(settings).severity == len(settings.simulator.outcomes) - 1 - (boundary == "cracked")
+    assert parse_settings(settings.text(), "frozen") == settings
+
+
 def test_settings_are_frozen() -> None:
     settings = parse_settings("", "empty")
     with pytest.raises(ValidationError, match="frozen"):
