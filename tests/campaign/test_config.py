@@ -156,7 +156,19 @@ BROKEN = {
     "a section that is none": ("stop = 0.05", ["stop: must be a table, got 0.05"]),
     "a mean without sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
-        ["to it alone; got truncated_normal, mean 0.15 and sd None"],
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; missing: sd"],
+    ),
+    "neither mean nor sd": (
+        'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal" }',
+        ["and to it alone; missing: mean, sd"],
+    ),
+    "a mean alone": (
+        "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got uniform with mean 0.15"],
+    ),
+    "an sd alone": (
+        "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got log_uniform with sd 0.1"],
     ),
     "no variable": ("[space]", ["space: ", "at least 1"]),
     "negative seed": ("seed = -1", ["seed: must be greater than or equal to 0", "-1"]),
