@@ -73,6 +73,7 @@ class Campaign:
         # Workers and programs that simulate have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
         space = settings.design_space()
+        _check_bearing(settings)
         simulator: Simulator
         sources = {}
         match settings.simulator:
@@ -155,6 +156,22 @@ class Campaign:
     def severity(self) -> int:
         """The label at and above which an outcome counts as beyond the boundary that is sought (mainly)."""
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
+
+
+def _check_bearing(settings: CampaignSettings) -> None:
+    """Refuses settings of the bearing that nothing would use; a run folder's frozen ones have the defaults written out.
+
+    Raises:
+        InputError: naming the key and its value.
+    """
+    if settings.simulator == "dfp" or settings.classifier.features in ("sliding", "collision"):
+        return
+    default = config.BearingSettings()
+    for key, value in settings.bearing:
+        if value != getattr(default, key):
+            raise InputError(
+                f'bearing.{key}: belongs to `simulator = "dfp"`, and the simulator is one\'s own; got {value!r}.'
+            )
 
 
 def initial_designs(campaign: Campaign, sets: int = 1) -> Array:
