@@ -16,6 +16,7 @@ from pydantic import (
     Field,
     Tag,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -312,7 +313,7 @@ class CampaignSettings(_Section):
     def _with_defaults_of_any_simulator(cls, values: Any) -> Any:
         """Those of `classifier.features` and `acquisition.boundary` are for bearings.
 
-        For a simulator of one's own they are the variables and the most severe outcome.
+        For a simulator of one's own they are the variables and the most severe outcome; for `space` there is none.
         """
         if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
             return values
@@ -324,7 +325,16 @@ class CampaignSettings(_Section):
             given = values.get(section, {})
             if isinstance(given, dict):
                 values = values | {section: default | given}
-        return values
+        return {"space": None} | values
+
+    @field_validator("space", mode="before")
+    @classmethod
+    def _of_the_simulator(cls, space: Any, info: ValidationInfo) -> Any:
+        if space is not None:
+            return space
+        if "simulator" in info.data:
+            raise ValueError("required where the simulator is one's own")
+        return _table_1()  # the simulator's own fault is told
 
     @field_validator("space")
     @classmethod

@@ -170,6 +170,10 @@ BROKEN = {
         "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
         ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got log_uniform with sd 0.1"],
     ),
+    "no variables of a simulator of one's own": (
+        'simulator.python = "a:b"',
+        ["space: required where the simulator is one's own"],
+    ),
     "no variable": ("[space]", ["space: ", "at least 1"]),
     "negative seed": ("seed = -1", ["seed: must be greater than or equal to 0", "-1"]),
     "seed too large": (f"seed = {2**63}", ["seed: must be less than 9223372036854775808", str(2**63)]),
