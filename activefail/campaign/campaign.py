@@ -1,5 +1,6 @@
 """A campaign put together from its settings: design space, simulator, features, and where randomness comes from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,6 +25,12 @@ SIMULATIONS = "simulations"
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
 """Of an exported table, beside variables and margins."""
+
+
+def predicted_columns(outcomes: Sequence[str]) -> tuple[str, ...]:
+    """The columns that a prediction adds to a table of designs."""
+    return (*(f"p_{name}" for name in outcomes), "latent_mean", "latent_sd")
+
 
 STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5, "verification": 6}
 """Independent streams of random numbers; a number never changes its meaning, so that old campaigns replay."""
@@ -100,6 +107,8 @@ class Campaign:
         for name in space.names:
             if name in _COLUMNS:
                 raise InputError(f"space.{name}: is the name of another column of the exported table; rename it.")
+            if name in predicted_columns(simulator.outcomes):
+                raise InputError(f"space.{name}: is the name of a column that `activefail predict` adds; rename it.")
         for name in simulator.margins:
             if name in (*space.names, *_COLUMNS):
                 raise InputError(f"simulator.margins: {name!r} is the name of another column of the exported table.")

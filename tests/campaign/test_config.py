@@ -559,6 +559,13 @@ def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, i
             "acquisition.boundary: must be one of impact, failure, got 'collapse'",
         ),
         ("space.mu = {low = 0.1, high = 0.2}", "space: lacks the variable 'T_b'; it has mu"),
+        *(
+            (
+                f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
+                f"space.{name}: is the name of a column that `activefail predict` adds; rename it.",
+            )
+            for name in ("p_safe", "p_failure", "latent_mean", "latent_sd")
+        ),
     ],
 )
 def test_pieces_that_do_not_fit_each_other_are_refused_by_key_path_rule_and_value(text: str, says: str) -> None:
