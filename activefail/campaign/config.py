@@ -4,9 +4,10 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 import tomli_w
 from pydantic import (
@@ -187,6 +188,12 @@ class ExpressionFeatures(_Section):
     variables: bool = True
 
 
+_KINDS: dict[str, dict[str, type[_Section]]] = {
+    "simulator": {"python": PythonSimulator, "command": CommandSimulator},
+    "features": {"python": PythonFeatures, "expressions": ExpressionFeatures},
+}
+"""Of the tables that are told apart by a key, by that key."""
+
 _NAME, _RANGE = "a name", "a range"
 _WITH = "a table with "
 
@@ -196,16 +203,16 @@ def _range_or_value(given: Any) -> str:
     return f"{_WITH}value" if is_fixed else _RANGE
 
 
-def _by_key(*sections: tuple[str, type[_Section]]) -> Discriminator:
+def _by_key(sections: Mapping[str, type[_Section]]) -> Discriminator:
     """Tells a name from tables, and the tables from each other by a key that one of them alone has."""
 
     def kind(value: Any) -> str:
-        for key, section in sections:
+        for key, section in sections.items():
             if isinstance(value, section) or (isinstance(value, dict) and key in value):
                 return f"{_WITH}{key}"
         return "" if isinstance(value, dict) else _NAME
 
-    keys = " or ".join(f"{_WITH}`{key}`" for key, _ in sections)
+    keys = " or ".join(f"{_WITH}`{key}`" for key in sections)
     return Discriminator(kind, "no_such_table", f"must be a name, {keys}")
 
 
@@ -216,7 +223,7 @@ class ClassifierSettings(_Section):
         Annotated[FeatureSet, Tag(_NAME)]
         | Annotated[PythonFeatures, Tag(f"{_WITH}python")]
         | Annotated[ExpressionFeatures, Tag(f"{_WITH}expressions")],
-        _by_key(("python", PythonFeatures), ("expressions", ExpressionFeatures)),
+        _by_key(_KINDS["features"]),
     ] = "paper"
     kernel: Literal["rbf", "matern52"] = "rbf"
 
@@ -297,7 +304,7 @@ class CampaignSettings(_Section):
         Annotated[Literal["dfp"], Tag(_NAME)]
         | Annotated[PythonSimulator, Tag(f"{_WITH}python")]
         | Annotated[CommandSimulator, Tag(f"{_WITH}command")],
-        _by_key(("python", PythonSimulator), ("command", CommandSimulator)),
+        _by_key(_KINDS["simulator"]),
     ] = "dfp"
     bearing: BearingSettings = BearingSettings()
     space: Annotated[dict[str, _AnyVariable], Field(min_length=1)] = Field(default_factory=_table_1)
@@ -397,6 +404,27 @@ def _shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
+def _keys(path: Sequence[str]) -> list[str]:
+    """The keys that the section at a path may hold; a path as validation errors have it."""
+    match path:
+        case []:
+            section: Any = CampaignSettings
+        case ["space", _, kind]:
+            section = FixedVariable if kind == f"{_WITH}value" else Variable
+        case [*_, "simulator" | "features" as name, kind]:
+            section = _KINDS[name][kind.removeprefix(_WITH)]
+        case [name, *_]:
+            section = CampaignSettings.model_fields[name].annotation
+    # One of them may be None: the section need not be there.
+    return [key for one in get_args(section) or (section,) for key in getattr(one, "model_fields", ())]
+
+
+def _unknown_key(path: Sequence[str], key: str) -> str:
+    """What is said of a key that the section at a path may not hold."""
+    near = get_close_matches(key, _keys(path), 1)
+    return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"
+
+
 def _rule(error: Any) -> str:
     """One line of a validation error: key path, rule and value."""
     parts = [part for part in error["loc"] if part not in (_NAME, _RANGE) and not str(part).startswith(_WITH)]
@@ -404,7 +432,8 @@ def _rule(error: Any) -> str:
     message = error["msg"].removeprefix("Value error, ")
     match error["type"]:
         case "extra_forbidden":
-            return f"{path}: unknown key"
+            *section, key = error["loc"]
+            return f"{path}: {_unknown_key(section, key)}"
         case "missing":
             return f"{path}: required, but not there"
         case "value_error":

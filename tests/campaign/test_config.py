@@ -89,10 +89,21 @@ def test_the_order_of_the_variables_is_the_files() -> None:
 
 # What breaks a rule, and what the message must say of it: key path, rule and value.
 BROKEN = {
-    "unknown key": ("sead = 1", ["sead: unknown key"]),
-    "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key"]),
-    "unknown table": ("[aquisition]", ["aquisition: unknown key"]),
-    "unknown key of a variable": ("space.mu = {low = 0.1, high = 0.2, men = 0.15}", ["space.mu.men: unknown key"]),
+    "unknown key": ("sead = 1", ["sead: unknown key; did you mean 'seed'?"]),
+    "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key; did you mean 'batch'?"]),
+    "unknown key of what need not be": (
+        "stop = { error = 0.1, evry = 2 }",
+        ["stop.evry: unknown key; did you mean 'every'?"],
+    ),
+    "unknown key of a simulator": (
+        'simulator = { command = "a {out}", retry = 1 }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.retry: unknown key; did you mean 'retries'?"],
+    ),
+    "unknown table": ("[aquisition]", ["aquisition: unknown key; did you mean 'acquisition'?"]),
+    "unknown key of a variable": (
+        "space.mu = {low = 0.1, high = 0.2, men = 0.15}",
+        ["space.mu.men: unknown key; did you mean 'mean'?"],
+    ),
     "a mean of a uniform variable": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
         ["space.mu: a mean and an sd belong to a truncated normal"],
@@ -222,7 +233,7 @@ BROKEN = {
     ),
     "unknown key of features": (
         'classifier.features = { python = "mine:f", variable = false }',
-        ["classifier.features.variable: unknown key"],
+        ["classifier.features.variable: unknown key; did you mean 'variables'?"],
     ),
     "unknown kernel": ('classifier.kernel = "linear"', ["classifier.kernel: must be 'rbf' or 'matern52'", "'linear'"]),
     "unknown criterion": (
