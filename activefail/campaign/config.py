@@ -421,6 +421,16 @@ def _keys(path: Sequence[str]) -> list[str]:
 
 def _unknown_key(path: Sequence[str], key: str) -> str:
     """What is said of a key that the section at a path may not hold."""
+    match path:
+        case ["space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
+            return "a variable has `low` and `high`, or `value` alone"
+        case [*_, "simulator" | "features" as name, kind]:
+            given = kind.removeprefix(_WITH)
+            for other, section in _KINDS[name].items():
+                if key == other:
+                    return f"cannot stand beside `{given}`"
+                if key in section.model_fields:
+                    return f"belongs to `{other}`, and does not stand beside `{given}`"
     near = get_close_matches(key, _keys(path), 1)
     return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"
 

@@ -124,7 +124,22 @@ BROKEN = {
         "space.mu = {low = 0.1, high = 0.2, distribution = 'normal'}",
         ["space.mu.distribution: must be 'uniform', 'log_uniform' or 'truncated_normal'", "'normal'"],
     ),
-    "a fixed variable with bounds": ("space.mu = {value = 0.1, low = 0.2}", ["space.mu.low: unknown key"]),
+    "a fixed variable with bounds": (
+        "space.mu = {value = 0.1, low = 0.2}",
+        ["space.mu.low: a variable has `low` and `high`, or `value` alone"],
+    ),
+    "a key of a program beside a function": (
+        'simulator = { python = "a:b", retries = -1 }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.retries: belongs to `command`, and does not stand beside `python`"],
+    ),
+    "a function and a program": (
+        'simulator = { python = "a:b", command = "a {out}" }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.command: cannot stand beside `python`"],
+    ),
+    "a function and expressions": (
+        'classifier.features = { python = "a:b", expressions = { x = "mu" } }',
+        ["classifier.features.expressions: cannot stand beside `python`"],
+    ),
     "a fixed variable that is no number": ("space.mu = {value = inf}", ["space.mu.value: must be", "inf"]),
     "unknown table of a simulator": (
         'simulator = { tcl = "model.tcl" }',
