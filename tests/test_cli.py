@@ -125,10 +125,16 @@ def test_the_version_is_the_packages() -> None:
         (["status"], "Missing argument"),
         (["run", "c.toml"], "Missing option '--out'"),
         (["simulate", "--speed", "3"], "No such option: --speed"),
-        (["simulate", "--mu", "rough"], "Invalid value for '--mu'"),
+        (["simulate", "--mu", "rough"], "Invalid value for '--mu': must be a valid number, got 'rough'"),
         (["run", "c.toml", "--out", "x", "--workers", "0"], "Invalid value for '--workers'"),
-        (["run", "c.toml", "--out", "x", "--seed", "1.5"], "Invalid value for '--seed'"),
-        (["compare", "x", "--test", "9"], "Invalid value for '--test'"),
+        (
+            ["run", "c.toml", "--out", "x", "--seed", "1.5"],
+            "Invalid value for '--seed': must be a valid integer, got '1.5'",
+        ),
+        (["compare", "x", "--test", "9"], "Invalid value for '--test': must be greater than or equal to 10, got '9'"),
+        (["verify", "x", "--confidence", "90"], "'--confidence': must be less than or equal to 0.999, got '90'"),
+        (["explore", "x", "--port", "99999"], "'--port': must be less than or equal to 65535, got '99999'"),
+        (["run", "c.toml", "--out", "x", "--executor", "pbs"], "'--executor': 'pbs' is not one of 'local', 'dask'"),
     ],
 )
 def test_a_command_line_that_makes_no_sense_is_refused_naming_what_does_not(words: list[str], says: str) -> None:
