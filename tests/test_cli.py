@@ -180,6 +180,14 @@ def test_a_design_outside_the_papers_ranges_is_simulated_with_a_note_that_names_
     assert said.err == "note: mu = 0.3 lies outside the paper's range 0.02 to 0.12\n"
 
 
+def test_a_failure_without_a_rim_touch_is_not_called_an_integration_that_gave_up() -> None:
+    said = activefail("simulate", *design(p="45e6", h_sl_ratio="0.6", t_p="2.5", a_p="0.5"))  # Pa in place of MPa
+    assert said.code == 1
+    assert "numerical_failure (failure_without_rim_touch)\n" in said.out
+    assert "failed before it touched a rim" in said.out
+    assert "gave up" not in said.out
+
+
 def test_a_plot_and_a_film_are_written_and_named(tmp_path: Path) -> None:
     plot, film = tmp_path / "a.svg", tmp_path / "a.gif"
     said = activefail("simulate", *design(), "--plot", plot, "--animate", film)
