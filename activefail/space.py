@@ -27,11 +27,14 @@ def distribution_fault(
         return f"`low < high` must hold, got {low} and {high}"
     if distribution == "log_uniform" and low <= 0.0:
         return f"`low > 0` must hold with a uniform logarithm, got {low}"
-    if (distribution == "truncated_normal") != (mean is not None and sd is not None):
-        return (
-            "a mean and an sd belong to a truncated normal, and to it alone; "
-            f"got {distribution}, mean {mean} and sd {sd}"
-        )
+    numbers = {"mean": mean, "sd": sd}
+    rule = "a mean and an sd belong to a truncated normal, and to it alone"
+    missing = [name for name, number in numbers.items() if number is None]
+    if distribution == "truncated_normal" and missing:
+        return f"{rule}; missing: {', '.join(missing)}"
+    if distribution != "truncated_normal" and len(missing) < len(numbers):
+        given = " and ".join(f"{name} {number}" for name, number in numbers.items() if number is not None)
+        return f"{rule}; got {distribution} with {given}"
     if mean is not None and sd is not None:
         if not (np.isfinite(mean) and np.isfinite(sd) and sd > 0.0):
             return f"`sd > 0` must hold, got {sd}"

@@ -125,10 +125,16 @@ def test_the_version_is_the_packages() -> None:
         (["status"], "Missing argument"),
         (["run", "c.toml"], "Missing option '--out'"),
         (["simulate", "--speed", "3"], "No such option: --speed"),
-        (["simulate", "--mu", "rough"], "Invalid value for '--mu'"),
+        (["simulate", "--mu", "rough"], "Invalid value for '--mu': must be a valid number, got 'rough'"),
         (["run", "c.toml", "--out", "x", "--workers", "0"], "Invalid value for '--workers'"),
-        (["run", "c.toml", "--out", "x", "--seed", "1.5"], "Invalid value for '--seed'"),
-        (["compare", "x", "--test", "9"], "Invalid value for '--test'"),
+        (
+            ["run", "c.toml", "--out", "x", "--seed", "1.5"],
+            "Invalid value for '--seed': must be a valid integer, got '1.5'",
+        ),
+        (["compare", "x", "--test", "9"], "Invalid value for '--test': must be greater than or equal to 10, got '9'"),
+        (["verify", "x", "--confidence", "90"], "'--confidence': must be less than or equal to 0.999, got '90'"),
+        (["explore", "x", "--port", "99999"], "'--port': must be less than or equal to 65535, got '99999'"),
+        (["run", "c.toml", "--out", "x", "--executor", "pbs"], "'--executor': 'pbs' is not one of 'local', 'dask'"),
     ],
 )
 def test_a_command_line_that_makes_no_sense_is_refused_naming_what_does_not(words: list[str], says: str) -> None:
@@ -172,6 +178,14 @@ def test_a_design_outside_the_papers_ranges_is_simulated_with_a_note_that_names_
     said = activefail("simulate", *design(mu="0.3"))
     assert said.code == 0
     assert said.err == "note: mu = 0.3 lies outside the paper's range 0.02 to 0.12\n"
+
+
+def test_a_failure_without_a_rim_touch_is_not_called_an_integration_that_gave_up() -> None:
+    said = activefail("simulate", *design(p="45e6", h_sl_ratio="0.6", t_p="2.5", a_p="0.5"))  # Pa in place of MPa
+    assert said.code == 1
+    assert "numerical_failure (failure_without_rim_touch)\n" in said.out
+    assert "failed before it touched a rim" in said.out
+    assert "gave up" not in said.out
 
 
 def test_a_plot_and_a_film_are_written_and_named(tmp_path: Path) -> None:

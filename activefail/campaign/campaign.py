@@ -1,5 +1,6 @@
 """A campaign put together from its settings: design space, simulator, features, and where randomness comes from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,6 +25,12 @@ SIMULATIONS = "simulations"
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
 """Of an exported table, beside variables and margins."""
+
+
+def predicted_columns(outcomes: Sequence[str]) -> tuple[str, ...]:
+    """The columns that a prediction adds to a table of designs."""
+    return (*(f"p_{name}" for name in outcomes), "latent_mean", "latent_sd")
+
 
 STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5, "verification": 6}
 """Independent streams of random numbers; a number never changes its meaning, so that old campaigns replay."""
@@ -73,6 +80,7 @@ class Campaign:
         # Workers and programs that simulate have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
         space = settings.design_space()
+        _check_bearing(settings)
         simulator: Simulator
         sources = {}
         match settings.simulator:
@@ -99,6 +107,8 @@ class Campaign:
         for name in space.names:
             if name in _COLUMNS:
                 raise InputError(f"space.{name}: is the name of another column of the exported table; rename it.")
+            if name in predicted_columns(simulator.outcomes):
+                raise InputError(f"space.{name}: is the name of a column that `activefail predict` adds; rename it.")
         for name in simulator.margins:
             if name in (*space.names, *_COLUMNS):
                 raise InputError(f"simulator.margins: {name!r} is the name of another column of the exported table.")
@@ -155,6 +165,22 @@ class Campaign:
     def severity(self) -> int:
         """The label at and above which an outcome counts as beyond the boundary that is sought (mainly)."""
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
+
+
+def _check_bearing(settings: CampaignSettings) -> None:
+    """Refuses settings of the bearing that nothing would use; a run folder's frozen ones have the defaults written out.
+
+    Raises:
+        InputError: naming the key and its value.
+    """
+    if settings.simulator == "dfp" or settings.classifier.features in ("sliding", "collision"):
+        return
+    default = config.BearingSettings()
+    for key, value in settings.bearing:
+        if value != getattr(default, key):
+            raise InputError(
+                f'bearing.{key}: belongs to `simulator = "dfp"`, and the simulator is one\'s own; got {value!r}.'
+            )
 
 
 def initial_designs(campaign: Campaign, sets: int = 1) -> Array:

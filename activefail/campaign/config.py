@@ -4,9 +4,10 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 import tomli_w
 from pydantic import (
@@ -16,6 +17,7 @@ from pydantic import (
     Field,
     Tag,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -186,6 +188,12 @@ class ExpressionFeatures(_Section):
     variables: bool = True
 
 
+_KINDS: dict[str, dict[str, type[_Section]]] = {
+    "simulator": {"python": PythonSimulator, "command": CommandSimulator},
+    "features": {"python": PythonFeatures, "expressions": ExpressionFeatures},
+}
+"""Of the tables that are told apart by a key, by that key."""
+
 _NAME, _RANGE = "a name", "a range"
 _WITH = "a table with "
 
@@ -195,16 +203,16 @@ def _range_or_value(given: Any) -> str:
     return f"{_WITH}value" if is_fixed else _RANGE
 
 
-def _by_key(*sections: tuple[str, type[_Section]]) -> Discriminator:
+def _by_key(sections: Mapping[str, type[_Section]]) -> Discriminator:
     """Tells a name from tables, and the tables from each other by a key that one of them alone has."""
 
     def kind(value: Any) -> str:
-        for key, section in sections:
+        for key, section in sections.items():
             if isinstance(value, section) or (isinstance(value, dict) and key in value):
                 return f"{_WITH}{key}"
         return "" if isinstance(value, dict) else _NAME
 
-    keys = " or ".join(f"{_WITH}`{key}`" for key, _ in sections)
+    keys = " or ".join(f"{_WITH}`{key}`" for key in sections)
     return Discriminator(kind, "no_such_table", f"must be a name, {keys}")
 
 
@@ -215,7 +223,7 @@ class ClassifierSettings(_Section):
         Annotated[FeatureSet, Tag(_NAME)]
         | Annotated[PythonFeatures, Tag(f"{_WITH}python")]
         | Annotated[ExpressionFeatures, Tag(f"{_WITH}expressions")],
-        _by_key(("python", PythonFeatures), ("expressions", ExpressionFeatures)),
+        _by_key(_KINDS["features"]),
     ] = "paper"
     kernel: Literal["rbf", "matern52"] = "rbf"
 
@@ -296,7 +304,7 @@ class CampaignSettings(_Section):
         Annotated[Literal["dfp"], Tag(_NAME)]
         | Annotated[PythonSimulator, Tag(f"{_WITH}python")]
         | Annotated[CommandSimulator, Tag(f"{_WITH}command")],
-        _by_key(("python", PythonSimulator), ("command", CommandSimulator)),
+        _by_key(_KINDS["simulator"]),
     ] = "dfp"
     bearing: BearingSettings = BearingSettings()
     space: Annotated[dict[str, _AnyVariable], Field(min_length=1)] = Field(default_factory=_table_1)
@@ -309,13 +317,31 @@ class CampaignSettings(_Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _with_features_that_any_simulator_has(cls, values: Any) -> Any:
-        """The default of `classifier.features` is for bearings; for a simulator of one's own it is the variables."""
-        if isinstance(values, dict) and isinstance(values.get("simulator"), dict):
-            classifier = values.get("classifier", {})
-            if isinstance(classifier, dict):
-                return values | {"classifier": {"features": "design"} | classifier}
-        return values
+    def _with_defaults_of_any_simulator(cls, values: Any) -> Any:
+        """Those of `classifier.features` and `acquisition.boundary` are for bearings.
+
+        For a simulator of one's own they are the variables and the most severe outcome; for `space` there is none.
+        """
+        if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
+            return values
+        defaults: dict[str, dict[str, Any]] = {"classifier": {"features": "design"}}
+        outcomes = values["simulator"].get("outcomes")
+        if isinstance(outcomes, list) and outcomes:
+            defaults["acquisition"] = {"boundary": outcomes[-1]}
+        for section, default in defaults.items():
+            given = values.get(section, {})
+            if isinstance(given, dict):
+                values = values | {section: default | given}
+        return {"space": None} | values
+
+    @field_validator("space", mode="before")
+    @classmethod
+    def _of_the_simulator(cls, space: Any, info: ValidationInfo) -> Any:
+        if space is not None:
+            return space
+        if "simulator" in info.data:
+            raise ValueError("required where the simulator is one's own")
+        return _table_1()  # the simulator's own fault is told
 
     @field_validator("space")
     @classmethod
@@ -378,6 +404,37 @@ def _shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
+def _keys(path: Sequence[str]) -> list[str]:
+    """The keys that the section at a path may hold; a path as validation errors have it."""
+    match path:
+        case []:
+            section: Any = CampaignSettings
+        case ["space", _, kind]:
+            section = FixedVariable if kind == f"{_WITH}value" else Variable
+        case [*_, "simulator" | "features" as name, kind]:
+            section = _KINDS[name][kind.removeprefix(_WITH)]
+        case [name, *_]:
+            section = CampaignSettings.model_fields[name].annotation
+    # One of them may be None: the section need not be there.
+    return [key for one in get_args(section) or (section,) for key in getattr(one, "model_fields", ())]
+
+
+def _unknown_key(path: Sequence[str], key: str) -> str:
+    """What is said of a key that the section at a path may not hold."""
+    match path:
+        case ["space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
+            return "a variable has `low` and `high`, or `value` alone"
+        case [*_, "simulator" | "features" as name, kind]:
+            given = kind.removeprefix(_WITH)
+            for other, section in _KINDS[name].items():
+                if key == other:
+                    return f"cannot stand beside `{given}`"
+                if key in section.model_fields:
+                    return f"belongs to `{other}`, and does not stand beside `{given}`"
+    near = get_close_matches(key, _keys(path), 1)
+    return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"
+
+
 def _rule(error: Any) -> str:
     """One line of a validation error: key path, rule and value."""
     parts = [part for part in error["loc"] if part not in (_NAME, _RANGE) and not str(part).startswith(_WITH)]
@@ -385,7 +442,8 @@ def _rule(error: Any) -> str:
     message = error["msg"].removeprefix("Value error, ")
     match error["type"]:
         case "extra_forbidden":
-            return f"{path}: unknown key"
+            *section, key = error["loc"]
+            return f"{path}: {_unknown_key(section, key)}"
         case "missing":
             return f"{path}: required, but not there"
         case "value_error":

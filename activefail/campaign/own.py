@@ -240,8 +240,13 @@ def _read_answer(said: object, outcomes: tuple[str, ...], margins: tuple[str, ..
     outcome, told = said.get("outcome"), said.get("margins", {})
     if outcome not in outcomes:
         raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
-    if not isinstance(told, Mapping) or set(told) - set(margins):
+    if not isinstance(told, Mapping):
         raise UnusableAnswerError(f"margins: must be a table of {', '.join(margins) or 'nothing'}, got {told!r}")
+    for name in told:
+        if name not in margins:
+            raise UnusableAnswerError(
+                f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
+            )
     values = [told.get(name, np.nan) for name in margins]
     for name, value in zip(margins, values, strict=True):
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):

@@ -1,6 +1,6 @@
 """The command line: parse, call, print."""
 
-from activefail.cli.app import app, ends_on_ctrl_c, main, program
+from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
 from activefail.cli.campaigns import export, predict, resume, run, status, verify
 from activefail.cli.explore import explore
 from activefail.cli.report import report
@@ -9,6 +9,6 @@ from activefail.cli.studies import compare, paper
 
 # In the order of `activefail --help`.
 for _command in (simulate, run, resume, status, predict, verify, export, compare, report, explore, paper):
-    app.command()(ends_on_ctrl_c(_command))
+    app.command(cls=Command)(ends_on_ctrl_c(_command))
 
 __all__ = ["app", "main", "program"]

@@ -13,6 +13,7 @@ from functools import wraps
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from activefail.cli.common import INTERRUPTED
 from activefail.errors import ActivefailError, InputError
@@ -80,6 +81,33 @@ def main() -> None:
             again.cancel()
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
         sys.unraisablehook = hook
+
+
+class Command(TyperCommand):
+    """A command whose option errors name the value that was given, too."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The arguments that are left, as `TyperCommand` parses them."""
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as fault:
+            fault.message = _with_value(fault)
+            raise
+
+
+def _with_value(fault: typer.BadParameter) -> str:
+    """What is said of an option's value: the rule, and the value."""
+    from pydantic import ValidationError
+
+    # Others name the value themselves.
+    if not isinstance(fault.__cause__, ValidationError):
+        return fault.message
+    error = fault.__cause__.errors()[0]
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "value_error":
+        return message
+    rule = message.replace("Input should be", "must be").partition(", unable to parse")[0]
+    return f"{rule}, got {error['input']!r}"
 
 
 def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:

@@ -136,7 +136,11 @@ def _print_response(response: "Response") -> None:
         print(f"{name:<10} {value:<10} {meaning}")
 
     print(f"outcome    {response.outcome}{f' ({response.cause})' if response.cause else ''}")
-    if response.outcome == "numerical_failure":
+    if response.cause == "failure_without_rim_touch":
+        print(
+            "           the slider failed before it touched a rim, which is none of the outcomes; are the units right?"
+        )
+    elif response.outcome == "numerical_failure":
         print("           the integration gave up; this says nothing about the bearing")
     if margins["first_touch_time"] == margins["first_touch_time"]:
         speed = margins["first_touch_velocity"]

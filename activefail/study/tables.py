@@ -8,7 +8,7 @@ import numpy as np
 from activefail.bearing import outcome as o
 from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulation import simulate
-from activefail.campaign.campaign import Campaign
+from activefail.campaign.campaign import Campaign, predicted_columns
 from activefail.campaign.record import SEED, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE, cause_name
 from activefail.errors import InputError
@@ -90,7 +90,7 @@ def predict_table(
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
     space, boundary = campaign.space, campaign.settings.acquisition.main_boundary
-    added = (*(f"p_{name}" for name in classifier.outcomes), "latent_mean", "latent_sd")
+    added = predicted_columns(classifier.outcomes)
 
     def check(design: Array) -> str | None:
         with np.errstate(all="ignore"):

@@ -89,10 +89,21 @@ def test_the_order_of_the_variables_is_the_files() -> None:
 
 # What breaks a rule, and what the message must say of it: key path, rule and value.
 BROKEN = {
-    "unknown key": ("sead = 1", ["sead: unknown key"]),
-    "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key"]),
-    "unknown table": ("[aquisition]", ["aquisition: unknown key"]),
-    "unknown key of a variable": ("space.mu = {low = 0.1, high = 0.2, men = 0.15}", ["space.mu.men: unknown key"]),
+    "unknown key": ("sead = 1", ["sead: unknown key; did you mean 'seed'?"]),
+    "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key; did you mean 'batch'?"]),
+    "unknown key of what need not be": (
+        "stop = { error = 0.1, evry = 2 }",
+        ["stop.evry: unknown key; did you mean 'every'?"],
+    ),
+    "unknown key of a simulator": (
+        'simulator = { command = "a {out}", retry = 1 }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.retry: unknown key; did you mean 'retries'?"],
+    ),
+    "unknown table": ("[aquisition]", ["aquisition: unknown key; did you mean 'acquisition'?"]),
+    "unknown key of a variable": (
+        "space.mu = {low = 0.1, high = 0.2, men = 0.15}",
+        ["space.mu.men: unknown key; did you mean 'mean'?"],
+    ),
     "a mean of a uniform variable": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
         ["space.mu: a mean and an sd belong to a truncated normal"],
@@ -113,7 +124,22 @@ BROKEN = {
         "space.mu = {low = 0.1, high = 0.2, distribution = 'normal'}",
         ["space.mu.distribution: must be 'uniform', 'log_uniform' or 'truncated_normal'", "'normal'"],
     ),
-    "a fixed variable with bounds": ("space.mu = {value = 0.1, low = 0.2}", ["space.mu.low: unknown key"]),
+    "a fixed variable with bounds": (
+        "space.mu = {value = 0.1, low = 0.2}",
+        ["space.mu.low: a variable has `low` and `high`, or `value` alone"],
+    ),
+    "a key of a program beside a function": (
+        'simulator = { python = "a:b", retries = -1 }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.retries: belongs to `command`, and does not stand beside `python`"],
+    ),
+    "a function and a program": (
+        'simulator = { python = "a:b", command = "a {out}" }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.command: cannot stand beside `python`"],
+    ),
+    "a function and expressions": (
+        'classifier.features = { python = "a:b", expressions = { x = "mu" } }',
+        ["classifier.features.expressions: cannot stand beside `python`"],
+    ),
     "a fixed variable that is no number": ("space.mu = {value = inf}", ["space.mu.value: must be", "inf"]),
     "unknown table of a simulator": (
         'simulator = { tcl = "model.tcl" }',
@@ -156,7 +182,23 @@ BROKEN = {
     "a section that is none": ("stop = 0.05", ["stop: must be a table, got 0.05"]),
     "a mean without sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
-        ["to it alone; got truncated_normal, mean 0.15 and sd None"],
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; missing: sd"],
+    ),
+    "neither mean nor sd": (
+        'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal" }',
+        ["and to it alone; missing: mean, sd"],
+    ),
+    "a mean alone": (
+        "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got uniform with mean 0.15"],
+    ),
+    "an sd alone": (
+        "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got log_uniform with sd 0.1"],
+    ),
+    "no variables of a simulator of one's own": (
+        'simulator.python = "a:b"',
+        ["space: required where the simulator is one's own"],
     ),
     "no variable": ("[space]", ["space: ", "at least 1"]),
     "negative seed": ("seed = -1", ["seed: must be greater than or equal to 0", "-1"]),
@@ -206,7 +248,7 @@ BROKEN = {
     ),
     "unknown key of features": (
         'classifier.features = { python = "mine:f", variable = false }',
-        ["classifier.features.variable: unknown key"],
+        ["classifier.features.variable: unknown key; did you mean 'variables'?"],
     ),
     "unknown kernel": ('classifier.kernel = "linear"', ["classifier.kernel: must be 'rbf' or 'matern52'", "'linear'"]),
     "unknown criterion": (
@@ -339,6 +381,26 @@ def test_weights_of_boundaries_are_shares_and_the_largest_is_the_main_one() -> N
     assert (one.boundaries, one.main_boundary) == ({"impact": 1.0}, "impact")
     equal = parse_settings("acquisition.boundary = {impact = 1e308, failure = 1e308}", "mine.toml").acquisition
     assert (equal.boundaries, equal.main_boundary) == ({"impact": 0.5, "failure": 0.5}, "impact")
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "acquisition", "boundary"),
+    [
+        ('outcomes = ["ok", "broken"]', "", "broken"),
+        ('outcomes = ["ok", "cracked", "broken"]', 'criterion = "bald"', "broken"),
+        ('outcomes = ["ok", "cracked", "broken"]', 'boundary = "cracked"', "cracked"),
+        ("", "", "failure"),
+    ],
+)
+def test_the_boundary_of_a_simulator_of_ones_own_is_that_of_its_most_severe_outcome_where_none_is_named(
+    outcomes: str, acquisition: str, boundary: str
+) -> None:
+    simulator = f'[simulator]\ncommand = "a {{out}}"\n{outcomes}\n'
+    text = f"{simulator}[space]\nx = {{ low = 0, high = 1 }}\n[acquisition]\n{acquisition}"
+    settings = parse_settings(text, "mine.toml")
+    assert settings.acquisition.boundaries == {boundary: 1.0}
+    assert Campaign.of(settings).severity == len(settings.simulator.outcomes) - 1 - (boundary == "cracked")
+    assert parse_settings(settings.text(), "frozen") == settings
 
 
 def test_settings_are_frozen() -> None:
@@ -523,12 +585,32 @@ def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, i
             "acquisition.boundary: must be one of impact, failure, got 'collapse'",
         ),
         ("space.mu = {low = 0.1, high = 0.2}", "space: lacks the variable 'T_b'; it has mu"),
+        *(
+            (
+                f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
+                f"space.{name}: is the name of a column that `activefail predict` adds; rename it.",
+            )
+            for name in ("p_safe", "p_failure", "latent_mean", "latent_sd")
+        ),
     ],
 )
 def test_pieces_that_do_not_fit_each_other_are_refused_by_key_path_rule_and_value(text: str, says: str) -> None:
     with pytest.raises(InputError) as refused:
         Campaign.of(parse_settings(text, "mine.toml"))
     assert says in str(refused.value)
+
+
+def test_settings_of_the_bearing_beside_a_simulator_of_ones_own_are_refused_unless_features_use_them() -> None:
+    table = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
+    own = {"simulator": {"command": "a {out}"}, "space": table, "bearing": {"slider_diameter": 0.25}}
+    with pytest.raises(InputError, match=r'bearing\.slider_diameter: belongs to `simulator = "dfp"`.*; got 0\.25'):
+        Campaign.of(parse_settings(tomli_w.dumps(own), "mine.toml"))
+    sliding = {"classifier": {"features": "sliding"}}
+    assert Campaign.of(parse_settings(tomli_w.dumps(own | sliding), "mine.toml")).space.names == TABLE_1.names
+    # A run folder's copy has the section, with the defaults.
+    frozen = parse_settings(tomli_w.dumps(own | {"bearing": {}}), "mine.toml").text()
+    assert "[bearing]" in frozen
+    assert Campaign.of(parse_settings(frozen, "frozen")).settings.text() == frozen
 
 
 def test_the_bearing_model_refuses_a_variable_that_it_has_not_and_one_that_reaches_zero() -> None:

@@ -123,7 +123,7 @@ UNUSABLE = {
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
     "{'outcome': 'safe', 'margin': {}}": "may hold outcome and margins, got 'margin' too",
     "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a table of gap, energy",
-    "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: must be a table of gap, energy, got {'gab': 1.0}",
+    "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
     "{'outcome': 'safe', 'margins': {'gap': 'wide'}}": "margins.gap: must be a number, got 'wide'",
     "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be a number, got None",
     "{'outcome': 'safe', 'margins': {'gap': True}}": "margins.gap: must be a number, got True",
