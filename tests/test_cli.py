@@ -543,6 +543,39 @@ def test_where_a_table_cannot_be_written_its_name_and_the_reason_are_told(folder
         refused(activefail("simulate", "--csv", tmp_path / "in.csv", "--out", target), part)
 
 
+@pytest.mark.parametrize(
+    "own",
+    ["campaign.toml", ".lock", "segments/000000000-000000004.h5", "state/more.csv", "sets", "simulations/x/o.csv"],
+)
+def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Path, own: str) -> None:
+    own_files = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    (folder.parent / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
+    (folder.parent / "link.svg").symlink_to(folder / own)
+    table_of = ("--csv", folder.parent / "in.csv")
+    for option, path, words in (
+        ("--csv", folder / own, ("export", folder)),
+        ("--out", folder / own, ("predict", folder, *table_of)),
+        ("--out", folder / own, ("simulate", *table_of)),
+        ("--plot", folder.parent / "link.svg", ("simulate", *design())),
+        ("--animate", folder / "sets" / ".." / own, ("simulate", *design())),
+        ("--out", folder / own, ("report", folder)),
+        ("--out", folder / own, ("run", tiny)),
+        ("--out", folder / own, ("compare", tiny)),
+        ("--out", folder / own, ("paper",)),
+    ):
+        said = activefail(*words, option, path)
+        refused(said, f"{option}: {path} is a file of the run folder itself; name another.")
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == own_files
+
+
+def test_other_files_in_a_run_folder_and_beside_a_campaign_file_may_be_written(folder: Path, tmp_path: Path) -> None:
+    assert activefail("export", folder, "--csv", folder / "all.csv").code == 0
+    # No run folder: a campaign file of the user's, and a folder of theirs.
+    shutil.copy(folder / "campaign.toml", tmp_path)
+    (tmp_path / "simulations").mkdir()
+    assert activefail("export", folder, "--csv", tmp_path / "simulations" / "all.csv").code == 0
+
+
 # --- compare -----------------------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,7 @@ from activefail.campaign import config
 from activefail.campaign.config import CampaignSettings
 from activefail.campaign.dfp import DfpSimulator
 from activefail.campaign.own import CommandSimulator, PythonSimulator
+from activefail.campaign.places import SIMULATIONS
 from activefail.campaign.plugin import load_function
 from activefail.campaign.record import Schema
 from activefail.campaign.simulator import Simulator
@@ -18,9 +19,6 @@ from activefail.errors import InputError
 from activefail.features import ExpressionFeatures, FeatureMap, FeatureSet, OwnFeatures, feature_map
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
-
-SIMULATIONS = "simulations"
-"""Of a run folder: where programs that simulate have their folders."""
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
 """Of an exported table, beside variables and margins."""

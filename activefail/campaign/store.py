@@ -24,6 +24,7 @@ from activefail import __version__
 from activefail.campaign import compaction
 from activefail.campaign.beside import decode_set, decode_state, encode_set, encode_state
 from activefail.campaign.image import TEMPORARY, DamagedError, SyncError, publish, replace, sync_folder
+from activefail.campaign.places import FOLDERS, LOCK, SETTINGS
 from activefail.campaign.record import STATES_KEPT, Batch, Schema, check_set, checked_state, own_copy
 from activefail.campaign.recovery import (
     QUARANTINE,
@@ -41,12 +42,10 @@ from activefail.campaign.simulator import Results
 from activefail.errors import BusyError, InputError, StoreError
 from activefail.space import Array
 
-FOLDERS = ("segments", "state", "sets")
-
 
 def _lock(folder: Path) -> FileLock:
     """The lock of a run folder, taken; the kernel releases it when the process dies, however it dies."""
-    lock = FileLock(folder / ".lock", timeout=0, thread_local=False)
+    lock = FileLock(folder / LOCK, timeout=0, thread_local=False)
     try:
         lock.acquire()
     except Timeout:
@@ -107,7 +106,7 @@ class FolderStore:
             raise InputError("The settings must not hold a NUL.")
         try:
             present = sorted(os.listdir(folder)) if folder.exists() else []
-            found = [name for name in present if name != ".lock" and not name.startswith(TEMPORARY)]
+            found = [name for name in present if name != LOCK and not name.startswith(TEMPORARY)]
             if found:
                 raise InputError(
                     f"{folder} is not empty (it holds {found[0]}): a new campaign needs a new folder. "
@@ -120,7 +119,7 @@ class FolderStore:
             raise StoreError(f"Cannot create {folder}: {error.strerror or error}.") from error
         store = cls(folder, settings, schema, _lock(folder), provenance or {})
         try:
-            publish(folder / "campaign.toml", settings.encode())
+            publish(folder / SETTINGS, settings.encode())
             sync_folder(folder.parent)
             store._load()
         except BaseException:
@@ -146,7 +145,7 @@ class FolderStore:
                 version is another one, or if designs are missing in the middle; nothing in it was changed.
         """
         folder = Path(folder).absolute()
-        path = folder / "campaign.toml"
+        path = folder / SETTINGS
         try:
             settings = path.read_bytes().decode()
         except FileNotFoundError:

@@ -17,6 +17,7 @@ from activefail.cli.common import (
     RunFolder,
     Scheduler,
     Workers,
+    check_output,
     make_executor,
     progress_bar,
     show_warnings,
@@ -45,6 +46,7 @@ def run(
     """Start a campaign in a new run folder and take it to its budget."""
     from activefail.campaign.folder import create_run, read_campaign
 
+    check_output("--out", out)
     code = campaign.absolute().parent
     assembled = read_campaign(campaign, seed, budget, code=code, run=out)
     if (out / "campaign.toml").exists():
@@ -263,6 +265,7 @@ def predict(
     from activefail.campaign.loop import one_thread
     from activefail.study.tables import predict_table
 
+    check_output("--out", out)
     with open_campaign(folder, write=False, code=code) as (campaign, store), one_thread():
         show_warnings(store.warnings)
         if not store.batches:
@@ -323,6 +326,7 @@ def export(
     from activefail.campaign.folder import open_campaign
     from activefail.study.tables import export_table
 
+    check_output("--csv", csv)
     with open_campaign(folder, write=False, code=code) as (campaign, store):
         show_warnings(store.warnings)
         number = export_table(campaign, store, csv)

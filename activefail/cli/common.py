@@ -64,6 +64,18 @@ def make_executor(
     return DaskExecutor(scheduler, campaign.time_limit, lambda line: print(line, file=sys.stderr, flush=True))
 
 
+def check_output(option: str, path: Path | None) -> None:
+    """Check that what is to be written is nothing that a run folder keeps for itself; before anything is done.
+
+    Raises:
+        InputError: naming the option and the file.
+    """
+    from activefail.campaign.places import run_folder_owning
+
+    if path is not None and run_folder_owning(path) is not None:
+        raise InputError(f"{option}: {path} is a file of the run folder itself; name another.")
+
+
 @contextmanager
 def writing_to(path: Path) -> Iterator[None]:
     """Names the file or folder of a fault of writing.

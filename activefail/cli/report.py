@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, show_warnings, writing_to
+from activefail.cli.common import Code, RunFolder, check_output, show_warnings, writing_to
 from activefail.errors import InputError
 
 
@@ -25,6 +25,7 @@ def report(
     from activefail.report.findings import gather
     from activefail.report.page import render, write_report
 
+    check_output("--out", out)
     target = out or folder / "report.html"
     if target.suffix.lower() not in {".html", ".htm"}:
         raise InputError(f"--out: must end in .html, got {str(target)!r}.")

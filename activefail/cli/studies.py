@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import INTERRUPTED, Code, show_warnings, stop_on_signals, writing_to
+from activefail.cli.common import INTERRUPTED, Code, check_output, show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
 
 
@@ -129,6 +129,7 @@ def _compare_seeds(
     from activefail.report.comparison import comparison_lines, write_comparison
     from activefail.study.seeds import OWN, Plan, compare_seeds
 
+    check_output("--out", out)
     settings = read_settings(file)
     sizes = [] if static is None else _parse_sizes("--static", static)
     if any(size < 2 for size in sizes):
@@ -185,6 +186,7 @@ def paper(
     def stage(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
+    check_output("--out", out)
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
