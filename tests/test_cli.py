@@ -661,6 +661,17 @@ def test_a_comparison_that_cannot_be_is_refused_before_anything_is_written(
     assert os.listdir(tmp_path) == ["small.toml"]
 
 
+def test_a_comparison_is_not_made_among_other_things(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").touch()
+    for place, holds in ((tmp_path / "mine", "notes.txt"), (folder, "campaign.toml")):
+        before = sorted(place.rglob("*"))
+        said = activefail("compare", tmp_path / "small.toml", "--out", place, "--seeds", "1", "--test", "10")
+        refused(said, f"{place} is not empty (it holds {holds}): a new comparison needs a new folder.")
+        assert sorted(place.rglob("*")) == before
+
+
 def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -> None:
     refused(activefail("compare", folder, "--criteria", "bald"), "--criteria: is for the comparison of a campaign file")
 

@@ -57,6 +57,24 @@ def _lock(folder: Path) -> FileLock:
     return lock
 
 
+def check_empty(folder: Path, what: str, instead: str) -> None:
+    """Check that a folder is empty or none, but for what a creation leaves that was interrupted.
+
+    Args:
+        folder: for something new.
+        what: it is for.
+        instead: what the user may do where it is not.
+
+    Raises:
+        InputError: if it holds anything else.
+        OSError: if it cannot be read.
+    """
+    present = sorted(os.listdir(folder)) if folder.exists() else []
+    found = [name for name in present if name != LOCK and not name.startswith(TEMPORARY)]
+    if found:
+        raise InputError(f"{folder} is not empty (it holds {found[0]}): a new {what} needs a new folder. {instead}")
+
+
 class FolderStore:
     """A record in a run folder; made by `create` and `open`.
 
@@ -105,13 +123,7 @@ class FolderStore:
         if "\0" in settings:
             raise InputError("The settings must not hold a NUL.")
         try:
-            present = sorted(os.listdir(folder)) if folder.exists() else []
-            found = [name for name in present if name != LOCK and not name.startswith(TEMPORARY)]
-            if found:
-                raise InputError(
-                    f"{folder} is not empty (it holds {found[0]}): a new campaign needs a new folder. "
-                    f"Resume the campaign in it, if there is one, or choose another folder."
-                )
+            check_empty(folder, "campaign", "Resume the campaign in it, if there is one, or choose another folder.")
             folder.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError) as error:
             raise InputError(f"{folder}: cannot be a run folder: {error.strerror}.") from None
