@@ -473,6 +473,20 @@ def test_the_command_to_go_on_can_be_pasted_whatever_the_name_of_the_folder(tiny
     assert shlex.split(line.removeprefix("go on")) == ["activefail", "resume", str(folder)]
 
 
+def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_all_the_same(tmp_path: Path) -> None:
+    # So easy a rule that the first look ends it.
+    rule = "stop = { error = 0.49, confidence = 0.5, simulations = 10, every = 1 }\n"
+    (tmp_path / "easy.toml").write_text(rule + TINY)
+    folder = tmp_path / "run"
+    assert "good       enough after 20 simulations" in activefail("run", tmp_path / "easy.toml", "--out", folder).out
+    assert activefail("status", folder).out.splitlines()[-2:] == [
+        f"go on      activefail resume {folder}",
+        f"           activefail resume {folder} --ignore-stop, where it ended by its stop rule",
+    ]
+    activefail("resume", folder, "--ignore-stop", "--budget", "25")
+    assert activefail("status", folder).out.splitlines()[-1] == f"go on      activefail resume {folder}"
+
+
 def test_the_status_of_a_campaign_taken_beyond_its_budget_does_not_say_that_it_did_more_than_all(folder: Path) -> None:
     activefail("resume", folder, "--budget", "32")
     assert "32 of 30" not in activefail("status", folder).out
