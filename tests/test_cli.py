@@ -386,6 +386,14 @@ def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -
     refused(activefail("resume", folder, "--budget", budget), f"--budget: must be at least 2, got {budget}")
 
 
+def test_a_budget_below_what_is_done_is_refused(folder: Path) -> None:
+    before = record(folder)
+    rule = "--budget: must be at least the 30 simulations that are done, got 29"
+    refused(activefail("resume", folder, "--budget", "29"), rule)
+    assert activefail("resume", folder, "--budget", "30").code == 0
+    assert record(folder) == before
+
+
 COMMANDS_ON_FOLDERS = {
     "resume": [],
     "status": [],

@@ -89,6 +89,9 @@ def resume(
         target = assembled.settings.sampling.budget if budget is None else budget
         if target < 2:
             raise InputError(f"--budget: must be at least 2, got {target}.")
+        done = sum(len(batch) for batch in store.batches)
+        if budget is not None and budget < done:
+            raise InputError(f"--budget: must be at least the {done} simulations that are done, got {budget}.")
         extra = "" if budget is None else f" --budget {budget}"
         if numerical_failures is not None:
             extra += f" --numerical-failures {numerical_failures:g}"
