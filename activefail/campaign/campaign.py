@@ -12,7 +12,7 @@ from activefail.campaign.config import CampaignSettings
 from activefail.campaign.dfp import DfpSimulator
 from activefail.campaign.own import CommandSimulator, PythonSimulator
 from activefail.campaign.places import SIMULATIONS
-from activefail.campaign.plugin import load_function
+from activefail.campaign.plugin import FEATURES_KEY, SIMULATOR_KEY, load_function
 from activefail.campaign.record import Schema
 from activefail.campaign.simulator import Simulator
 from activefail.errors import InputError
@@ -79,8 +79,8 @@ class Campaign:
                     space, named.python, code, tuple(named.outcomes), tuple(named.margins), folder=run
                 )
                 if code is not None:
-                    sources["simulator.python"] = simulator.load()
-                    simulator = replace(simulator, source=sources["simulator.python"])
+                    sources[SIMULATOR_KEY] = simulator.load()
+                    simulator = replace(simulator, source=sources[SIMULATOR_KEY])
             case config.CommandSimulator() as named:
                 simulator = CommandSimulator(
                     space,
@@ -129,8 +129,7 @@ class Campaign:
             case config.PythonFeatures() if not own_features:
                 features = "design"
             case config.PythonFeatures():
-                key = "classifier.features.python"
-                function, sources[key] = load_function(named.python, code, key, run)
+                function, sources[FEATURES_KEY] = load_function(named.python, code, FEATURES_KEY, run)
                 features = OwnFeatures(named.python.partition(":")[2], function, named.variables)
             case config.ExpressionFeatures():
                 features = ExpressionFeatures(named.expressions, named.variables)

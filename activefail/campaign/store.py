@@ -12,6 +12,7 @@ altered or from another campaign is noticed; merging segments leaves the chain a
 
 import os
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,6 +26,7 @@ from activefail.campaign import compaction
 from activefail.campaign.beside import decode_set, decode_state, encode_set, encode_state
 from activefail.campaign.image import TEMPORARY, DamagedError, SyncError, publish, replace, sync_folder
 from activefail.campaign.places import FOLDERS, LOCK, SETTINGS
+from activefail.campaign.plugin import FEATURES_KEY, SIMULATOR_KEY
 from activefail.campaign.record import STATES_KEPT, Batch, Schema, check_set, checked_state, own_copy
 from activefail.campaign.recovery import (
     QUARANTINE,
@@ -55,6 +57,19 @@ def _lock(folder: Path) -> FileLock:
     except OSError as error:
         raise StoreError(f"Cannot write to {folder}: {error.strerror or error}.") from error
     return lock
+
+
+def _named(settings: str, key: str) -> str:
+    """The value of a key like "simulator.python" in the text of settings."""
+    value: Any = tomllib.loads(settings)
+    for part in key.split("."):
+        value = value[part]
+    return str(value)
+
+
+def _short(entry: str) -> str:
+    """An entry of the provenance, of a digest its beginning."""
+    return entry[:8] if re.fullmatch("[0-9a-f]{64}", entry) else entry
 
 
 def check_empty(folder: Path, what: str, instead: str) -> None:
@@ -207,15 +222,19 @@ class FolderStore:
         provenance = self._segments[-1].provenance if self._segments else {}
         # A merged segment may hold several, one after the other.
         before = {name: [*compaction.history(text, 0).values()][-1] for name, text in provenance.items()}
-        changes = [
-            f"{name} {before[name]} -> {now}"
-            for name, now in self._provenance.items()
-            if name in before and before[name] != now
-        ]
-        if changes:
+        changed = {name: now for name, now in self._provenance.items() if before.get(name, now) != now}
+        code = {name: changed.pop(name) for name in (SIMULATOR_KEY, FEATURES_KEY) if name in changed}
+        for name, now in code.items():
+            self._warn(
+                f"Your own code has changed since the last batch, {_named(self.settings, name)} ({name}) or what it "
+                f"imports: {_short(before[name])} -> {_short(now)}. What follows is by the code as it is now."
+            )
+        if changed:
             self._warn(
                 "This machine or its versions are not those of the last batch, so that what follows is not "
-                "bit-identical to an uninterrupted campaign: " + "; ".join(changes) + "."
+                "bit-identical to an uninterrupted campaign: "
+                + "; ".join(f"{name} {_short(before[name])} -> {_short(now)}" for name, now in changed.items())
+                + "."
             )
 
     def _tidy(self, recovery: Recovery) -> None:

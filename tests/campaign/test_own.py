@@ -611,7 +611,11 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     (mine / "model.py").write_text(MODEL + "# other\n")
     said = activefail("resume", run, "--budget", "20", "--code", mine)
     assert said.code == 0
-    assert "simulator.python" in said.err
+    digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, f"{MODEL}# other\n")]
+    assert said.err == (
+        "warning: Your own code has changed since the last batch, model:run (simulator.python) or what it imports: "
+        f"{digests[0]} -> {digests[1]}. What follows is by the code as it is now.\n"
+    )
 
 
 def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on_resume(
@@ -629,8 +633,9 @@ def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on
     with_helpers(mine, damage=1.125)
     said = activefail("resume", run, "--budget", "24", "--code", mine)
     assert said.code == 0, said.err
-    assert "simulator.python" in said.err
-    assert "classifier.features.python" in said.err
+    assert "model:run (simulator.python)" in said.err
+    assert "seen:by (classifier.features.python)" in said.err
+    assert "machine" not in said.err
 
 
 MISTAKES = {
