@@ -624,6 +624,7 @@ def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folde
     for words in printed:
         (row,) = [row for row in rows if (row["sampling"], row["simulations"]) == (words[1], words[0])]
         assert float(words[2]) == pytest.approx(100.0 * float(row["accuracy"]), abs=0.005)
+        assert (row["test_designs"], row["test_unanswered"]) == ("60", "0")
     assert (results / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     assert (results / "learning_curves.svg").read_text().startswith("<?xml")
     assert str(results / "scores.csv") in said.out

@@ -307,7 +307,7 @@ def verify(
     print(f"campaign   {progress.done} simulations, iteration {progress.iteration}")
     print(f"error      {_error_text(error)} of the design space on the wrong side of {boundary}")
     print(
-        f"           {100 * confidence:g} % interval: {error.simulations} fresh simulations, {error.wrong} of them "
+        f"           {100 * confidence:g} % interval: {error.in_words}, {error.wrong} of them "
         "misclassified, in parts of unequal weight; and the initial design, each point left out in turn"
     )
     print(f"expected   {100 * error.expected:.2f} % by the classifier's own probabilities")

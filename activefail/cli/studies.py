@@ -106,9 +106,9 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
     results = folder / "compare"
     with writing_to(results):
         results.mkdir(exist_ok=True)
-        with writing(results / "scores.csv", [*Score.columns(), "test_designs"]) as write:
-            write([[*score.row(), test] for score in scores])
-        figure = plot_learning_curves(scores, boundary, test)
+        with writing(results / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
+            write([[*score.row(), test - score.test_designs] for score in scores])
+        figure = plot_learning_curves(scores, boundary, scores[0].test_designs)
         for suffix in ("png", "svg"):
             figure.savefig(results / f"learning_curves.{suffix}")
     print(f"table      {results / 'scores.csv'}")
