@@ -400,6 +400,14 @@ def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -
     refused(activefail("resume", folder, "--budget", budget), f"--budget: must be at least 2, got {budget}")
 
 
+def test_a_budget_below_what_is_done_is_refused(folder: Path) -> None:
+    before = record(folder)
+    rule = "--budget: must be at least the 30 simulations that are done, got 29"
+    refused(activefail("resume", folder, "--budget", "29"), rule)
+    assert activefail("resume", folder, "--budget", "30").code == 0
+    assert record(folder) == before
+
+
 COMMANDS_ON_FOLDERS = {
     "resume": [],
     "status": [],
@@ -487,6 +495,20 @@ def test_the_command_to_go_on_can_be_pasted_whatever_the_name_of_the_folder(tiny
     assert shlex.split(line.removeprefix("go on")) == ["activefail", "resume", str(folder)]
 
 
+def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_all_the_same(tmp_path: Path) -> None:
+    # So easy a rule that the first look ends it.
+    rule = "stop = { error = 0.49, confidence = 0.5, simulations = 10, every = 1 }\n"
+    (tmp_path / "easy.toml").write_text(rule + TINY)
+    folder = tmp_path / "run"
+    assert "good       enough after 20 simulations" in activefail("run", tmp_path / "easy.toml", "--out", folder).out
+    assert activefail("status", folder).out.splitlines()[-2:] == [
+        f"go on      activefail resume {folder}",
+        f"           activefail resume {folder} --ignore-stop, where it ended by its stop rule",
+    ]
+    activefail("resume", folder, "--ignore-stop", "--budget", "25")
+    assert activefail("status", folder).out.splitlines()[-1] == f"go on      activefail resume {folder}"
+
+
 def test_the_status_of_a_campaign_taken_beyond_its_budget_does_not_say_that_it_did_more_than_all(folder: Path) -> None:
     activefail("resume", folder, "--budget", "32")
     assert "32 of 30" not in activefail("status", folder).out
@@ -557,6 +579,39 @@ def test_where_a_table_cannot_be_written_its_name_and_the_reason_are_told(folder
         refused(activefail("simulate", "--csv", tmp_path / "in.csv", "--out", target), part)
 
 
+@pytest.mark.parametrize(
+    "own",
+    ["campaign.toml", ".lock", "segments/000000000-000000004.h5", "state/more.csv", "sets", "simulations/x/o.csv"],
+)
+def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Path, own: str) -> None:
+    own_files = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    (folder.parent / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
+    (folder.parent / "link.svg").symlink_to(folder / own)
+    table_of = ("--csv", folder.parent / "in.csv")
+    for option, path, words in (
+        ("--csv", folder / own, ("export", folder)),
+        ("--out", folder / own, ("predict", folder, *table_of)),
+        ("--out", folder / own, ("simulate", *table_of)),
+        ("--plot", folder.parent / "link.svg", ("simulate", *design())),
+        ("--animate", folder / "sets" / ".." / own, ("simulate", *design())),
+        ("--out", folder / own, ("report", folder)),
+        ("--out", folder / own, ("run", tiny)),
+        ("--out", folder / own, ("compare", tiny)),
+        ("--out", folder / own, ("paper",)),
+    ):
+        said = activefail(*words, option, path)
+        refused(said, f"{option}: {path} is a file of the run folder itself; name another.")
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == own_files
+
+
+def test_other_files_in_a_run_folder_and_beside_a_campaign_file_may_be_written(folder: Path, tmp_path: Path) -> None:
+    assert activefail("export", folder, "--csv", folder / "all.csv").code == 0
+    # No run folder: a campaign file of the user's, and a folder of theirs.
+    shutil.copy(folder / "campaign.toml", tmp_path)
+    (tmp_path / "simulations").mkdir()
+    assert activefail("export", folder, "--csv", tmp_path / "simulations" / "all.csv").code == 0
+
+
 # --- compare -----------------------------------------------------------------------------------------------------
 
 
@@ -583,6 +638,7 @@ def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folde
     for words in printed:
         (row,) = [row for row in rows if (row["sampling"], row["simulations"]) == (words[1], words[0])]
         assert float(words[2]) == pytest.approx(100.0 * float(row["accuracy"]), abs=0.005)
+        assert (row["test_designs"], row["test_unanswered"]) == ("60", "0")
     assert (results / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     assert (results / "learning_curves.svg").read_text().startswith("<?xml")
     assert str(results / "scores.csv") in said.out
@@ -640,6 +696,17 @@ def test_a_comparison_that_cannot_be_is_refused_before_anything_is_written(
     (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
     refused(activefail("compare", "small.toml", *words), rule)
     assert os.listdir(tmp_path) == ["small.toml"]
+
+
+def test_a_comparison_is_not_made_among_other_things(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").touch()
+    for place, holds in ((tmp_path / "mine", "notes.txt"), (folder, "campaign.toml")):
+        before = sorted(place.rglob("*"))
+        said = activefail("compare", tmp_path / "small.toml", "--out", place, "--seeds", "1", "--test", "10")
+        refused(said, f"{place} is not empty (it holds {holds}): a new comparison needs a new folder.")
+        assert sorted(place.rglob("*")) == before
 
 
 def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -> None:

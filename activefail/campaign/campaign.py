@@ -12,16 +12,14 @@ from activefail.campaign import config
 from activefail.campaign.config import CampaignSettings
 from activefail.campaign.dfp import DfpSimulator
 from activefail.campaign.own import CommandSimulator, PythonSimulator
-from activefail.campaign.plugin import load_function
+from activefail.campaign.places import SIMULATIONS
+from activefail.campaign.plugin import FEATURES_KEY, SIMULATOR_KEY, load_function
 from activefail.campaign.record import Schema
 from activefail.campaign.simulator import Simulator
 from activefail.errors import InputError
 from activefail.features import ExpressionFeatures, FeatureMap, FeatureSet, OwnFeatures, feature_map
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
-
-SIMULATIONS = "simulations"
-"""Of a run folder: where programs that simulate have their folders."""
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
 """Of an exported table, beside variables and margins."""
@@ -89,8 +87,8 @@ class Campaign:
                     space, named.python, code, tuple(named.outcomes), tuple(named.margins), folder=run
                 )
                 if code is not None:
-                    sources["simulator.python"] = simulator.load()
-                    simulator = replace(simulator, source=sources["simulator.python"])
+                    sources[SIMULATOR_KEY] = simulator.load()
+                    simulator = replace(simulator, source=sources[SIMULATOR_KEY])
             case config.CommandSimulator() as named:
                 simulator = CommandSimulator(
                     space,
@@ -141,8 +139,7 @@ class Campaign:
             case config.PythonFeatures() if not own_features:
                 features = "design"
             case config.PythonFeatures():
-                key = "classifier.features.python"
-                function, sources[key] = load_function(named.python, code, key, run)
+                function, sources[FEATURES_KEY] = load_function(named.python, code, FEATURES_KEY, run)
                 features = OwnFeatures(named.python.partition(":")[2], function, named.variables)
             case config.ExpressionFeatures():
                 features = ExpressionFeatures(named.expressions, named.variables)

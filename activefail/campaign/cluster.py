@@ -56,9 +56,14 @@ class DaskExecutor:
         for name in logging.root.manager.loggerDict:
             if name.split(".")[0] == "distributed":
                 logging.getLogger(name).setLevel(logging.CRITICAL)
+        # Kept though its making fails: it would close itself as Python ends, wait in vain and leave a traceback.
+        self._client = Client.__new__(Client)
         try:
-            self._client = Client(scheduler, timeout=_CONNECT, set_as_default=False, name="activefail")
-        except (OSError, ValueError, TypeError) as error:
+            self._client.__init__(scheduler, timeout=_CONNECT, set_as_default=False, name="activefail")
+        # Whatever: what answers may be no scheduler at all, and its bytes are taken for sizes of arrays.
+        except Exception as error:
+            with suppress(Exception):
+                self._client.close(timeout=_LOOK)
             raise InputError(f"--scheduler: no Dask scheduler answers at {scheduler!r}: {error}.") from None
         self._scheduler = scheduler
         self._time_limit = time_limit

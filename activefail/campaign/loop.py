@@ -100,12 +100,12 @@ def _simulate_and_record(
     store.commit(Batch(iteration, designs, np.full(len(designs), origin, dtype=np.int8), results))
 
 
-def _check_numerical_failures(done: int, failures: int, limit: float, first_fault: str) -> None:
+def _check_numerical_failures(done: int, failures: int, limit: float, first_fault: str, again: str) -> None:
     if done >= _LEAST_FOR_RATE and failures > limit * done:
         raise SimulationError(
             f"{failures} of {done} simulations failed numerically, more than the share of "
             f"{limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops here. "
-            f"`activefail export` shows their causes; `activefail resume DIR --numerical-failures SHARE` allows more."
+            f"`activefail export` shows their causes; `{again} --numerical-failures SHARE` allows more."
             + _told(first_fault)
         )
 
@@ -122,6 +122,7 @@ def run(
     observer: Observer | None = None,
     failure_limit: float | None = None,
     good_enough: bool = True,
+    again: str = "activefail resume DIR",
 ) -> bool:
     """Take a campaign from where its record stands to its budget, or until it is verified to be good enough.
 
@@ -130,6 +131,7 @@ def run(
     Args:
         good_enough: whether the campaign's rule about its error may end it before its budget.
         failure_limit: share of numerical failures to stop above, instead of the campaign's.
+        again: the command that goes on, for messages.
 
     Raises:
         SimulationError: if the workers or too many of the simulations fail.
@@ -144,7 +146,7 @@ def run(
         # What failed before the first answer was the fault of a simulator that was mended since.
         forgiven = leading_failures(store.batches)
         return take(
-            _Task(campaign, store, executor, budget, observer, limit, good_enough, validation, initial, forgiven)
+            _Task(campaign, store, executor, budget, observer, limit, good_enough, again, validation, initial, forgiven)
         )
 
 
@@ -159,6 +161,7 @@ class _Task:
     observer: Observer
     failure_limit: float
     good_enough: bool
+    again: str
     validation: tuple[Array, NDArray[np.int8]] | None
     initial: Array
     forgiven: int  # failures that do not count to the limit
@@ -172,11 +175,11 @@ class _Task:
             raise SimulationError(
                 f"None of the {progress.done} simulations gave an answer: there is nothing to learn from. They are "
                 f"recorded; the campaign stops here. The cause of the first is {first or 'not named'}. Once the "
-                f"simulator is mended, `activefail resume DIR{f' --budget {needed}' if self.budget < needed else ''}` "
+                f"simulator is mended, `{self.again}{f' --budget {needed}' if self.budget < needed else ''}` "
                 f"goes on with other initial designs." + _told(self.executor.first_fault)
             )
         done, failures = progress.done - self.forgiven, progress.numerical_failures - self.forgiven
-        _check_numerical_failures(done, failures, self.failure_limit, self.executor.first_fault)
+        _check_numerical_failures(done, failures, self.failure_limit, self.executor.first_fault, self.again)
 
     def judged(self, progress: Progress, classifier: Classifier, verify_now: bool) -> Progress:
         """The progress with what is known of the classifier's accuracy."""

@@ -15,12 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.campaign.plugin import load_function, look_beside
+from activefail.campaign.plugin import SIMULATOR_KEY, load_function, look_beside
 from activefail.campaign.simulator import Results, UnusableAnswerError
 from activefail.errors import InputError
 from activefail.space import Array, DesignSpace
-
-_KEY = "simulator.python"
 
 _TOLD = 300
 """Characters of a program's last words that a message repeats."""
@@ -60,7 +58,7 @@ class PythonSimulator:
         Raises:
             InputError: if there is no such function, or it may not be run.
         """
-        return load_function(self.reference, self.code, _KEY, self.folder)[1]
+        return load_function(self.reference, self.code, SIMULATOR_KEY, self.folder)[1]
 
     def prepare(self) -> None:
         """Import the function's module, which is no part of a simulation's time.
@@ -94,11 +92,11 @@ def _loaded(
     reference: str, code: Path | None, source: str, folder: Path | None
 ) -> Callable[[dict[str, float]], object]:
     """The function, imported once in a process for each source that it has had."""
-    function, found = load_function(reference, code, _KEY, folder)
+    function, found = load_function(reference, code, SIMULATOR_KEY, folder)
     if source and found != source:
         raise InputError(
-            f"{_KEY}: the module of {reference}, or one that it imports from its folder, is another one here than "
-            f"where the campaign was started."
+            f"{SIMULATOR_KEY}: the module of {reference}, or one that it imports from its folder, is another one here "
+            f"than where the campaign was started."
         )
     return function
 

@@ -12,6 +12,10 @@ from typing import Any
 
 from activefail.errors import InputError
 
+SIMULATOR_KEY = "simulator.python"
+FEATURES_KEY = "classifier.features.python"
+"""The keys of the settings that name functions of a user's own, and of their sources' digests in a record."""
+
 _OWN = "activefail_own_"
 """What the names of a user's own modules begin with."""
 

@@ -12,6 +12,7 @@ altered or from another campaign is noticed; merging segments leaves the chain a
 
 import os
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,6 +25,8 @@ from activefail import __version__
 from activefail.campaign import compaction
 from activefail.campaign.beside import decode_set, decode_state, encode_set, encode_state
 from activefail.campaign.image import TEMPORARY, DamagedError, SyncError, publish, replace, sync_folder
+from activefail.campaign.places import FOLDERS, LOCK, SETTINGS
+from activefail.campaign.plugin import FEATURES_KEY, SIMULATOR_KEY
 from activefail.campaign.record import STATES_KEPT, Batch, Schema, check_set, checked_state, own_copy
 from activefail.campaign.recovery import (
     QUARANTINE,
@@ -41,12 +44,10 @@ from activefail.campaign.simulator import Results
 from activefail.errors import BusyError, InputError, StoreError
 from activefail.space import Array
 
-FOLDERS = ("segments", "state", "sets")
-
 
 def _lock(folder: Path) -> FileLock:
     """The lock of a run folder, taken; the kernel releases it when the process dies, however it dies."""
-    lock = FileLock(folder / ".lock", timeout=0, thread_local=False)
+    lock = FileLock(folder / LOCK, timeout=0, thread_local=False)
     try:
         lock.acquire()
     except Timeout:
@@ -56,6 +57,37 @@ def _lock(folder: Path) -> FileLock:
     except OSError as error:
         raise StoreError(f"Cannot write to {folder}: {error.strerror or error}.") from error
     return lock
+
+
+def _named(settings: str, key: str) -> str:
+    """The value of a key like "simulator.python" in the text of settings."""
+    value: Any = tomllib.loads(settings)
+    for part in key.split("."):
+        value = value[part]
+    return str(value)
+
+
+def _short(entry: str) -> str:
+    """An entry of the provenance, of a digest its beginning."""
+    return entry[:8] if re.fullmatch("[0-9a-f]{64}", entry) else entry
+
+
+def check_empty(folder: Path, what: str, instead: str) -> None:
+    """Check that a folder is empty or none, but for what a creation leaves that was interrupted.
+
+    Args:
+        folder: for something new.
+        what: it is for.
+        instead: what the user may do where it is not.
+
+    Raises:
+        InputError: if it holds anything else.
+        OSError: if it cannot be read.
+    """
+    present = sorted(os.listdir(folder)) if folder.exists() else []
+    found = [name for name in present if name != LOCK and not name.startswith(TEMPORARY)]
+    if found:
+        raise InputError(f"{folder} is not empty (it holds {found[0]}): a new {what} needs a new folder. {instead}")
 
 
 class FolderStore:
@@ -106,13 +138,7 @@ class FolderStore:
         if "\0" in settings:
             raise InputError("The settings must not hold a NUL.")
         try:
-            present = sorted(os.listdir(folder)) if folder.exists() else []
-            found = [name for name in present if name != ".lock" and not name.startswith(TEMPORARY)]
-            if found:
-                raise InputError(
-                    f"{folder} is not empty (it holds {found[0]}): a new campaign needs a new folder. "
-                    f"Resume the campaign in it, if there is one, or choose another folder."
-                )
+            check_empty(folder, "campaign", "Resume the campaign in it, if there is one, or choose another folder.")
             folder.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError) as error:
             raise InputError(f"{folder}: cannot be a run folder: {error.strerror}.") from None
@@ -120,7 +146,7 @@ class FolderStore:
             raise StoreError(f"Cannot create {folder}: {error.strerror or error}.") from error
         store = cls(folder, settings, schema, _lock(folder), provenance or {})
         try:
-            publish(folder / "campaign.toml", settings.encode())
+            publish(folder / SETTINGS, settings.encode())
             sync_folder(folder.parent)
             store._load()
         except BaseException:
@@ -146,7 +172,7 @@ class FolderStore:
                 version is another one, or if designs are missing in the middle; nothing in it was changed.
         """
         folder = Path(folder).absolute()
-        path = folder / "campaign.toml"
+        path = folder / SETTINGS
         try:
             settings = path.read_bytes().decode()
         except FileNotFoundError:
@@ -196,15 +222,19 @@ class FolderStore:
         provenance = self._segments[-1].provenance if self._segments else {}
         # A merged segment may hold several, one after the other.
         before = {name: [*compaction.history(text, 0).values()][-1] for name, text in provenance.items()}
-        changes = [
-            f"{name} {before[name]} -> {now}"
-            for name, now in self._provenance.items()
-            if name in before and before[name] != now
-        ]
-        if changes:
+        changed = {name: now for name, now in self._provenance.items() if before.get(name, now) != now}
+        code = {name: changed.pop(name) for name in (SIMULATOR_KEY, FEATURES_KEY) if name in changed}
+        for name, now in code.items():
+            self._warn(
+                f"Your own code has changed since the last batch, {_named(self.settings, name)} ({name}) or what it "
+                f"imports: {_short(before[name])} -> {_short(now)}. What follows is by the code as it is now."
+            )
+        if changed:
             self._warn(
                 "This machine or its versions are not those of the last batch, so that what follows is not "
-                "bit-identical to an uninterrupted campaign: " + "; ".join(changes) + "."
+                "bit-identical to an uninterrupted campaign: "
+                + "; ".join(f"{name} {_short(before[name])} -> {_short(now)}" for name, now in changed.items())
+                + "."
             )
 
     def _tidy(self, recovery: Recovery) -> None:

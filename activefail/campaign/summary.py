@@ -31,6 +31,8 @@ class Plan:
         simulator: its name, "module:function", or the command.
         variables: how many there are.
         features: their name; or "variables", if among them, and "module:function" or the names of expressions.
+        own_code: whether simulator or features are code of the user's own.
+        stop_simulations: by which the error is verified where the campaign may end before its budget; None if not.
         boundaries: the outcomes whose boundaries are sought, with their shares.
     """
 
@@ -43,6 +45,8 @@ class Plan:
     features: str
     criterion: str
     boundaries: dict[str, float]
+    own_code: bool = False
+    stop_simulations: int | None = None
 
     @classmethod
     def of(cls, text: str) -> Self:
@@ -51,7 +55,8 @@ class Plan:
         Raises:
             ValueError: if this is no such text.
         """
-        match tomllib.loads(text):
+        settings = tomllib.loads(text)
+        match settings:
             case {
                 "description": str(description),
                 "simulator": str(simulator) | {"python": str(simulator)} | {"command": str(simulator)},
@@ -74,9 +79,19 @@ class Plan:
                     _features_in_words(features),
                     criterion,
                     boundary_shares(boundary),
+                    not isinstance(settings["simulator"], str) or (isinstance(features, dict) and "python" in features),
+                    _stop_simulations(settings.get("stop")),
                 )
             case _:
                 raise ValueError("These are not the settings of a campaign, defaults written out.")
+
+
+def _stop_simulations(rule: object) -> int | None:
+    match rule:
+        case {"simulations": int(simulations)}:
+            return simulations
+        case _:
+            return None
 
 
 def _features_in_words(features: str | dict[str, Any]) -> str:
@@ -135,6 +150,12 @@ class Summary:
         n = len(outcomes)
         iteration = batches[-1].iteration if batches else 0
         return cls(Plan.of(settings), outcomes, iteration, _counts(initial, n), _counts(chosen, n))
+
+
+def is_verified(folder: Path, summary: Summary) -> bool:
+    """Whether a campaign was verified after its last batch as its rule asks: it may have ended by the rule there."""
+    name = f"verification-{summary.iteration}-{summary.plan.stop_simulations}-0.h5"
+    return (folder / "sets" / name).is_file()
 
 
 def read_summary(folder: Path) -> Summary | None:

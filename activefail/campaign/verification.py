@@ -46,9 +46,10 @@ class ErrorEstimate:
         error: posterior mean, a share of the design space.
         low, high: equal-tailed interval of the confidence that was asked for.
         draws: of the posterior, sorted.
-        simulations: fresh ones behind it.
+        simulations: fresh ones behind it, which have an answer.
         wrong: of these misclassified.
         expected: error by the classifier's own probabilities alone.
+        asked: fresh simulations, with those without an answer.
     """
 
     error: float
@@ -58,6 +59,13 @@ class ErrorEstimate:
     simulations: int
     wrong: int
     expected: float
+    asked: int
+
+    @property
+    def in_words(self) -> str:
+        """How many fresh simulations are behind it, and of how many where some gave no answer."""
+        some = "" if self.simulations == self.asked else f"answered of {self.asked} "
+        return f"{self.simulations} {some}fresh simulations"
 
     def confidence_below(self, level: float) -> float:
         """Posterior probability that the error is at most a level."""
@@ -175,6 +183,7 @@ def estimate_error(
         int(answered.sum()),
         int(wrong.sum()),
         float(plan.volumes @ plan.expected),
+        len(answered),
     )
 
 

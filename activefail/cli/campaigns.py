@@ -17,8 +17,10 @@ from activefail.cli.common import (
     RunFolder,
     Scheduler,
     Workers,
+    check_output,
     make_executor,
     progress_bar,
+    resume_command,
     show_warnings,
     stop_on_signals,
 )
@@ -45,26 +47,16 @@ def run(
     """Start a campaign in a new run folder and take it to its budget."""
     from activefail.campaign.folder import create_run, read_campaign
 
+    check_output("--out", out)
     code = campaign.absolute().parent
     assembled = read_campaign(campaign, seed, budget, code=code, run=out)
     if (out / "campaign.toml").exists():
-        again = f"{_resume(out)}{_code_option(assembled)}"
+        again = resume_command(out, assembled)
         raise InputError(f"{out}: holds a campaign already; `{again}` goes on with it.")
     # The executor first: what keeps it from working leaves no folder behind.
     with make_executor(assembled, workers, executor, scheduler) as working, create_run(out, assembled) as store:
-        again = f"{_resume(out)}{_executor_options(executor, scheduler)}{_code_option(assembled)}"
+        again = f"{resume_command(out, assembled)}{_executor_options(executor, scheduler)}"
         _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, working, again)
-
-
-def _resume(folder: Path) -> str:
-    """The command that goes on with a campaign, ready to be pasted."""
-    return f"activefail resume {shlex.quote(str(folder))}"
-
-
-def _code_option(campaign: "Campaign") -> str:
-    """What a command needs to be given again so that it may run the campaign's own code."""
-    own = not isinstance(campaign.settings.simulator, str) or campaign.sources
-    return f" --code {shlex.quote(str(campaign.code))}" if own and campaign.code is not None else ""
 
 
 def _executor_options(executor: str, scheduler: str | None) -> str:
@@ -97,13 +89,18 @@ def resume(
         target = assembled.settings.sampling.budget if budget is None else budget
         if target < 2:
             raise InputError(f"--budget: must be at least 2, got {target}.")
+        done = sum(len(batch) for batch in store.batches)
+        if budget is not None and budget < done:
+            raise InputError(f"--budget: must be at least the {done} simulations that are done, got {budget}.")
         extra = "" if budget is None else f" --budget {budget}"
         if numerical_failures is not None:
             extra += f" --numerical-failures {numerical_failures:g}"
-        extra += " --ignore-stop" if ignore_stop else ""
-        again = f"{_resume(folder)}{extra}{_executor_options(executor, scheduler)}{_code_option(assembled)}"
+        again = f"{resume_command(folder, assembled)}{_executor_options(executor, scheduler)}"
+        again += " --ignore-stop" if ignore_stop else ""
         with make_executor(assembled, workers, executor, scheduler) as working:
-            _take_to_budget(assembled, store, folder, target, working, again, numerical_failures, not ignore_stop)
+            _take_to_budget(
+                assembled, store, folder, target, working, again, extra, numerical_failures, not ignore_stop
+            )
 
 
 class _Stops(NamedTuple):
@@ -129,23 +126,25 @@ def _take_to_budget(
     budget: int,
     executor: "AsynchronousExecutor",
     again: str,
+    extra: str = "",
     failure_limit: float | None = None,
     good_enough: bool = True,
 ) -> None:
+    """Run the loop; `again` is the command that goes on, `extra` what it was told of budget and limit besides."""
     from activefail.campaign.loop import run as run_loop
     from activefail.campaign.loop import standing
 
     words = _WITHOUT_BATCHES if campaign.settings.sampling.asynchronous else _IN_BATCHES
     try:
         with stop_on_signals(words.stopping) as stop, _campaign_display(campaign, stop) as observer:
-            finished = run_loop(campaign, store, executor, budget, observer, failure_limit, good_enough)
+            finished = run_loop(campaign, store, executor, budget, observer, failure_limit, good_enough, again)
     except KeyboardInterrupt:
-        print(f"stopped; {words.at_once}. Go on with: {again}", file=sys.stderr)
+        print(f"stopped; {words.at_once}. Go on with: {again}{extra}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     if executor.first_fault:
         print(f"warning: a simulation was given up; the first: {executor.first_fault}", file=sys.stderr)
     if not finished:
-        print(f"stopped {words.in_order}. Go on with: {again}", file=sys.stderr)
+        print(f"stopped {words.in_order}. Go on with: {again}{extra}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
     done = standing(campaign, store.batches, budget).done
     if campaign.settings.stop is not None and done < budget:
@@ -220,7 +219,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
 
 def status(folder: RunFolder) -> None:
     """Show where a campaign stands; safe while it runs."""
-    from activefail.campaign.summary import read_summary
+    from activefail.campaign.summary import is_verified, read_summary
 
     summary = read_summary(folder) or _opened_summary(folder)
     plan = summary.plan
@@ -239,7 +238,10 @@ def status(folder: RunFolder) -> None:
     for title, counts in (("initial", summary.initial), ("chosen", summary.chosen), ("all", summary.counts)):
         print(f"{title:<10} {', '.join(f'{n} {name}' for n, name in zip(counts.tolist(), names, strict=True))}")
     if summary.done < plan.budget:
-        print(f"go on      {_resume(folder)}")
+        again = f"{resume_command(folder)}{' --code FOLDER' if plan.own_code else ''}"
+        print(f"go on      {again}")
+        if is_verified(folder, summary):
+            print(f"           {again} --ignore-stop, where it ended by its stop rule")
 
 
 def _opened_summary(folder: Path) -> "Summary":
@@ -265,6 +267,7 @@ def predict(
     from activefail.campaign.loop import one_thread
     from activefail.study.tables import predict_table
 
+    check_output("--out", out)
     with open_campaign(folder, write=False, code=code) as (campaign, store), one_thread():
         show_warnings(store.warnings)
         if not store.batches:
@@ -306,7 +309,7 @@ def verify(
     print(f"campaign   {progress.done} simulations, iteration {progress.iteration}")
     print(f"error      {_error_text(error)} of the design space on the wrong side of {boundary}")
     print(
-        f"           {100 * confidence:g} % interval: {error.simulations} fresh simulations, {error.wrong} of them "
+        f"           {100 * confidence:g} % interval: {error.in_words}, {error.wrong} of them "
         "misclassified, in parts of unequal weight; and the initial design, each point left out in turn"
     )
     print(f"expected   {100 * error.expected:.2f} % by the classifier's own probabilities")
@@ -325,6 +328,7 @@ def export(
     from activefail.campaign.folder import open_campaign
     from activefail.study.tables import export_table
 
+    check_output("--csv", csv)
     with open_campaign(folder, write=False, code=code) as (campaign, store):
         show_warnings(store.warnings)
         number = export_table(campaign, store, csv)

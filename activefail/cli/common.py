@@ -1,5 +1,6 @@
 """What commands share: a run folder as argument, a progress bar, warnings, and how signals and full disks are met."""
 
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -62,6 +63,26 @@ def make_executor(
     if workers is not None:
         raise InputError("--workers: is for --executor local; a Dask cluster has the workers that it has.")
     return DaskExecutor(scheduler, campaign.time_limit, lambda line: print(line, file=sys.stderr, flush=True))
+
+
+def resume_command(folder: Path, campaign: "Campaign | None" = None) -> str:
+    """The command that goes on with a campaign, ready to be pasted; with the folder of the campaign's own code."""
+    command = f"activefail resume {shlex.quote(str(folder))}"
+    if campaign is None or (isinstance(campaign.settings.simulator, str) and not campaign.sources):
+        return command
+    return f"{command} --code {'FOLDER' if campaign.code is None else shlex.quote(str(campaign.code))}"
+
+
+def check_output(option: str, path: Path | None) -> None:
+    """Check that what is to be written is nothing that a run folder keeps for itself; before anything is done.
+
+    Raises:
+        InputError: naming the option and the file.
+    """
+    from activefail.campaign.places import run_folder_owning
+
+    if path is not None and run_folder_owning(path) is not None:
+        raise InputError(f"{option}: {path} is a file of the run folder itself; name another.")
 
 
 @contextmanager

@@ -1,13 +1,12 @@
 """`activefail report`: a campaign as a page."""
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, show_warnings, writing_to
+from activefail.cli.common import Code, RunFolder, check_output, resume_command, show_warnings, writing_to
 from activefail.errors import InputError
 
 
@@ -25,6 +24,7 @@ def report(
     from activefail.report.findings import gather
     from activefail.report.page import render, write_report
 
+    check_output("--out", out)
     target = out or folder / "report.html"
     if target.suffix.lower() not in {".html", ".htm"}:
         raise InputError(f"--out: must end in .html, got {str(target)!r}.")
@@ -38,7 +38,7 @@ def report(
         show_warnings(store.warnings)
         if not any((batch.results.outcome >= 0).any() for batch in store.batches):
             raise InputError(
-                f"{folder}: has no simulations to report yet; `activefail resume {shlex.quote(str(folder))}` goes on."
+                f"{folder}: has no simulations to report yet; `{resume_command(folder, campaign)}` goes on."
             )
         stage("learning")
         classifier = current_classifier(campaign, store, write=False)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import progress_bar, writing_to
+from activefail.cli.common import check_output, progress_bar, writing_to
 from activefail.errors import InputError
 
 if TYPE_CHECKING:
@@ -50,6 +50,8 @@ def simulate(
     """Simulate one bearing under one pulse, or a table of them."""
     from activefail.bearing.design import Model, Tolerance
 
+    for option, path in {"--out": out, "--plot": plot, "--animate": animate}.items():
+        check_output(option, path)
     design = {
         "--t-b": t_b,
         "--mu": mu,

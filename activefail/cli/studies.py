@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import INTERRUPTED, Code, show_warnings, stop_on_signals, writing_to
+from activefail.cli.common import INTERRUPTED, Code, check_output, show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
 
 
@@ -106,9 +106,9 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
     results = folder / "compare"
     with writing_to(results):
         results.mkdir(exist_ok=True)
-        with writing(results / "scores.csv", [*Score.columns(), "test_designs"]) as write:
-            write([[*score.row(), test] for score in scores])
-        figure = plot_learning_curves(scores, boundary, test)
+        with writing(results / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
+            write([[*score.row(), test - score.test_designs] for score in scores])
+        figure = plot_learning_curves(scores, boundary, scores[0].test_designs)
         for suffix in ("png", "svg"):
             figure.savefig(results / f"learning_curves.{suffix}")
     print(f"table      {results / 'scores.csv'}")
@@ -129,6 +129,7 @@ def _compare_seeds(
     from activefail.report.comparison import comparison_lines, write_comparison
     from activefail.study.seeds import OWN, Plan, compare_seeds
 
+    check_output("--out", out)
     settings = read_settings(file)
     sizes = [] if static is None else _parse_sizes("--static", static)
     if any(size < 2 for size in sizes):
@@ -185,6 +186,7 @@ def paper(
     def stage(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
+    check_output("--out", out)
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()

@@ -42,11 +42,13 @@ class Curve:
         scores: of one or two samplings.
         test_size: designs that they are judged on.
         source: "compare" or "validation".
+        unanswered: designs of the test set besides, which gave no answer.
     """
 
     scores: list[Score]
     test_size: int
     source: str
+    unanswered: int = 0
 
 
 @dataclass(frozen=True)
@@ -163,19 +165,21 @@ def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
 
 
 def read_scores(path: Path) -> tuple[list[Score], int]:
-    """The table that `activefail compare DIR` wrote: its scores and the number of test designs.
+    """The table that `activefail compare DIR` wrote: its scores and how many test designs gave no answer.
 
     Raises:
         InputError: naming the file, the row and what is wrong with it.
     """
-    kinds = {name: {"sampling": str, "simulations": int}.get(name, float) for name in Score.columns()}
-    scores, tests = [], set()
+    other = {"sampling": str, "simulations": int, "test_designs": int}
+    kinds = {name: other.get(name, float) for name in Score.columns()}
+    scores, unanswered = [], 0
     try:
         with path.open(encoding="utf-8", newline="") as file:
             for number, row in enumerate(csv.DictReader(file), start=1):
                 try:
                     scores.append(Score(**{name: kind(row[name]) for name, kind in kinds.items()}))
-                    tests.add(int(row["test_designs"]))
+                    # An older program wrote how many were asked for, and not this.
+                    unanswered = max(unanswered, int(row.get("test_unanswered") or 0))
                 except (KeyError, TypeError, ValueError) as bad:
                     raise InputError(
                         f"{path}: row {number}: is not one that `activefail compare` writes: {bad}."
@@ -184,7 +188,7 @@ def read_scores(path: Path) -> tuple[list[Score], int]:
         raise InputError(f"{path}: cannot be read: {error}.") from None
     if not scores:
         raise InputError(f"{path}: has no rows.")
-    return scores, max(tests)
+    return scores, unanswered
 
 
 def read_parts(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None:
@@ -213,14 +217,15 @@ def _curve(
     note = "no comparison with a static design was made"
     if path.exists():
         try:
-            return Curve(*read_scores(path), "compare"), None
+            scores, unanswered = read_scores(path)
+            return Curve(scores, max(one.test_designs for one in scores), "compare", unanswered), None
         except InputError as bad:
             note = f"the comparison cannot be read ({bad})"
     validation = read_parts(store, "validation")
     done = standing(campaign, store.batches, 0).done
     if validation is None:
         return None, f"{note}, and the campaign has no validation set (validation.size)"
-    scores: list[Score] = []
+    scores = []
     classifier: Classifier | None = None
     initial = campaign.settings.sampling.initial * initial_sets(campaign, store.batches)
     budgets = default_budgets(min(initial, done), done)

@@ -375,7 +375,7 @@ def _in_short(findings: Findings, done: int) -> list[tuple[str, str]]:
             (
                 "verified error",
                 f"{percent(error.error, 2)} of the design space ({100 * error.low:.2f} to {100 * error.high:.2f} % "
-                f"with 90 % confidence, {error.simulations} fresh simulations)",
+                f"with 90 % confidence, {error.in_words})",
             )
         )
     lines.append(("error that it expects itself", f"{percent(findings.expected, 2)} of the design space"))
@@ -396,9 +396,10 @@ def _judging(findings: Findings, folder: str, code: str) -> list[str]:
     commands = []
     if findings.curve is not None and findings.curve.source == "compare":
         budgets = ",".join(str(n) for n in sorted({score.simulations for score in findings.curve.scores}))
-        commands.append(f"activefail compare {folder} --budgets {budgets} --test {findings.curve.test_size}{code}")
+        test = findings.curve.test_size + findings.curve.unanswered
+        commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}{code}")
     if findings.error is not None:
-        commands.append(f"activefail verify {folder} --simulations {findings.error.simulations}{code}")
+        commands.append(f"activefail verify {folder} --simulations {findings.error.asked}{code}")
     return [*commands, f"activefail report {folder}{code if _features_need_code(findings.campaign) else ''}"]
 
 

@@ -30,6 +30,7 @@ class Score:
         low, high: Wilson's 95 % interval of it over test sets of this size; the two samplings share one test set.
         outcome_accuracy: share of designs whose most probable outcome is the true one.
         log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
+        test_designs: that it is judged on: those of the test set that have an answer.
     """
 
     sampling: str
@@ -39,6 +40,7 @@ class Score:
     high: float
     outcome_accuracy: float
     log_score: float
+    test_designs: int
 
     @classmethod
     def columns(cls) -> list[str]:
@@ -68,6 +70,7 @@ def score(
         float(interval.high),
         float(np.mean(np.argmax(probabilities, axis=1) == outcome)),
         float(np.mean(np.log(p))),
+        len(X),
     )
 
 
@@ -117,6 +120,8 @@ def compare(
         stage(f"simulating {test_size} test designs")
         test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
         X_test, outcome_test = _answers(campaign, store, executor, f"test-{test_size}", test)
+        if unanswered := test_size - len(X_test):
+            stage(f"{unanswered} of {test_size} test designs gave no answer: judging by the other {len(X_test)}")
         scores = []
         for n in budgets:
             stage(f"learning from {n} active simulations")

@@ -24,10 +24,12 @@ from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.config import CampaignSettings, parse_settings
 from activefail.campaign.executor import local_executor
 from activefail.campaign.folder import create_run, open_campaign
+from activefail.campaign.image import TEMPORARY
 from activefail.campaign.learning import first_rows
 from activefail.campaign.loop import Observer, one_thread, run
 from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.store import check_empty
 from activefail.campaign.workers import begin_worker, starting_processes
 from activefail.errors import InputError, SimulationError
 from activefail.space import Array
@@ -190,7 +192,7 @@ def _score_arm(job: _Job) -> list[Score] | None:
 
 def _write(path: Path, text: str) -> None:
     """Under its final name only once it is whole."""
-    temporary = path.with_name(f".{path.name}.part")
+    temporary = path.with_name(f"{TEMPORARY}{path.name}")
     temporary.write_text(text, encoding="utf-8")
     os.replace(temporary, path)
 
@@ -222,17 +224,19 @@ def prepare(folder: Path, plan: Plan) -> None:
     """Make the folder of a comparison, or check that it is one of the same campaign and test set.
 
     Raises:
-        InputError: if it holds another comparison.
+        InputError: if it holds another comparison, or anything else.
     """
     frozen = plan.settings.text() + f"\n# fresh designs to judge by: {plan.test}\n"
     path = folder / "comparison.toml"
-    for part in ("scores", "runs"):
-        (folder / part).mkdir(parents=True, exist_ok=True)
     if path.exists():
         if path.read_text(encoding="utf-8") != frozen:
             raise InputError(f"{folder}: holds the comparison of another campaign or test set; give another folder.")
     else:
+        check_empty(folder, "comparison", "Choose another one.")
+        folder.mkdir(parents=True, exist_ok=True)
         _write(path, frozen)
+    for part in ("scores", "runs"):
+        (folder / part).mkdir(exist_ok=True)
 
 
 def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, Any]]:

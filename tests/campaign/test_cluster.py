@@ -3,6 +3,7 @@
 import operator
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -24,7 +25,7 @@ from activefail.campaign.loop import Observer, Progress, one_thread, run
 from activefail.campaign.own import PythonSimulator
 from activefail.campaign.record import MemoryStore, columns_of
 from activefail.campaign.simulator import WORKER_DIED, Results
-from activefail.errors import SimulationError
+from activefail.errors import InputError, SimulationError
 from activefail.space import Array, DesignSpace, Parameter
 
 distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")
@@ -524,6 +525,31 @@ def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path:
     for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://"):
         refused(activefail(*dask, address), f"--scheduler: no Dask scheduler answers at {address!r}")
     assert not (tmp_path / "run").exists()
+
+
+def test_an_address_that_cannot_be_is_told_at_once_and_without_a_traceback(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
+    with started(
+        "run", tmp_path / "mine.toml", "--out", tmp_path / "run", "--executor", "dask", "--scheduler", "foo"
+    ) as process:
+        # Where the message is the end of it, so is the process.
+        wait_for(process.stderr, "activefail: --scheduler: no Dask scheduler answers at 'foo'")
+        _, rest = process.communicate(timeout=10)
+    assert (process.returncode, rest) == (2, "")
+
+
+def test_what_answers_and_is_no_scheduler_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+        def answer() -> None:
+            connection, _ = server.accept()
+            connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 20)
+            connection.close()
+
+        Thread(target=answer, daemon=True).start()
+        with pytest.raises(InputError, match=f"no Dask scheduler answers at 'tcp://127.0.0.1:{port}'"):
+            DaskExecutor(f"tcp://127.0.0.1:{port}")
 
 
 def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(

@@ -474,6 +474,7 @@ def test_status_needs_no_code_before_anything_is_recorded_either(mine: Path, tmp
         said = activefail("status", tmp_path / "run")
     assert said.code == 0, said.err
     assert "0 of 24 simulations" in said.out
+    assert said.out.splitlines()[-1] == f"go on      activefail resume {tmp_path / 'run'} --code FOLDER"
 
 
 OPENING = {
@@ -610,7 +611,11 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     (mine / "model.py").write_text(MODEL + "# other\n")
     said = activefail("resume", run, "--budget", "20", "--code", mine)
     assert said.code == 0
-    assert "simulator.python" in said.err
+    digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, f"{MODEL}# other\n")]
+    assert said.err == (
+        "warning: Your own code has changed since the last batch, model:run (simulator.python) or what it imports: "
+        f"{digests[0]} -> {digests[1]}. What follows is by the code as it is now.\n"
+    )
 
 
 def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on_resume(
@@ -628,8 +633,9 @@ def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on
     with_helpers(mine, damage=1.125)
     said = activefail("resume", run, "--budget", "24", "--code", mine)
     assert said.code == 0, said.err
-    assert "simulator.python" in said.err
-    assert "classifier.features.python" in said.err
+    assert "model:run (simulator.python)" in said.err
+    assert "seen:by (classifier.features.python)" in said.err
+    assert "machine" not in said.err
 
 
 MISTAKES = {
@@ -667,8 +673,10 @@ def test_a_module_that_ends_the_process_is_told_and_does_not(mine: Path, tmp_pat
 @pytest.mark.faults
 def test_a_function_that_always_raises_stops_the_campaign_with_what_it_raised(mine: Path, tmp_path: Path) -> None:
     (mine / "model.py").write_text("def run(design):\n    return design['drifd']\n")
+    (mine / "mine.toml").write_text(TOML.replace("initial = 16", "initial = 22"))
     said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
     assert said.code == 1
+    assert f"`activefail resume {tmp_path / 'run'} --code {mine} --numerical-failures SHARE` allows more" in said.err
     assert "KeyError: 'drifd'" in said.err
     assert "model.py:2" in said.err
 
@@ -696,6 +704,7 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
     said = activefail("run", mine / "mine.toml", "--out", run, "--budget", "40")
     assert said.code == 1
     assert "None of the 16 simulations gave an answer" in said.err
+    assert f"`activefail resume {run} --code {mine}` goes on" in said.err
     assert "The cause of the first is raised." in said.err
     assert {row["cause"] for row in record(run)} == {"raised"}
     designs.write_text("drift,T\n1.0,2.0\n")

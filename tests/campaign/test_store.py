@@ -393,6 +393,16 @@ def test_a_resume_under_other_versions_is_told(tmp_path: Path) -> None:
         assert "numpy" not in warning
 
 
+def test_of_digests_that_changed_the_beginning_is_told(tmp_path: Path) -> None:
+    for digit, opener in (("a", FolderStore.create), ("b", FolderStore.open)):
+        arguments = {"write": True} if digit == "b" else {"settings": SETTINGS}
+        kept = {"bearing_sources": digit * 64}
+        with opener(tmp_path / "run", schema=SCHEMA, provenance=kept, **arguments) as store:
+            store.commit(batch(3))
+            warnings = store.warnings
+    assert warnings[0].endswith(": bearing_sources aaaaaaaa -> bbbbbbbb.")
+
+
 def test_another_schema_is_refused_with_both(tmp_path: Path) -> None:
     written(tmp_path / "run", 2)
     before = snapshot(tmp_path / "run")

@@ -152,4 +152,6 @@ def test_counting_loads_neither_learning_nor_physics(folder: Path) -> None:
 )
 def test_a_plan_names_all_that_the_classifier_sees(features: str, words: str) -> None:
     settings = parse_settings(f"classifier.features = {features}", "test")
-    assert Plan.of(settings.text()).features == words
+    plan = Plan.of(settings.text())
+    assert plan.features == words
+    assert plan.own_code == ("python" in features)

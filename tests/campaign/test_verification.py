@@ -106,7 +106,8 @@ def test_a_design_without_an_answer_counts_neither_as_right_nor_as_wrong():
     beyond = np.where(answered, False, True)
     none = (np.empty(0, dtype=np.intp), np.empty(0, dtype=bool))
     error = estimate_error(plan, beyond, answered, none, 0.9, np.random.default_rng(1))
-    assert (error.simulations, error.wrong) == (25, 0)
+    assert (error.simulations, error.wrong, error.asked) == (25, 0, 50)
+    assert error.in_words == "25 answered of 50 fresh simulations"
 
 
 def test_the_interval_covers_the_true_error_of_most_campaigns():

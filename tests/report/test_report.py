@@ -174,12 +174,12 @@ def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_p
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
     given = [
-        Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41),
-        Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21),
-        Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125),
+        Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41, 400),
+        Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21, 400),
+        Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125, 400),
     ]
-    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_designs"]) as write:
-        write([[*score.row(), 400] for score in given])
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
+        write([[*score.row(), 0] for score in given])
     with open_campaign(copy, write=False) as (campaign, store):
         text = made(campaign, copy, store)
     rows = Page(text).tables["scores"][1:]
@@ -346,9 +346,9 @@ def test_powers_in_units_are_raised():
 def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
-    given = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4) for n in (20, 30) for name in ("active", "static")]
-    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_designs"]) as write:
-        write([[*score.row(), 400] for score in given])
+    given = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4, 388) for n in (20, 30) for name in ("active", "static")]
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
+        write([[*score.row(), 12] for score in given])
     with open_campaign(copy, write=False) as (campaign, store):
         found = Page(made(campaign, copy, store))
     run = f"activefail run campaign.toml --out {copy}"
@@ -368,7 +368,7 @@ def test_numbers_are_written_as_people_read_them():
 
 def test_a_table_that_compare_did_not_write_is_refused_by_row(tmp_path):
     path = tmp_path / "scores.csv"
-    path.write_text(",".join([*Score.columns(), "test_designs"]) + "\nactive,x,1,1,1,1,1,1\n")
+    path.write_text(",".join([*Score.columns(), "test_unanswered"]) + "\nactive,x,1,1,1,1,1,1\n")
     with pytest.raises(InputError, match=r"scores\.csv: row 1"):
         findings.read_scores(path)
     path.write_text("")

@@ -176,11 +176,15 @@ def test_numerical_failures_are_neither_learned_from_nor_judged_by() -> None:
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor:
         run(campaign, store, executor, 28)
-    row = scores(campaign, store, [28])[0]
+    told: list[str] = []
+    with ThreadExecutor(2) as executor:
+        row = compare(campaign, store, executor, [28], TEST, told.append)[0]
     saved = store.read_set(f"test-{TEST}-0")
     assert saved is not None
     answered = int((saved[1].outcome >= 0).sum())
     assert answered < TEST
+    assert row.test_designs == answered
+    assert f"{TEST - answered} of {TEST} test designs gave no answer: judging by the other {answered}" in told
     # Shares of the designs that were answered, and the interval of so many.
     assert row.accuracy * answered == pytest.approx(round(row.accuracy * answered))
     assert (row.low, row.high) == pytest.approx(wilson(round(row.accuracy * answered), answered))

@@ -127,6 +127,7 @@ def test_a_measure_that_is_not_defined_is_a_dash_and_survives_the_file(folder, s
     rows = json.loads(path.read_text(encoding="utf-8"))
     rows[0]["measures"]["recall_small"] = None
     (tmp_path / "scores").mkdir()
+    (tmp_path / "comparison.toml").write_bytes((folder / "comparison.toml").read_bytes())
     for other in (folder / "scores").glob("*.json"):
         (tmp_path / "scores" / other.name).write_bytes(other.read_bytes())
     (tmp_path / "scores" / path.name).write_text(json.dumps(rows), encoding="utf-8")
