@@ -115,6 +115,25 @@ class Parameter:
                 below, mass = self._normal()
                 return np.asarray((ndtr((x - self.mean) / self.sd) - below) / mass)
 
+    def standardised(self, x: Array) -> Array:
+        """Values in standard deviations from the middle: of a normal before it is cut off, of the logarithm where that
+        is uniform.
+        """
+        if self.mean is not None and self.sd is not None:
+            return (x - self.mean) / self.sd
+        return np.asarray(np.sqrt(12.0) * (self.share(x) - 0.5))
+
+    def widened(self, x: Array, factor: float) -> Array:
+        """Values of the distribution as if a normal had a larger standard deviation; others stay, as their bounds do.
+
+        Args:
+            x: values.
+            factor: of the standard deviation.
+        """
+        if self.mean is None:
+            return x
+        return np.asarray(np.clip(self.mean + factor * (x - self.mean), self.low, self.high))
+
     @property
     def label(self) -> str:
         """The name with its unit, for tables and axes."""
@@ -182,6 +201,16 @@ class DesignSpace:
         """Designs, shape (..., d), as points of the unit cube."""
         columns = np.moveaxis(np.asarray(X), -1, 0)
         return np.stack([p.share(x) for p, x in zip(self.parameters, columns, strict=True)], axis=-1)
+
+    def standardised(self, X: Array) -> Array:
+        """Designs, shape (n, d), in standard deviations of each variable from its middle."""
+        columns = [p.standardised(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
+        return np.stack(columns, axis=1)
+
+    def widened(self, X: Array, factor: float) -> Array:
+        """Designs, shape (n, d), of a space of which all normal variables spread `factor` times as far."""
+        columns = [p.widened(x, factor) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
+        return np.stack(columns, axis=1)
 
     def contains(self, X: Array) -> NDArray[np.bool_]:
         """Which rows of X, shape (n, d), lie in the box; shape (n,)."""

@@ -1,7 +1,7 @@
 """A batch of designs to simulate next: a criterion maximised over the physical variables, point after point."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from activefail.acquisition.criteria import LookAhead, Pointwise, bald
+from activefail.acquisition.search import search
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent
@@ -253,6 +254,23 @@ def apportion(shares: Sequence[float], first: int, q: int) -> list[int]:
     return [int(n) for n in np.bincount(claimants[first:], minlength=len(shares))]
 
 
+SEARCH_SHARE = 0.2
+"""Share of the designs that search for an outcome that was never seen, where the sought boundaries can be learned."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search for outcomes that were never seen needs to know.
+
+    Attributes:
+        known: (n, d) designs that were simulated, with and without an answer.
+        outcomes: those that no simulation ended in.
+    """
+
+    known: Array
+    outcomes: tuple[str, ...]
+
+
 def propose_shared(
     classifier: Classifier,
     space: DesignSpace,
@@ -264,25 +282,40 @@ def propose_shared(
     rng: np.random.Generator,
     pending: Array | None = None,
     failed: Array | None = None,
+    unseen: Search | None = None,
 ) -> Array:
-    """q designs, (q, d), shared out between exploration and the boundaries.
+    """q designs, (q, d), shared out between exploration, the search for unseen outcomes and the boundaries.
 
-    First those for exploration, a Latin hypercube of the design space, then those for one boundary after the other. A
-    simulation teaches all boundaries: the designs chosen before are pending for those that follow.
+    First those for exploration, a Latin hypercube of the design space, then those that search, then those for one
+    boundary after the other. A simulation teaches all boundaries: the designs chosen before are pending for those that
+    follow. Of a boundary only one side of which was ever seen there is nothing to learn: its designs search as well.
 
     Args:
-        boundaries: outcome -> its share of what is not exploration; of sum 1.
+        boundaries: outcome -> its share of what is neither exploration nor search; of sum 1.
         exploration: share of the designs that no classifier has a say in, 0 to 1.
         first: designs that were proposed in batches before this one.
         pending, failed: as for `propose`.
+        unseen: the outcomes to search for; None where all were seen.
     """
-    shares = [exploration, *((1.0 - exploration) * share for share in boundaries.values())]
-    explored, *counts = apportion(shares, first, q)
+    searching = SEARCH_SHARE if unseen is not None else 0.0
+    learned = (1.0 - exploration) * (1.0 - searching)
+    shares = [exploration, (1.0 - exploration) * searching, *(learned * share for share in boundaries.values())]
+    explored, searched, *counts = apportion(shares, first, q)
+    one_sided = [unseen is not None and _is_one_sided(classifier.latent(outcome)) for outcome in boundaries]
+    searched += sum(count for count, of_one_side in zip(counts, one_sided, strict=True) if of_one_side)
     chosen = space.latin_hypercube(explored, rng) if explored else np.empty((0, space.dimension))
-    for outcome, count in zip(boundaries, counts, strict=True):
-        if count:
+    if unseen is not None and searched:
+        in_flight = [unseen.known, chosen] if pending is None else [unseen.known, pending, chosen]
+        chosen = np.concatenate([chosen, search(space, np.concatenate(in_flight), first, searched, rng)])
+    for outcome, count, of_one_side in zip(boundaries, counts, one_sided, strict=True):
+        if count and not of_one_side:
             known = chosen if pending is None else np.concatenate([pending, chosen])
             latent = classifier.latent(outcome)
             more = propose(latent, classifier.features, space, criterion, count, rng, known, failed)
             chosen = np.concatenate([chosen, more])
     return chosen
+
+
+def _is_one_sided(latent: Latent) -> bool:
+    labels = latent.trained.labels
+    return bool((labels == labels[0]).all())

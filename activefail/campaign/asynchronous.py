@@ -10,7 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from activefail.campaign.campaign import Campaign, initial_designs, next_batch
-from activefail.campaign.learning import classifier_state, failed_designs, initial_sets, learn, restore
+from activefail.campaign.learning import (
+    classifier_state,
+    failed_designs,
+    initial_sets,
+    learn,
+    restore,
+    search_for_unseen,
+)
 from activefail.campaign.record import Batch, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.space import Array
@@ -54,7 +61,8 @@ class Course:
         iteration = batches[-1].iteration
         classifier = learn(campaign, batches, iteration, self.classifier)
         chosen = max(0, asked - len(initial))
-        more = next_batch(campaign, classifier, iteration + 1, lacking, chosen, flight, failed_designs(batches))
+        failed, unseen = failed_designs(batches), search_for_unseen(campaign, batches)
+        more = next_batch(campaign, classifier, iteration + 1, lacking, chosen, flight, failed, unseen)
         return Course(classifier, iteration, np.concatenate([flight, more]))
 
     def save(self, store: Store) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.acquisition.batch import propose_shared
+from activefail.acquisition.batch import Search, propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.campaign import config
 from activefail.campaign.config import CampaignSettings
@@ -199,6 +199,7 @@ def next_batch(
     chosen: int,
     pending: Array | None = None,
     failed: Array | None = None,
+    unseen: Search | None = None,
 ) -> Array:
     """The designs, (q, d), of an iteration: those that the classifier so far asks for.
 
@@ -210,6 +211,7 @@ def next_batch(
         chosen: before them: what weights and exploration share out is carried over from one batch to the next.
         pending: (k, d) designs in flight, whose outcomes the classifier does not know yet.
         failed: (k, d) numerical failures, which would fail again.
+        unseen: outcomes to search for; None where all were seen.
     """
     settings = campaign.settings
     return propose_shared(
@@ -223,4 +225,5 @@ def next_batch(
         stream(settings.seed, "propose", iteration),
         pending,
         failed,
+        unseen,
     )

@@ -6,9 +6,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from activefail.acquisition.batch import Search
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.record import SEED, Batch, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.unseen import unseen_outcomes
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent, train
 from activefail.surrogate.covariance import Hyperparameters
@@ -47,6 +49,15 @@ def initial_sets(campaign: Campaign, batches: tuple[Batch, ...]) -> int:
 def failed_designs(batches: tuple[Batch, ...]) -> Array:
     """Designs, (n, d), of the numerical failures of all batches."""
     return np.concatenate([batch.designs[batch.results.outcome == NUMERICAL_FAILURE] for batch in batches])
+
+
+def search_for_unseen(campaign: Campaign, batches: tuple[Batch, ...]) -> Search | None:
+    """What a search for the outcomes that no simulation of a record ended in starts from; None where all were seen."""
+    outcomes = campaign.simulator.outcomes
+    outcome = np.concatenate([batch.results.outcome for batch in batches])
+    counts = np.bincount(outcome[outcome != NUMERICAL_FAILURE], minlength=len(outcomes))
+    missing = unseen_outcomes(outcomes, counts)
+    return Search(np.concatenate([batch.designs for batch in batches]), missing) if missing else None
 
 
 def in_initial_design(batches: tuple[Batch, ...]) -> NDArray[np.bool_]:

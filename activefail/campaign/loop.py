@@ -21,11 +21,13 @@ from activefail.campaign.learning import (
     initial_sets,
     leading_failures,
     learn,
+    search_for_unseen,
 )
 from activefail.campaign.record import ACTIVE, SEED, Batch, Store
 from activefail.campaign.sets import simulated_set
 from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, cause_name
-from activefail.campaign.verification import ErrorEstimate, expected_error, verify
+from activefail.campaign.unseen import unseen_outcomes
+from activefail.campaign.verification import ErrorEstimate, verify_by_rule
 from activefail.errors import SimulationError
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
@@ -47,6 +49,8 @@ class Progress:
         accuracy: share of the validation set on the right side of the sought boundary; None without a set.
         seconds_left: estimate for the rest; None before there is a batch to judge by.
         error: verified misclassified volume; None where it was not verified.
+        unseen: outcomes that no simulation ended in.
+        good_enough: whether the campaign's stop rule is met.
     """
 
     iteration: int
@@ -57,6 +61,8 @@ class Progress:
     accuracy: float | None = None
     seconds_left: float | None = None
     error: ErrorEstimate | None = None
+    unseen: tuple[str, ...] = ()
+    good_enough: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,12 +90,14 @@ def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Pro
     """Where a record stands, without accuracy and time left."""
     outcome = np.concatenate([np.empty(0, dtype=np.int8), *(batch.results.outcome for batch in batches)])
     answered = outcome[outcome != NUMERICAL_FAILURE]
+    counts = np.bincount(answered, minlength=len(campaign.simulator.outcomes))
     return Progress(
         iteration=batches[-1].iteration if batches else 0,
         done=len(outcome),
         budget=budget,
-        counts=np.bincount(answered, minlength=len(campaign.simulator.outcomes)),
+        counts=counts,
         numerical_failures=len(outcome) - len(answered),
+        unseen=unseen_outcomes(campaign.simulator.outcomes, counts),
     )
 
 
@@ -183,11 +191,15 @@ class _Task:
 
     def judged(self, progress: Progress, classifier: Classifier, verify_now: bool) -> Progress:
         """The progress with what is known of the classifier's accuracy."""
-        error = None
-        if self.good_enough and verify_now:
-            error = _verified(self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer)
+        error, good_enough = None, False
+        # Without every outcome there is nothing that could be good enough, so that verifying would be in vain.
+        if self.good_enough and verify_now and not progress.unseen:
+            self.observer.stage("verifying")
+            error, good_enough = verify_by_rule(
+                self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer.stop
+            )
         known = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
-        return replace(progress, accuracy=known, error=error)
+        return replace(progress, accuracy=known, error=error, good_enough=good_enough)
 
 
 def _in_batches(task: _Task) -> bool:
@@ -217,7 +229,7 @@ def _in_batches(task: _Task) -> bool:
         progress = task.judged(progress, classifier, verify_now)
         observer.progress(replace(progress, seconds_left=None if seconds is None else seconds * -(-left // batch)))
         task.check(progress)
-        if left == 0 or _is_good_enough(campaign, progress.error):
+        if left == 0 or progress.good_enough:
             return True
         if observer.stop():
             return False
@@ -225,7 +237,8 @@ def _in_batches(task: _Task) -> bool:
         iteration = progress.iteration + 1
         observer.stage("proposing")
         chosen, failed = (iteration - 1) * batch, failed_designs(store.batches)
-        designs = next_batch(campaign, classifier, iteration, min(batch, left), chosen, failed=failed)
+        unseen = search_for_unseen(campaign, store.batches)
+        designs = next_batch(campaign, classifier, iteration, min(batch, left), chosen, failed=failed, unseen=unseen)
         observer.stage("simulating")
         _simulate_and_record(campaign, store, task.executor, iteration, ACTIVE, designs)
         observer.stage("learning")
@@ -258,7 +271,7 @@ def _without_batches(task: _Task) -> bool:
         rate = (progress.done - before) / (time.monotonic() - began)
         observer.progress(replace(progress, seconds_left=left / rate if rate and course.classifier else None))
         task.check(progress)
-        enough = left <= 0 or _is_good_enough(campaign, progress.error)
+        enough = left <= 0 or progress.good_enough
         ending = ending or enough
         stopping = False
         while True:
@@ -293,21 +306,3 @@ def _validation_set(
     observer.stage("simulating the validation set")
     X = campaign.space.from_unit(stream(campaign.settings.seed, "validation").random((size, campaign.space.dimension)))
     return simulated_set(campaign, store, executor, "validation", X, observer.stop)
-
-
-def _verified(
-    campaign: Campaign, store: Store, executor: Executor, classifier: Classifier, iteration: int, observer: Observer
-) -> ErrorEstimate | None:
-    """The verified error, where the campaign's rule asks for it now and the classifier itself believes it may do."""
-    rule = campaign.settings.stop
-    if rule is None or expected_error(campaign, classifier) > rule.error:
-        return None
-    observer.stage("verifying")
-    return verify(
-        campaign, store, executor, classifier, iteration, rule.simulations, rule.confidence, stop=observer.stop
-    )
-
-
-def _is_good_enough(campaign: Campaign, error: ErrorEstimate | None) -> bool:
-    rule = campaign.settings.stop
-    return rule is not None and error is not None and error.confidence_below(rule.error) >= rule.confidence

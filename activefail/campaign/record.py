@@ -177,6 +177,10 @@ class Store(Protocol):
         """The set, or None if there is none that is whole."""
         ...
 
+    def set_names(self) -> list[str]:
+        """Names of the sets, sorted; whether they are whole is for `read_set` to say."""
+        ...
+
     def close(self) -> None:
         """Write nothing more and let another writer in; what was read stays."""
         ...
@@ -230,6 +234,10 @@ class MemoryStore:
             return None
         X, results = self._sets[name]
         return X.copy(), copied(results)
+
+    def set_names(self) -> list[str]:
+        """Names of the sets (see Store)."""
+        return sorted(self._sets)
 
     def close(self) -> None:
         """Refuse further writing."""

@@ -419,6 +419,11 @@ class FolderStore:
                 self._warn(set_aside(path, str(error)))
         return None
 
+    def set_names(self) -> list[str]:
+        """Names of the sets (see Store)."""
+        names = plain_files(self.folder / "sets")
+        return [name.removesuffix(".h5") for name in names if name.endswith(".h5") and not name.startswith(TEMPORARY)]
+
     def close(self) -> None:
         """Write nothing more and release the lock; the batches stay readable."""
         if self._lock:

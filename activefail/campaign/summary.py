@@ -20,6 +20,7 @@ from activefail.campaign.record import ACTIVE, SEED, Batch
 from activefail.campaign.recovery import is_segment, plain_files
 from activefail.campaign.segment import Outline, chain_start, decode_outline
 from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.errors import StoreError
 
 
@@ -30,6 +31,7 @@ class Plan:
     Attributes:
         simulator: its name, "module:function", or the command.
         variables: how many there are.
+        initial: simulations of the initial design.
         features: their name; or "variables", if among them, and "module:function" or the names of expressions.
         own_code: whether simulator or features are code of the user's own.
         stop_simulations: by which the error is verified where the campaign may end before its budget; None if not.
@@ -40,6 +42,7 @@ class Plan:
     simulator: str
     seed: int
     variables: int
+    initial: int
     budget: int
     kernel: str
     features: str
@@ -62,7 +65,7 @@ class Plan:
                 "simulator": str(simulator) | {"python": str(simulator)} | {"command": str(simulator)},
                 "seed": int(seed),
                 "space": dict(space),
-                "sampling": {"budget": int(budget)},
+                "sampling": {"initial": int(initial), "budget": int(budget)},
                 "classifier": {
                     "kernel": str(kernel),
                     "features": (str() | {"python": str()} | {"expressions": dict()} as features),
@@ -74,6 +77,7 @@ class Plan:
                     simulator,
                     seed,
                     sum("value" not in variable for variable in space.values()),
+                    initial,
                     budget,
                     kernel,
                     _features_in_words(features),
@@ -138,6 +142,14 @@ class Summary:
     def done(self) -> int:
         """How many simulations are recorded."""
         return int(self.counts.sum())
+
+    @property
+    def unseen_warning(self) -> str:
+        """What the user must know where no simulation ended in some outcome; empty otherwise, and at the beginning."""
+        if self.initial.sum() < self.plan.initial:
+            return ""
+        unseen = unseen_outcomes(self.outcomes, self.counts)
+        return unseen_warning(unseen, int(self.counts[:-1].sum()), int(self.initial[:-1].sum()))
 
     @classmethod
     def of(cls, settings: str, outcomes: tuple[str, ...], batches: Sequence[Batch]) -> Self:

@@ -2,11 +2,14 @@
 
 Fresh designs are simulated where they say most: the design space is divided by the classifier's own probability of
 being wrong, each part gets simulations in proportion to its volume times its spread (Neyman 1934), and the answers are
-weighted back to the design measure. The initial hypercube, each point left out in turn, adds what it knows for free.
+weighted back to the design measure (`StratifiedCount`). The initial hypercube, each point left out in turn, adds what
+it knows for free.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
@@ -18,6 +21,7 @@ from activefail.campaign.learning import in_initial_design
 from activefail.campaign.record import Store
 from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.stratified import StratifiedCount
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
@@ -30,22 +34,16 @@ EDGES = (0.005, 0.02, 0.08, 0.25)
 POOL = 2**14
 """Designs by which the parts' volumes are measured."""
 
-_PRIOR_WEIGHT, _PRIOR_WRONG, _PRIOR_RIGHT = 1.0, 0.1, 0.5
-"""Prior of a part's share, as if seen before: one design that goes as the classifier expects, and a tenth of a
-misclassified one that it does not. With five parts, Jeffreys' half and half would add two such designs to the error.
-"""
-
-_DRAWS = 20_000
-
 
 @dataclass(frozen=True)
 class ErrorEstimate:
     """What is known of the misclassified volume.
 
     Attributes:
-        error: posterior mean, a share of the design space.
-        low, high: equal-tailed interval of the confidence that was asked for.
-        draws: of the posterior, sorted.
+        error: the share of the design space that was found misclassified.
+        low, high: interval of the error; each end holds with half of what the confidence leaves.
+        confidence: of the interval.
+        count: misclassified designs in the parts, those left out of the training among them.
         simulations: fresh ones behind it, which have an answer.
         wrong: of these misclassified.
         expected: error by the classifier's own probabilities alone.
@@ -55,7 +53,8 @@ class ErrorEstimate:
     error: float
     low: float
     high: float
-    draws: Array
+    confidence: float
+    count: StratifiedCount
     simulations: int
     wrong: int
     expected: float
@@ -67,9 +66,18 @@ class ErrorEstimate:
         some = "" if self.simulations == self.asked else f"answered of {self.asked} "
         return f"{self.simulations} {some}fresh simulations"
 
-    def confidence_below(self, level: float) -> float:
-        """Posterior probability that the error is at most a level."""
-        return float(np.searchsorted(self.draws, level, side="right") / len(self.draws))
+    def is_at_most(self, level: float, confidence: float) -> bool:
+        """Whether the error is at most a level, with one-sided confidence."""
+        return self.count.upper(confidence) <= level
+
+
+def confidence_of_look(confidence: float, look: int) -> float:
+    """The confidence that look number `look`, from 1 on, must have for all looks together to have `confidence`.
+
+    Each look may be wrong by chance, and a rule that looks often enough would end by luck. So look j may be wrong with
+    probability (1 − confidence)/(j (j + 1)) only, of which the sum over all looks is 1 − confidence.
+    """
+    return 1.0 - (1.0 - confidence) / (look * (look + 1))
 
 
 def probability_wrong(moments: Moments) -> Array:
@@ -149,7 +157,6 @@ def estimate_error(
     answered: NDArray[np.bool_],
     left_out: tuple[NDArray[np.intp], NDArray[np.bool_]],
     confidence: float,
-    rng: np.random.Generator,
 ) -> ErrorEstimate:
     """The misclassified volume from fresh answers and from left-out points of the design measure.
 
@@ -170,16 +177,14 @@ def estimate_error(
     surest = left_out[0] == 0
     seen[0] += np.count_nonzero(surest)
     failed[0] += np.count_nonzero(left_out[1][surest])
-    prior_wrong = _PRIOR_WRONG + _PRIOR_WEIGHT * plan.expected
-    prior_right = _PRIOR_RIGHT + _PRIOR_WEIGHT * (1.0 - plan.expected)
-    shares = rng.beta(prior_wrong + failed, prior_right + seen - failed, size=(_DRAWS, parts))
-    draws = np.sort(shares @ plan.volumes)
-    low, high = np.quantile(draws, [0.5 - confidence / 2, 0.5 + confidence / 2])
+    count = StratifiedCount(plan.volumes, seen.astype(np.float64), failed.astype(np.float64))
+    one_sided = 0.5 + confidence / 2
     return ErrorEstimate(
-        float(draws.mean()),
-        float(low),
-        float(high),
-        draws,
+        count.estimate(plan.expected),
+        count.lower(one_sided),
+        count.upper(one_sided),
+        confidence,
+        count,
         int(answered.sum()),
         int(wrong.sum()),
         float(plan.volumes @ plan.expected),
@@ -192,6 +197,75 @@ def expected_error(campaign: Campaign, classifier: Classifier) -> float:
     pool = campaign.space.sobol(POOL // 4, np.random.default_rng(0))
     latent = classifier.latents[campaign.severity - 1]
     return float(probability_wrong(latent.moments(campaign.features(pool))).mean())
+
+
+def set_name(iteration: int, simulations: int) -> str:
+    """Name of the set with the fresh simulations of an iteration's verification."""
+    return f"verification-{iteration}-{simulations}"
+
+
+def looks_before(store: Store, iteration: int, simulations: int) -> int:
+    """How often the error was verified, with so many simulations, at iterations before this one.
+
+    Also where a user verified it between: whoever looks, each look is one more chance to be wrong.
+    """
+    found = (re.fullmatch(rf"verification-(\d+)-{simulations}-0", name) for name in store.set_names())
+    return sum(int(name[1]) < iteration for name in found if name)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What is known before a verification's fresh simulations: their plan, and the initial design's left-out points."""
+
+    plan: Verification
+    left_out: tuple[NDArray[np.intp], NDArray[np.bool_]]
+
+    @classmethod
+    def at(cls, campaign: Campaign, store: Store, classifier: Classifier, iteration: int, simulations: int) -> Self:
+        """The look at a campaign's classifier of an iteration."""
+        latent = classifier.latents[campaign.severity - 1]
+        rng = stream(campaign.settings.seed, "verification", iteration)
+        plan = plan_verification(latent, campaign.features, campaign.space, simulations, rng)
+        initial = in_initial_design(store.batches)
+        left_out = leave_one_out(latent.trained)
+        wrong = (left_out.mean > 0.0) != (latent.trained.labels.numpy() > 0.0)
+        return cls(plan, (part_of(probability_wrong(left_out))[initial], wrong[initial]))
+
+    def estimate(self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float) -> ErrorEstimate:
+        return estimate_error(self.plan, beyond, answered, self.left_out, confidence)
+
+    def could_show(self, error: float, confidence: float) -> bool:
+        """Whether the error would be shown to be at most so much if none of the fresh simulations were wrong."""
+        all_right = self.estimate(self.plan.predicted, np.ones(len(self.plan.designs), dtype=bool), confidence)
+        return all_right.is_at_most(error, confidence)
+
+
+def least_simulations(error: float, confidence: float) -> int:
+    """Simulations without a wrong one that show, at the first look, an error of at most so much."""
+    return int(np.ceil(np.log1p(-confidence_of_look(confidence, 1)) / np.log1p(-error)))
+
+
+def verify_by_rule(
+    campaign: Campaign,
+    store: Store,
+    executor: Executor,
+    classifier: Classifier,
+    iteration: int,
+    stop: Callable[[], bool] = lambda: False,
+) -> tuple[ErrorEstimate | None, bool]:
+    """The misclassified volume where the campaign's stop rule has it verified now, and whether the rule is met.
+
+    Nothing is simulated where the classifier itself expects a larger error than the rule allows, nor where the
+    rule's number of simulations could not show so small an error even if none of them were wrong.
+    """
+    rule = campaign.settings.stop
+    if rule is None or expected_error(campaign, classifier) > rule.error:
+        return None, False
+    confidence = confidence_of_look(rule.confidence, 1 + looks_before(store, iteration, rule.simulations))
+    if not _Look.at(campaign, store, classifier, iteration, rule.simulations).could_show(rule.error, confidence):
+        return None, False
+    error = verify(campaign, store, executor, classifier, iteration, rule.simulations, rule.confidence, stop)
+    return error, error is not None and error.is_at_most(rule.error, confidence)
 
 
 def verify(
@@ -208,24 +282,9 @@ def verify(
 
     None when it was asked to stop.
     """
-    seed, severity = campaign.settings.seed, campaign.severity
-    latent = classifier.latents[severity - 1]
-    plan = plan_verification(
-        latent, campaign.features, campaign.space, simulations, stream(seed, "verification", iteration)
-    )
-    outcome = simulated_outcomes(
-        campaign, store, executor, f"verification-{iteration}-{simulations}", plan.designs, stop
-    )
+    look = _Look.at(campaign, store, classifier, iteration, simulations)
+    name = set_name(iteration, simulations)
+    outcome = simulated_outcomes(campaign, store, executor, name, look.plan.designs, stop)
     if outcome is None:
         return None
-    initial = in_initial_design(store.batches)
-    left_out = leave_one_out(latent.trained)
-    wrong = (left_out.mean > 0.0) != (latent.trained.labels.numpy() > 0.0)
-    return estimate_error(
-        plan,
-        outcome >= severity,
-        outcome != NUMERICAL_FAILURE,
-        (part_of(probability_wrong(left_out))[initial], wrong[initial]),
-        confidence,
-        stream(seed, "verification", 1_000_000 + iteration),
-    )
+    return look.estimate(outcome >= campaign.severity, outcome != NUMERICAL_FAILURE, confidence)

@@ -25,6 +25,7 @@ from activefail.cli.common import (
     stop_on_signals,
 )
 from activefail.errors import InputError
+from activefail.shares import interval_percent, percent
 
 if TYPE_CHECKING:
     from activefail.campaign.campaign import Campaign
@@ -133,7 +134,19 @@ def _take_to_budget(
     """Run the loop; `again` is the command that goes on, `extra` what it was told of budget and limit besides."""
     from activefail.campaign.loop import run as run_loop
     from activefail.campaign.loop import standing
+    from activefail.campaign.stratified import largest_unseen_share
+    from activefail.campaign.summary import Summary
+    from activefail.campaign.verification import confidence_of_look, least_simulations
 
+    rule = campaign.settings.stop
+    if rule is not None and (least := least_simulations(rule.error, rule.confidence)) > rule.simulations:
+        shown = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
+        print(
+            f"warning: stop.simulations: {rule.simulations} with none of them wrong show an error of at most "
+            f"{percent(shown)} at the first look; to show {100 * rule.error:g} % takes about {least}, or a larger "
+            f"initial design",
+            file=sys.stderr,
+        )
     words = _WITHOUT_BATCHES if campaign.settings.sampling.asynchronous else _IN_BATCHES
     try:
         with stop_on_signals(words.stopping) as stop, _campaign_display(campaign, stop) as observer:
@@ -146,11 +159,20 @@ def _take_to_budget(
     if not finished:
         print(f"stopped {words.in_order}. Go on with: {again}{extra}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
-    done = standing(campaign, store.batches, budget).done
-    if campaign.settings.stop is not None and done < budget:
-        rule = campaign.settings.stop
-        print(f"good       enough after {done} simulations: an error of at most {100 * rule.error:g} % is verified")
+    progress = standing(campaign, store.batches, budget)
+    if rule is not None and progress.done < budget:
+        print(
+            f"good       enough after {progress.done} simulations: an error of at most {100 * rule.error:g} % is "
+            f"verified with {100 * rule.confidence:g} % confidence, over all looks"
+        )
+    _show_unseen(Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches))
     print(f"results    {folder}")
+
+
+def _show_unseen(summary: "Summary") -> None:
+    """A warning on the error stream where a campaign never saw an outcome."""
+    if warning := summary.unseen_warning:
+        print(f"warning: {warning}", file=sys.stderr)
 
 
 @contextmanager
@@ -208,10 +230,12 @@ def _counts(campaign: "Campaign", progress: "Progress") -> str:
 def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False) -> str:
     parts = [] if bar else [f"{progress.done}/{progress.budget} simulations"]
     parts += [f"iteration {progress.iteration}", _counts(campaign, progress)]
+    if progress.unseen and progress.done >= campaign.settings.sampling.initial:
+        parts.append(f"searching for {' and '.join(progress.unseen)}, not seen yet")
     if progress.error is not None:
         parts.append(f"error {_error_text(progress.error)}")
     if progress.accuracy is not None:
-        parts.append(f"accuracy {100.0 * progress.accuracy:.1f} %")
+        parts.append(f"accuracy {percent(progress.accuracy)}")
     if progress.seconds_left is not None and progress.done < progress.budget:
         parts.append(f"{progress.seconds_left:.0f} s left")
     return " | ".join(parts)
@@ -237,6 +261,7 @@ def status(folder: RunFolder) -> None:
     names = (*summary.outcomes, "numerical failures")
     for title, counts in (("initial", summary.initial), ("chosen", summary.chosen), ("all", summary.counts)):
         print(f"{title:<10} {', '.join(f'{n} {name}' for n, name in zip(counts.tolist(), names, strict=True))}")
+    _show_unseen(summary)
     if summary.done < plan.budget:
         again = f"{resume_command(folder)}{' --code FOLDER' if plan.own_code else ''}"
         print(f"go on      {again}")
@@ -291,6 +316,7 @@ def verify(
     from activefail.campaign.folder import open_campaign
     from activefail.campaign.learning import current_classifier, initial_sets
     from activefail.campaign.loop import one_thread, standing
+    from activefail.campaign.summary import Summary
     from activefail.campaign.verification import verify as verify_classifier
 
     with (
@@ -304,6 +330,7 @@ def verify(
             raise InputError(f"{folder}: has not finished its initial design; there is nothing to verify yet.")
         classifier = current_classifier(campaign, store, write=True)
         error = verify_classifier(campaign, store, executor, classifier, progress.iteration, simulations, confidence)
+        summary = Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches)
     assert error is not None  # it was not asked to stop
     boundary = campaign.settings.acquisition.main_boundary
     print(f"campaign   {progress.done} simulations, iteration {progress.iteration}")
@@ -312,11 +339,12 @@ def verify(
         f"           {100 * confidence:g} % interval: {error.in_words}, {error.wrong} of them "
         "misclassified, in parts of unequal weight; and the initial design, each point left out in turn"
     )
-    print(f"expected   {100 * error.expected:.2f} % by the classifier's own probabilities")
+    print(f"expected   {percent(error.expected, 2)} by the classifier's own probabilities, which have no interval")
+    _show_unseen(summary)
 
 
 def _error_text(error: "ErrorEstimate") -> str:
-    return f"{100 * error.error:.2f} % ({100 * error.low:.2f} to {100 * error.high:.2f} %)"
+    return f"{percent(error.error, 2)} ({interval_percent(error.low, error.high)})"
 
 
 def export(

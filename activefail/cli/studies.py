@@ -11,6 +11,7 @@ import typer
 
 from activefail.cli.common import INTERRUPTED, Code, check_output, show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
+from activefail.shares import interval_percent, percent
 
 
 def compare(
@@ -94,10 +95,13 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
     )
     for row in sorted(scores, key=lambda score: (score.simulations, score.sampling)):
         print(
-            f"{row.simulations:>11}  {row.sampling:<8}  {100 * row.accuracy:>16.2f} % "
-            f"{100 * row.low:>6.2f} to {100 * row.high:.2f} %"
-            f"  {100 * row.outcome_accuracy:>14.2f} %  {row.log_score:>9.4f}"
+            f"{row.simulations:>11}  {row.sampling:<8}  {percent(row.accuracy, 2):>18} "
+            f"{interval_percent(row.low, row.high):>16}  {percent(row.outcome_accuracy, 2):>16}  {row.log_score:>9.4f}"
         )
+    print("recall of each outcome: share of the test designs with it that are predicted so, with a 95 % interval")
+    for row in sorted(scores, key=lambda score: (score.simulations, score.sampling)):
+        recall = ", ".join(f"{name} {one.in_words}" for name, one in row.recall.items())
+        print(f"{row.simulations:>11}  {row.sampling:<8}  {recall}")
 
     from activefail.report.curves import plot_learning_curves
     from activefail.study.compare import Score
@@ -106,7 +110,8 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
     results = folder / "compare"
     with writing_to(results):
         results.mkdir(exist_ok=True)
-        with writing(results / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
+        columns = [*Score.columns(), *Score.recall_columns(campaign.simulator.outcomes), "test_unanswered"]
+        with writing(results / "scores.csv", columns) as write:
             write([[*score.row(), test - score.test_designs] for score in scores])
         figure = plot_learning_curves(scores, boundary, scores[0].test_designs)
         for suffix in ("png", "svg"):

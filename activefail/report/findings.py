@@ -2,10 +2,10 @@
 
 import csv
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from activefail.campaign.verification import ErrorEstimate, expected_error, leav
 from activefail.errors import InputError
 from activefail.report.quantities import words
 from activefail.space import Array
-from activefail.study.compare import Score, default_budgets, score
+from activefail.study.compare import Recall, Score, default_budgets, score
 from activefail.surrogate.classifier import Classifier, Moments, train
 
 CONFIDENCE = 0.95
@@ -164,8 +164,12 @@ def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
     )
 
 
-def read_scores(path: Path) -> tuple[list[Score], int]:
+def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
     """The table that `activefail compare DIR` wrote: its scores and how many test designs gave no answer.
+
+    Args:
+        path: of the table.
+        outcomes: of the campaign.
 
     Raises:
         InputError: naming the file, the row and what is wrong with it.
@@ -177,7 +181,14 @@ def read_scores(path: Path) -> tuple[list[Score], int]:
         with path.open(encoding="utf-8", newline="") as file:
             for number, row in enumerate(csv.DictReader(file), start=1):
                 try:
-                    scores.append(Score(**{name: kind(row[name]) for name, kind in kinds.items()}))
+                    numbers: dict[str, Any] = {name: kind(row[name]) for name, kind in kinds.items()}
+                    # An older program wrote none.
+                    known = Score.recall_columns(outcomes)[0] in row
+                    recall = {
+                        name: Recall(int(row[f"recalled_{name}"]), int(row[f"test_{name}"]))
+                        for name in (outcomes if known else ())
+                    }
+                    scores.append(Score(**numbers, recall=recall))
                     # An older program wrote how many were asked for, and not this.
                     unanswered = max(unanswered, int(row.get("test_unanswered") or 0))
                 except (KeyError, TypeError, ValueError) as bad:
@@ -217,7 +228,7 @@ def _curve(
     note = "no comparison with a static design was made"
     if path.exists():
         try:
-            scores, unanswered = read_scores(path)
+            scores, unanswered = read_scores(path, campaign.simulator.outcomes)
             return Curve(scores, max(one.test_designs for one in scores), "compare", unanswered), None
         except InputError as bad:
             note = f"the comparison cannot be read ({bad})"

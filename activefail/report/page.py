@@ -23,20 +23,22 @@ from activefail.campaign.dfp import DfpSimulator
 from activefail.campaign.loop import standing
 from activefail.campaign.provenance import provenance
 from activefail.campaign.record import Store
-from activefail.campaign.summary import Plan
+from activefail.campaign.summary import Plan, Summary
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
 from activefail.report import quantities
 from activefail.report.contours import coordinates, plot_outcome_planes
 from activefail.report.curves import plot_learning_curves
-from activefail.report.findings import Findings, at_the_boundary, predict, simulated
+from activefail.report.findings import Curve, Findings, at_the_boundary, predict, simulated
 from activefail.report.motion import Motion, describe_outcome, plot_snapshots
 from activefail.report.planes import PLANES, plot_reliability
 from activefail.report.quantities import significant, words
 from activefail.report.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.report.scales import LONG, length_scales, plot_length_scales
 from activefail.report.svg import inline
+from activefail.shares import interval_percent, percent
 from activefail.space import Parameter
+from activefail.study.compare import Score
 
 MOST_PAIRED = 6
 """Features of the pair plot at the most: those with the shortest length scales."""
@@ -82,11 +84,6 @@ def spread(parameter: Parameter) -> str:
     return parameter.distribution.replace("_", "-")
 
 
-def percent(share: float, digits: int = 1) -> str:
-    """A share as a page says it."""
-    return f"{100.0 * share:.{digits}f} %"
-
-
 def _probability(p: float) -> str:
     return "< 0.01" if p < 0.005 else "> 0.99" if p > 0.995 else f"{p:.2f}"
 
@@ -120,12 +117,14 @@ def _curve(findings: Findings) -> dict[str, Any]:
         if both
         else "How much the last simulations still added says whether more of them are worth their price."
     )
+    outcomes = findings.campaign.simulator.outcomes
     rows = [
         {
             "simulations": score.simulations,
             "sampling": {"active": "active", "static": "static Latin hypercube"}.get(score.sampling, score.sampling),
             "accuracy": percent(score.accuracy, 2),
-            "interval": f"{100 * score.low:.2f} to {100 * score.high:.2f} %",
+            "interval": interval_percent(score.low, score.high),
+            "recall": [score.recall[name].in_words for name in outcomes if score.recall],
             "outcome_accuracy": percent(score.outcome_accuracy, 2),
             "log_score": f"{score.log_score:.4f}".replace("-", "−"),
         }
@@ -364,22 +363,34 @@ def _in_short(findings: Findings, done: int) -> list[tuple[str, str]]:
     lines = [("simulations", str(done))]
     if findings.curve is not None:
         last = max(findings.curve.scores, key=lambda score: (score.sampling == "active", score.simulations))
-        right = f"{percent(last.accuracy)} of {findings.curve.test_size} fresh designs"
-        lines.append((f"right about {boundary}", f"{right}, after {last.simulations} {last.sampling} simulations"))
+        lines.append((f"right about {boundary}", f"{_right(last, findings.curve)} simulations"))
+        lines += _recall_lines(last, "")
         static = [s for s in findings.curve.scores if s.sampling == "static" and s.simulations == last.simulations]
         if static and last not in static:
-            lines.append(("static sampling of that size", percent(static[0].accuracy)))
+            lines.append(("static sampling of that size", f"{_right(static[0], findings.curve)} ones"))
+            lines += _recall_lines(static[0], ", static sampling")
     if findings.error is not None:
         error = findings.error
         lines.append(
             (
                 "verified error",
-                f"{percent(error.error, 2)} of the design space ({100 * error.low:.2f} to {100 * error.high:.2f} % "
+                f"{percent(error.error, 2)} of the design space ({interval_percent(error.low, error.high)} "
                 f"with 90 % confidence, {error.in_words})",
             )
         )
-    lines.append(("error that it expects itself", f"{percent(findings.expected, 2)} of the design space"))
+    expected = f"{percent(findings.expected, 2)} of the design space, without an interval"
+    lines.append(("error that it expects itself", expected))
     return lines
+
+
+def _right(score: Score, curve: Curve) -> str:
+    interval = interval_percent(score.low, score.high)
+    right = f"{percent(score.accuracy)} of {curve.test_size} fresh designs ({interval} with 95 % confidence)"
+    return f"{right}, after {score.simulations} {score.sampling}"
+
+
+def _recall_lines(score: Score, of: str) -> list[tuple[str, str]]:
+    return [(f"recall of {words(name)}{of}", one.in_words) for name, one in score.recall.items()]
 
 
 def _features_need_code(campaign: Campaign) -> bool:
@@ -449,6 +460,7 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
         "beyond": findings.beyond,
         "missing": findings.missing,
         "done": done,
+        "unseen": Summary.of(settings.text(), outcomes, store.batches).unseen_warning,
         "left": max(0, settings.sampling.budget - done),
         "folder": quoted,
         "commands": [f"activefail run campaign.toml --out {quoted}{budget}", *_judging(findings, quoted, code)],

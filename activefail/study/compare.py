@@ -1,7 +1,7 @@
 """A campaign against a static Latin hypercube of the same size, both judged on the same fresh designs."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,44 @@ from activefail.campaign.loop import one_thread, standing
 from activefail.campaign.record import Store
 from activefail.campaign.sets import simulated_set
 from activefail.errors import InputError
+from activefail.shares import interval_percent, percent
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
 
 TEST_SIZE = 2000
+
+
+@dataclass(frozen=True)
+class Recall:
+    """Of the test designs that end in an outcome, how many the classifier predicts to end in it.
+
+    Attributes:
+        found: predicted so.
+        of: designs with that outcome.
+    """
+
+    found: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        """found/of; NaN where the test set has no such design."""
+        return self.found / self.of if self.of else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Clopper and Pearson's 95 % interval, which holds for few designs too; 0 to 1 without any."""
+        if not self.of:
+            return 0.0, 1.0
+        found = binomtest(self.found, self.of).proportion_ci(method="exact")
+        return float(found.low), float(found.high)
+
+    @property
+    def in_words(self) -> str:
+        """Like "96.0 % (48 of 50; 86.3 to 99.5 %)"."""
+        if not self.of:
+            return "– (none in the test set)"
+        return f"{percent(self.share)} ({self.found} of {self.of}; {interval_percent(*self.interval, digits=1)})"
 
 
 @dataclass(frozen=True)
@@ -31,6 +65,7 @@ class Score:
         outcome_accuracy: share of designs whose most probable outcome is the true one.
         log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
         test_designs: that it is judged on: those of the test set that have an answer.
+        recall: by outcome; empty in a table of an older program.
     """
 
     sampling: str
@@ -41,15 +76,22 @@ class Score:
     outcome_accuracy: float
     log_score: float
     test_designs: int
+    recall: Mapping[str, Recall] = field(default_factory=dict)
 
     @classmethod
     def columns(cls) -> list[str]:
-        """Names of the fields, for tables."""
-        return [field.name for field in fields(cls)]
+        """Names of the fields that are one number each, for tables."""
+        return [one.name for one in fields(cls) if one.name != "recall"]
+
+    @staticmethod
+    def recall_columns(outcomes: Sequence[str]) -> list[str]:
+        """Names of the columns that hold the recall of each outcome."""
+        return [f"{part}_{name}" for name in outcomes for part in ("recalled", "test")]
 
     def row(self) -> list[str | int | float]:
-        """The fields' values, in the order of `columns`."""
-        return list(asdict(self).values())
+        """The values of `columns` and then of `recall_columns`."""
+        counts = [number for one in self.recall.values() for number in (one.found, one.of)]
+        return [*(getattr(self, name) for name in self.columns()), *counts]
 
 
 def score(
@@ -71,7 +113,16 @@ def score(
         float(np.mean(np.argmax(probabilities, axis=1) == outcome)),
         float(np.mean(np.log(p))),
         len(X),
+        recalls(classifier.outcomes, np.argmax(probabilities, axis=1), outcome),
     )
+
+
+def recalls(outcomes: Sequence[str], predicted: NDArray[np.intp], outcome: NDArray[np.int8]) -> dict[str, Recall]:
+    """The recall of each outcome, from the predicted and the true outcomes of designs, (n,)."""
+    return {
+        name: Recall(int(np.sum(predicted[outcome == code] == code)), int(np.sum(outcome == code)))
+        for code, name in enumerate(outcomes)
+    }
 
 
 def default_budgets(initial: int, done: int) -> list[int]:

@@ -24,7 +24,7 @@ from activefail.features import paper_features
 from activefail.report import contours, findings, page, quantities, samples, svg
 from activefail.report.marks import outcome_colour
 from activefail.space import Parameter
-from activefail.study.compare import Score
+from activefail.study.compare import Recall, Score
 from activefail.table import writing
 
 SECTIONS = (
@@ -184,12 +184,34 @@ def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_p
         text = made(campaign, copy, store)
     rows = Page(text).tables["scores"][1:]
     assert rows[2] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
-    assert "91.2 % of 400 fresh designs, after 30 active simulations" in Page(text).text
+    assert "91.2 % of 400 fresh designs (89.00 to 93.00 % with 95 % confidence), after 30 active sim" in Page(text).text
+    assert "recall of" not in Page(text).text  # an older program wrote none
     assert "adds the curve of static" not in text
     (copy / "compare" / "scores.csv").write_text("sampling,simulations\nactive,many\n")
     with open_campaign(copy, write=False) as (campaign, store):
         text = made(campaign, copy, store)
     assert "scores.csv: row 1: is not one that" in Page(text).text
+
+
+def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(folder, tmp_path):
+    copy = Path(shutil.copytree(folder, tmp_path / "run"))
+    (copy / "compare").mkdir()
+    outcomes = ("no_impact", "impact", "failure")
+    active, static = (
+        {"no_impact": Recall(1800, 1800), "impact": Recall(134, 134), "failure": Recall(found, 66)} for found in (64, 2)
+    )
+    given = [
+        Score("active", 30, 0.9995, 0.9972, 0.9999, 0.999, -0.01, 2000, active),
+        Score("static", 30, 0.968, 0.96, 0.975, 0.968, -0.1, 2000, static),
+    ]
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), *Score.recall_columns(outcomes)]) as write:
+        write([score.row() for score in given])
+    with open_campaign(copy, write=False) as (campaign, store):
+        found = Page(made(campaign, copy, store))
+    assert "99.95 % of 2000 fresh designs (99.72 to 99.99 % with 95 % confidence)" in found.text
+    assert "recall of failure 97.0 % (64 of 66; 89.5 to 99.6 %)" in found.text
+    assert "recall of failure, static sampling 3.0 % (2 of 66; 0.4 to 10.5 %)" in found.text
+    assert found.tables["scores"][2][-1] == "3.0 % (2 of 66; 0.4 to 10.5 %)"
 
 
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
@@ -370,10 +392,10 @@ def test_a_table_that_compare_did_not_write_is_refused_by_row(tmp_path):
     path = tmp_path / "scores.csv"
     path.write_text(",".join([*Score.columns(), "test_unanswered"]) + "\nactive,x,1,1,1,1,1,1\n")
     with pytest.raises(InputError, match=r"scores\.csv: row 1"):
-        findings.read_scores(path)
+        findings.read_scores(path, ("no_impact", "impact", "failure"))
     path.write_text("")
     with pytest.raises(InputError, match="has no rows"):
-        findings.read_scores(path)
+        findings.read_scores(path, ("no_impact", "impact", "failure"))
 
 
 # --- colours -----------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from activefail.campaign.loop import Observer, one_thread, run, standing
 from activefail.campaign.record import MemoryStore
 from activefail.errors import InputError
 from activefail.space import Array
-from activefail.study.compare import Score, compare, default_budgets, score
+from activefail.study.compare import Score, compare, default_budgets, recalls, score
 from activefail.surrogate.classifier import train
 
 TEST = 300
@@ -200,4 +200,25 @@ def test_budgets_by_default_reach_from_the_seed_to_what_is_done(initial: int, do
 
 def test_a_score_has_a_column_for_each_of_its_values(first: tuple[list[Score], int]) -> None:
     row = first[0][0]
-    assert dict(zip(Score.columns(), row.row(), strict=True)) == vars(row)
+    columns = [*Score.columns(), *Score.recall_columns(("safe", "broken"))]
+    values = dict(zip(columns, row.row(), strict=True))
+    assert {name: values.pop(name) for name in ("recalled_safe", "test_safe", "recalled_broken", "test_broken")} == {
+        "recalled_safe": row.recall["safe"].found,
+        "test_safe": row.recall["safe"].of,
+        "recalled_broken": row.recall["broken"].found,
+        "test_broken": row.recall["broken"].of,
+    }
+    assert values | {"recall": row.recall} == vars(row)
+
+
+def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted_so() -> None:
+    outcome = np.array([0] * 6 + [1] * 3, dtype=np.int8)
+    predicted = np.array([0, 0, 0, 0, 0, 1, 1, 0, 0])
+    found = recalls(("safe", "broken", "lost"), predicted, outcome)
+    assert (found["safe"].found, found["safe"].of, found["broken"].found, found["broken"].of) == (5, 6, 1, 3)
+    assert found["broken"].share == pytest.approx(1 / 3)
+    # Clopper and Pearson's, from tables.
+    assert found["broken"].interval == pytest.approx((0.0084, 0.9057), abs=1e-4)
+    assert found["broken"].in_words == "33.3 % (1 of 3; 0.8 to 90.6 %)"
+    assert found["lost"].in_words == "– (none in the test set)"
+    assert found["lost"].interval == (0.0, 1.0)

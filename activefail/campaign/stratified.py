@@ -1,0 +1,91 @@
+"""An interval for a share that was counted in parts of known volume, and what follows from having seen nothing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+from activefail.space import Array
+
+
+@dataclass(frozen=True)
+class StratifiedCount:
+    """Designs counted in parts of a design space, and how many of them were hits (misclassified, say).
+
+    The share of hits is θ = Σ V_k p_k. Its bounds hold with at least their confidence for any shares p_k, also where no
+    hit or few were seen; `benchmarks/verification.py` measures that. Each bound is a quantile of the beta
+    distribution with the mean and the variance of Σ V_k B_k, where B_k follows a beta distribution:
+
+    - lower bound: B_k ~ Beta(x_k, n_k − x_k + 1), as in the bound of Clopper and Pearson (1934) for each part;
+    - upper bound: B_j ~ Beta(x_j + 1, n_j − x_j), Clopper and Pearson's, for one part j, and Jeffreys' Beta(x_k + ½,
+      n_k − x_k + ½) for the others; of all parts the j with the largest quantile. One further hit in one part is what
+      Fay and Feuer (1997) assume for weighted counts. Clopper and Pearson's in every part would be valid as well, and
+      wider by some tenths.
+
+    With a single part both are Clopper and Pearson's exact bounds.
+
+    Attributes:
+        volumes: V, (k,) of the parts, as shares of the space.
+        counted: n, (k,) designs counted in each part.
+        hits: x, (k,) of these.
+    """
+
+    volumes: Array
+    counted: Array
+    hits: Array
+
+    @property
+    def unseen_volume(self) -> float:
+        """Volume of the parts in which nothing was counted: nothing is known of them."""
+        return float(self.volumes[self.counted == 0].sum())
+
+    def estimate(self, expected: Array) -> float:
+        """Σ V_k x_k/n_k; a part in which nothing was counted has its expected share, (k,)."""
+        shares = np.divide(self.hits, self.counted, out=expected.astype(np.float64), where=self.counted > 0)
+        return float(self.volumes @ shares)
+
+    def lower(self, confidence: float) -> float:
+        """The share is at least this, with one-sided confidence."""
+        seen = self.hits > 0
+        if not seen.any():
+            return 0.0
+        x, n, V = self.hits[seen], self.counted[seen], self.volumes[seen]
+        mean, variance = _beta_moments(x, n - x + 1.0)
+        # Not above the volume of the parts with hits, of which alone this speaks.
+        return _quantile(float(V @ mean), float(V**2 @ variance), float(V.sum()), 1.0 - confidence)
+
+    def upper(self, confidence: float) -> float:
+        """The share is at most this, with one-sided confidence."""
+        known = self.counted > 0
+        x, n, V = self.hits[known], self.counted[known], self.volumes[known]
+        mean, variance = _beta_moments(x + 0.5, n - x + 0.5)
+        mean_further, variance_further = _beta_moments(x + 1.0, n - x)
+        bounds = []
+        for j in range(len(V)):
+            m = float(V @ mean + V[j] * (mean_further[j] - mean[j]))
+            v = float(V**2 @ variance + V[j] ** 2 * (variance_further[j] - variance[j]))
+            bounds.append(_quantile(m, v, float(V.sum()), confidence))
+        return min(1.0, self.unseen_volume + max(bounds, default=0.0))
+
+
+def _beta_moments(a: Array, b: Array) -> tuple[Array, Array]:
+    """Mean and variance of Beta(a, b), (k,) each; b = 0 is the point 1."""
+    total = a + b
+    return a / total, a * b / (total**2 * (total + 1.0))
+
+
+def _quantile(mean: float, variance: float, scale: float, q: float) -> float:
+    """The quantile of `scale` times the beta variable that gives a product of this mean and variance."""
+    mean, variance = mean / scale, variance / scale**2
+    if variance <= 0.0 or mean >= 1.0:
+        return scale * mean
+    total = mean * (1.0 - mean) / variance - 1.0
+    return scale * float(beta.ppf(q, mean * total, (1.0 - mean) * total))
+
+
+def largest_unseen_share(n: int, confidence: float = 0.9) -> float:
+    """The largest probability of an event that n independent draws without it leave, with one-sided confidence.
+
+    1 − (1 − confidence)^(1/n), the exact bound; 1 where nothing was drawn.
+    """
+    return 1.0 if n == 0 else float(-np.expm1(np.log1p(-confidence) / n))

@@ -1,0 +1,176 @@
+"""Campaigns that never saw an outcome: they search for it, are never good enough, and every command says so."""
+
+import json
+
+import numpy as np
+import pytest
+from commandline import activefail
+
+from activefail.campaign.campaign import Campaign
+from activefail.campaign.config import parse_settings
+from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.learning import search_for_unseen
+from activefail.campaign.loop import Observer, run
+from activefail.campaign.record import MemoryStore
+from activefail.campaign.simulator import Results
+from activefail.campaign.unseen import unseen_outcomes, unseen_warning
+
+
+class FourBranch:
+    """A series system with k = 7: two standard normal variables, 2.2 failures in a thousand."""
+
+    outcomes, causes, margins, releases_gil = ("safe", "failure"), ("",), (), True
+
+    def run(self, X):
+        x, y = X.T
+        bent = 3.0 + 0.1 * (x - y) ** 2
+        limit = [bent - (x + y) / 2**0.5, bent + (x + y) / 2**0.5, x - y + 7 / 2**0.5, y - x + 7 / 2**0.5]
+        failed = np.min(limit, axis=0) < 0.0
+        nothing = np.zeros(len(X))
+        return Results(failed.astype(np.int8), nothing.astype(np.int8), np.empty((len(X), 0)), nothing)
+
+
+class NeverFails(FourBranch):
+    """The same, without failure."""
+
+    def run(self, X):
+        return Results(*(np.zeros(len(X), dtype=np.int8) for _ in range(2)), np.empty((len(X), 0)), np.zeros(len(X)))
+
+
+def campaign_on(simulator, criterion="eavc", budget=60, more="", seed=0):
+    text = f"""
+        seed = {seed}
+        sampling = {{ initial = 30, budget = {budget}, batch = 5 }}
+        classifier.features = "design"
+        acquisition = {{ criterion = "{criterion}", boundary = "failure" }}
+        {more}
+        space.x = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
+        space.y = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
+        """
+    return Campaign.with_simulator(parse_settings(text, "rare"), simulator)
+
+
+def taken(campaign, store=None):
+    store, seen = store or MemoryStore(campaign.schema), []
+    with ThreadExecutor(2) as executor:
+        assert run(campaign, store, executor, campaign.settings.sampling.budget, Observer(progress=seen.append))
+    return store, seen
+
+
+def failures(store):
+    return np.concatenate([batch.results.outcome for batch in store.batches]).sum()
+
+
+@pytest.mark.parametrize("criterion", ["eavc", "globalmi", "entropy", "sur"])
+def test_a_criterion_that_would_stay_among_the_safe_designs_is_set_aside_until_a_failure_was_seen(criterion):
+    store, seen = taken(campaign_on(FourBranch(), criterion))
+    first = np.concatenate([batch.results.outcome for batch in store.batches[:6]])
+    assert first.sum() == 0, "the initial design holds a failure, so that there is nothing to search for"
+    assert failures(store) > 0
+    assert seen[0].unseen == ("safe", "failure")
+    assert seen[6].unseen == ("failure",)
+    assert seen[-1].unseen == ()
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
+    more = "stop = { error = 0.05, simulations = 100, every = 1 }\n"
+    more += "sampling.asynchronous = true" if asynchronous else ""
+    campaign = campaign_on(NeverFails(), budget=40, more=more.replace("sampling.asynchronous = true", ""))
+    if asynchronous:
+        campaign = Campaign.with_simulator(campaign.settings.changed({"sampling.asynchronous": True}), NeverFails())
+    store, seen = taken(campaign)
+    assert sum(len(batch) for batch in store.batches) == 40
+    assert store.set_names() == []
+    assert not any(progress.good_enough for progress in seen)
+    assert seen[-1].unseen == ("failure",)
+
+
+def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen():
+    campaign = campaign_on(FourBranch())
+    store, _ = taken(campaign)
+    missing = search_for_unseen(campaign, store.batches[:6])
+    assert missing.outcomes == ("failure",)
+    assert np.array_equal(missing.known, np.concatenate([batch.designs for batch in store.batches[:6]]))
+    assert search_for_unseen(campaign, store.batches) is None
+
+
+def test_the_same_campaign_searches_at_the_same_designs_again():
+    one, other = (taken(campaign_on(FourBranch(), budget=45))[0] for _ in range(2))
+    for a, b in zip(one.batches, other.batches, strict=True):
+        assert np.array_equal(a.designs, b.designs)
+
+
+def test_the_warning_gives_the_bound_that_follows_from_the_initial_design():
+    counts = np.array([20, 0, 5, 3])
+    assert unseen_outcomes(("no_impact", "impact", "failure"), counts) == ("impact",)
+    assert unseen_warning((), 25, 20) == ""
+    text = unseen_warning(("failure",), 40, 30)
+    assert "None of the 40 simulations ended in failure." in text
+    assert "7.4 %" in text  # 1 − 0.1^(1/30)
+    assert "100 %" in unseen_warning(("failure",), 3, 0)
+
+
+@pytest.fixture(scope="module")
+def gentle(tmp_path_factory):
+    """A campaign on bearings under pulses that move none of them to its rim, and what its commands say."""
+    folder = tmp_path_factory.mktemp("gentle")
+    file = folder / "gentle.toml"
+    file.write_text(
+        "sampling = { initial = 30, budget = 40, batch = 5 }\n"
+        'stop = { error = 0.05, simulations = 100, every = 1 }\nclassifier.features = "design"\n'
+        + "\n".join(
+            f"space.{name} = {{ low = {low}, high = {high} }}"
+            for name, (low, high) in {
+                "T_b": (3, 4),
+                "mu": (0.08, 0.1),
+                "D_tot": (0.9, 1.0),
+                "h_sl_ratio": (0.6, 0.7),
+                "h_rim_ratio": (0.1, 0.12),
+                "p": (40, 50),
+                "k": (1e9, 2e9),
+                "T_p": (1, 1.5),
+                "A_p": (0.05, 0.1),
+            }.items()
+        )
+    )
+    return folder / "run", activefail("run", file, "--out", folder / "run")
+
+
+def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_what_follows(gentle, tmp_path):
+    folder, said = gentle
+    assert said.code == 0
+    assert "good       enough" not in said.out
+    assert "searching for impact and failure, not seen yet" in said.out
+    warning = "None of the 40 simulations ended in impact or failure. The probability of each over the design space"
+    page = tmp_path / "report.html"
+    for one in (
+        said,
+        activefail("status", folder),
+        activefail("verify", folder, "--simulations", "20"),
+    ):
+        assert one.code == 0
+        assert f"warning: {warning}" in one.err
+        assert "7.4 %" in one.err
+    assert activefail("report", folder, "--out", page).code == 0
+    assert warning in page.read_text()
+
+
+def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is_simulated(gentle, tmp_path):
+    file = tmp_path / "small.toml"
+    file.write_text("sampling = { initial = 4, budget = 4 }\nstop = { error = 0.005, simulations = 100 }\n")
+    said = activefail("run", file, "--out", tmp_path / "run")
+    assert said.code == 0
+    assert "stop.simulations: 100 with none of them wrong show an error of at most 3.0 %" in said.err
+    assert "takes about 598" in said.err
+
+
+def test_nobody_reads_a_share_that_was_rounded_to_all_or_nothing():
+    from activefail.shares import interval_percent, percent
+
+    assert [percent(p) for p in (0.5, 0.9995, 0.99996, 1.0, 0.0, 1e-5, 1e-12)] == [
+        "50.0 %", "99.95 %", "99.996 %", "100 %", "0 %", "0.001 %", "< 0.000001 %",
+    ]  # fmt: skip
+    assert percent(1.0 - 1e-12) == "> 99.999999 %"
+    assert interval_percent(0.0, 0.0327) == "0 to 3.27 %"
+    assert percent(json.loads("NaN")) == "–"
