@@ -135,12 +135,23 @@ def plan_verification(
     counts = np.bincount(part, minlength=parts)
     volumes = counts / POOL
     expected = np.bincount(part, weights=wrong, minlength=parts) / np.maximum(counts, 1)
+    numbers = np.minimum(allotted(volumes, expected, n), counts)
+    rows = np.concatenate([np.nonzero(part == k)[0][: numbers[k]] for k in range(parts)])
+    return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected)
+
+
+def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
+    """How many of n simulations each part gets, (5,): in proportion to its volume times its spread (Neyman 1934).
+
+    Args:
+        volumes: (5,) of the parts.
+        expected: (5,) the classifier's mean probability of being wrong in each.
+        n: simulations in all.
+    """
     # The surest part as if one in a hundred were wrong there: the classifier alone may not say that none is.
     share = np.maximum(expected, 0.01)
     weights = volumes * np.sqrt(share * (1.0 - share))
-    allotted = np.minimum(_whole(n * weights / weights.sum()), counts)
-    rows = np.concatenate([np.nonzero(part == k)[0][: allotted[k]] for k in range(parts)])
-    return Verification(pool[rows], part[rows], moments.mean[rows] > 0.0, volumes, expected)
+    return _whole(n * weights / weights.sum())
 
 
 def _whole(shares: Array) -> NDArray[np.intp]:
