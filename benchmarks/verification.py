@@ -16,6 +16,7 @@ import argparse
 import itertools
 
 import numpy as np
+from rare_problems import RP38
 
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.config import CampaignSettings
@@ -23,7 +24,7 @@ from activefail.campaign.executor import ThreadExecutor
 from activefail.campaign.learning import accuracy, current_classifier
 from activefail.campaign.loop import one_thread, run, standing
 from activefail.campaign.record import MemoryStore
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
+from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.campaign.stratified import StratifiedCount
 from activefail.campaign.verification import allotted, verify
 
@@ -105,32 +106,13 @@ def parts(repetitions: int) -> None:
         print("  {:.4f} {:.4f}  {}, errors {}, error {}, {} simulations, initial {}".format(*row))
 
 
-class ClampedPlate:
-    """RP38 of the reliability challenge of Rozsas and Slobbe (2019): seven normal variables, of which 0.81 % fail."""
-
-    outcomes, causes, margins, releases_gil = ("safe", "failure"), ("",), (), True
-    means = (350.0, 50.8, 3.81, 173.0, 9.38, 33.1, 0.036)
-
-    def run(self, X: np.ndarray) -> Results:
-        a, b, c, d, e, f, g = X.T
-        load = d**2 - 4.0 * e * f * g**2 + d * (f + 4.0 * e + 2.0 * f * g)
-        limit = 15.59e4 - a * b**3 / (2.0 * c**3) * load / (d * e * (d + f + 2.0 * f * g))
-        none = np.zeros(len(X))
-        return Results((limit <= 0.0).astype(np.int8), none.astype(np.int8), np.empty((len(X), 0)), none)
-
-
 def rare(campaigns: int, simulations: list[int]) -> None:
-    simulator = ClampedPlate()
-    normal = {
-        f"x{number}": {"low": 0.4 * mean, "high": 1.6 * mean, "distribution": "truncated_normal"}
-        | {"mean": mean, "sd": 0.1 * mean}
-        for number, mean in enumerate(simulator.means, start=1)
-    }
-    changes = {"space": normal, "sampling.initial": 30, "sampling.budget": 30, "classifier.features": "design"}
     covered = dict.fromkeys(simulations, 0)
     with ThreadExecutor(1) as executor, one_thread():
         for seed in range(FIRST_SEED, FIRST_SEED + campaigns):
-            campaign = Campaign.with_simulator(CampaignSettings().changed({"seed": seed} | changes), simulator)
+            campaign = Campaign.with_simulator(
+                RP38.settings(seed=seed, sampling__initial=30, sampling__budget=30), RP38
+            )
             store = MemoryStore(campaign.schema)
             run(campaign, store, executor, 30)
             classifier = current_classifier(campaign, store, write=False)

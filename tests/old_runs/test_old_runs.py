@@ -1,0 +1,92 @@
+"""Run folders that an earlier version made: they open, and an interrupted campaign resumes to the bits of a finished one.
+
+Each campaign is there twice: `finished`, and `interrupted` by kill -9 after some batches that were chosen by learning. Both
+were made by version 0.1.0 on one machine, before the packages were put in their present places.
+"""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail
+
+from activefail.campaign.folder import open_campaign
+from activefail.campaign.provenance import provenance
+
+HERE = Path(__file__).parent
+CAMPAIGNS = ("paper", "bearing", "custom")
+
+DECIDES = ("python", "numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "machine", "processor_features")
+"""Of the provenance: what the bits of a campaign depend on besides its settings."""
+
+
+def code(name):
+    return ("--code", HERE) if name == "custom" else ()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Copies an old run folder to where it may be changed."""
+    return lambda state, name: Path(shutil.copytree(HERE / state / name, tmp_path / state / name))
+
+
+@pytest.mark.parametrize("state", ["finished", "interrupted"])
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_every_command_reads_an_old_run_folder_without_a_warning(state, name, folder, tmp_path):
+    run = folder(state, name)
+    table = tmp_path / "simulations.csv"
+    done = 40 if state == "finished" else len(list((run / "segments").glob("*.h5"))) * 5
+    said = activefail("status", run)
+    assert (said.code, said.err) == (0, "")
+    assert f"done       {done} of 40 simulations" in said.out
+    said = activefail("export", run, "--csv", table)
+    assert (said.code, said.err) == (0, "")
+    assert len(table.read_text().splitlines()) == done + 1
+    columns = tmp_path / "designs.csv"
+    designs = {"paper": 9, "bearing": 9, "custom": 3}[name]
+    rows = [line.split(",")[3 : 3 + designs] for line in table.read_text().splitlines()]
+    columns.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    said = activefail("predict", run, "--csv", columns, "--out", tmp_path / "predictions.csv")
+    assert (said.code, said.err) == (0, "")
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_an_old_interrupted_campaign_resumes_to_the_bits_of_the_finished_one(name, folder):
+    run, finished = folder("interrupted", name), folder("finished", name)
+    said = activefail("resume", run, *code(name))
+    assert said.code == 0
+    with (
+        open_campaign(run, write=False, code=HERE) as (_, resumed),
+        open_campaign(finished, write=False, code=HERE) as (_, expected),
+    ):
+        made, here = expected._segments[-1].provenance, provenance()
+        assert sum(len(batch) for batch in resumed.batches) == 40
+        if any(made[key] != here[key] for key in DECIDES):
+            pytest.skip("the old run folders were made with other versions or on another processor")
+        for one, other in zip(resumed.batches, expected.batches, strict=True):
+            assert one.iteration == other.iteration
+            assert np.array_equal(one.designs, other.designs)
+            assert np.array_equal(one.origin, other.origin)
+            assert np.array_equal(one.results.outcome, other.results.outcome)
+            assert np.array_equal(one.results.margins, other.results.margins, equal_nan=True)
+        (last, learned), (same, wanted) = resumed.latest_state(), expected.latest_state()
+        assert last == same
+        assert learned.keys() == wanted.keys()
+        for key in learned:
+            assert np.array_equal(learned[key], wanted[key]), key
+
+
+def test_sets_of_an_old_run_folder_are_read_and_not_simulated_again(folder):
+    run = folder("finished", "bearing")
+    with open_campaign(run, write=False) as (_, store):
+        assert store.set_names() == ["validation-0", "verification-4-20-0"]
+        for name in store.set_names():
+            X, results = store.read_set(name)
+            assert X.shape == (20, 9)
+            assert len(results) == 20
+    before = {path.name: path.read_bytes() for path in (run / "sets").iterdir()}
+    said = activefail("verify", run, "--simulations", "20")
+    assert said.code == 0
+    assert "20 fresh simulations" in said.out
+    assert {path.name: path.read_bytes() for path in (run / "sets").iterdir()} == before
