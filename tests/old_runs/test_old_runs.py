@@ -1,7 +1,7 @@
-"""Run folders that an earlier version made: they open, and an interrupted campaign resumes to the bits of a finished one.
+"""Run folders of an earlier version: they open, and an interrupted campaign resumes to the bits of the finished one.
 
-Each campaign is there twice: `finished`, and `interrupted` by kill -9 after some batches that were chosen by learning. Both
-were made by version 0.1.0 on one machine, before the packages were put in their present places.
+Each campaign is there twice: `finished`, and `interrupted` by kill -9 after two batches that were chosen by learning.
+Version 0.1.0 made both on one machine.
 """
 
 import shutil
