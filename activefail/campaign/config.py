@@ -282,7 +282,7 @@ class Stop(_Section):
 
     error: float = Field(gt=0.0, lt=0.5)
     confidence: float = Field(0.9, ge=0.5, lt=1.0)
-    simulations: int = Field(100, ge=10, le=10_000)
+    simulations: int = Field(200, ge=10, le=10_000)
     every: int = Field(5, ge=1, le=1000)
 
 

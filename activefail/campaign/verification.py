@@ -8,7 +8,7 @@ it knows for free.
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -246,9 +246,11 @@ class _Look:
         return estimate_error(self.plan, beyond, answered, self.left_out, confidence)
 
     def could_show(self, error: float, confidence: float) -> bool:
-        """Whether the error would be shown to be at most so much if none of the fresh simulations were wrong."""
-        all_right = self.estimate(self.plan.predicted, np.ones(len(self.plan.designs), dtype=bool), confidence)
-        return all_right.is_at_most(error, confidence)
+        """Whether the error would be shown to be at most so much if half as many were wrong as it expects."""
+        counted = np.bincount(self.plan.part, minlength=len(EDGES) + 1).astype(np.float64)
+        nothing = np.zeros(len(self.plan.part), dtype=bool)
+        hits = self.estimate(self.plan.predicted, ~nothing, confidence).count
+        return replace(hits, hits=hits.hits + 0.5 * counted * self.plan.expected).upper(confidence) <= error
 
 
 def least_simulations(error: float, confidence: float) -> int:
@@ -267,7 +269,7 @@ def verify_by_rule(
     """The misclassified volume where the campaign's stop rule has it verified now, and whether the rule is met.
 
     Nothing is simulated where the classifier itself expects a larger error than the rule allows, nor where the
-    rule's number of simulations could not show so small an error even if none of them were wrong.
+    rule's number of simulations could hardly show so small an error.
     """
     rule = campaign.settings.stop
     if rule is None or expected_error(campaign, classifier) > rule.error:
