@@ -111,6 +111,8 @@ def opened(data: bytes, secret: bytes, question: Question, process: int | None, 
     _, ticket, digest, sender, kind, length = _HEAD.unpack(head)
     if length > most:
         raise BrokenFrameError("it is too long")
+    if kind not in list(Kind):
+        raise BrokenFrameError("it is of no known kind")
     if len(data) < begin + length:
         return None
     payload = data[begin : begin + length]

@@ -108,13 +108,13 @@ def _end(worker: int, alive: bool) -> None:
     give_up = time.monotonic() + _PATIENCE
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(worker, signal.SIGKILL)
-    if alive:  # it may not have a group yet
-        os.kill(worker, signal.SIGKILL)
+    processes = {worker} if alive else set()  # it may not have a group yet
     while time.monotonic() < give_up:
-        # Those of one that is killed are adopted, and are here the next time.
-        for process in _children():
+        # Those of one that is killed are adopted, and are found the next time.
+        for process in processes | _children():
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(process, signal.SIGKILL)
+        processes.clear()
         try:
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
