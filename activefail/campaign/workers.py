@@ -118,13 +118,13 @@ class _Worker:
             with theirs, held, _deaf_to_ctrl_c():
                 descriptors = (theirs.fileno(), held.fileno())
                 self._supervisor = subprocess.Popen(
-                    [*_python(), "-c", _PROGRAM, str(os.getpid()), *map(str, descriptors), *_like_here()["sys_path"]],
+                    [*_python(), "-c", _PROGRAM, str(os.getpid()), *map(str, descriptors), *_search_path()],
                     stdin=subprocess.DEVNULL,
                     pass_fds=descriptors,
                     start_new_session=True,
                 )
         except OSError as error:
-            raise SimulationError(f"A worker process could not be started: {error.strerror}.") from None
+            raise SimulationError(f"A worker process could not be started: {error.strerror or error}.") from None
         self._events = select.poll()
         for end in (self._connection, self._leash):
             self._events.register(end, select.POLLIN)
@@ -137,11 +137,8 @@ class _Worker:
             ActivefailError: that the simulator raised.
         """
         data = bytes(ForkingPickler.dumps(simulator))
-        like_here = _like_here()
-        del like_here["sys_path"]
-        if b"__main__" not in data:  # nothing of the main module is needed
-            like_here = {name: value for name, value in like_here.items() if not name.startswith("init_main")}
-        content = bytes(ForkingPickler.dumps((answer, like_here, data)))
+        # The main module is run anew there, which takes time, and only where something of it is needed.
+        content = bytes(ForkingPickler.dumps((answer, _like_here(main=b"__main__" in data), data)))
         try:
             if self._process is None:
                 self._ask(Asks.GREETING, self._secret, _START_LIMIT, 0)
@@ -163,6 +160,8 @@ class _Worker:
         try:
             frame = self._ask(Asks.DESIGN, np.asarray(X, dtype=np.float64).tobytes(), limit, longest_answer(simulator))
             self.answered += 1
+            if frame.kind != Kind.ANSWERED:
+                raise BrokenFrameError("it is no answer to a design")
             return unpack_answer(frame.payload, simulator)
         except BrokenFrameError as broken:
             return unanswered(simulator, 1, WORKER_DIED), _invalid(broken)
@@ -178,7 +177,7 @@ class _Worker:
         # The monotonic clock: setting the machine's clock must neither end a simulation nor let one go on.
         deadline = np.inf if limit is None else time.monotonic() + limit
         question, data = Question.about(content), b""
-        self._connection.settimeout(limit)
+        self._connection.settimeout(None if limit is None else min(limit, _LONGEST_WAIT))
         # Where that fails it has died, or has closed its connection and will die of it.
         with suppress(OSError):
             self._connection.sendall(QUESTION.pack(question.ticket, asks, len(content)) + content)
@@ -242,8 +241,7 @@ class _Worker:
         self.kill()
         self._leash.settimeout(_END_LIMIT)
         try:
-            while self._leash.recv(STATUS):
-                pass
+            self._leash.recv(STATUS)
         except OSError:
             self._supervisor.kill()
         self._supervisor.wait()
@@ -471,11 +469,17 @@ def _python() -> list[str]:
     return [sys.executable, *flags, "-P"]
 
 
-def _like_here() -> dict[str, Any]:
-    """What makes a new process like this one: where modules are found, the arguments, the main module."""
+def _search_path() -> list[str]:
+    """Where this process finds modules."""
+    places: list[object] = spawn.get_preparation_data("")["sys_path"]
+    return [place for place in places if isinstance(place, str)]
+
+
+def _like_here(main: bool) -> dict[str, Any]:
+    """What makes another process like this one: its arguments, and its main module if asked for."""
     known = spawn.get_preparation_data("")
-    kept = ("sys_path", "sys_argv", "orig_dir", "init_main_from_name", "init_main_from_path")
-    return {name: known[name] for name in kept if name in known}
+    wanted = ("sys_argv", "orig_dir", *(("init_main_from_name", "init_main_from_path") if main else ()))
+    return {name: known[name] for name in wanted if name in known}
 
 
 def _ending(code: int) -> str:

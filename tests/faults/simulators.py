@@ -139,6 +139,20 @@ def forks_and_stays(X: Array) -> None:
             time.sleep(60.0)
 
 
+def answers_late(X: Array) -> None:
+    """A child in a session of its own answers as soon as its parent is no more; which never ends by itself."""
+    line = _line()
+    parent = os.getpid()
+    if os.fork() == 0:
+        os.setsid()
+        while os.getppid() == parent:
+            time.sleep(0.001)
+        with suppress(OSError):
+            line["connection"].sendall(_forged(line, X))
+        os._exit(0)
+    time.sleep(600.0)
+
+
 def answers_twice(X: Array) -> None:
     """The right answer, before the one that the worker gives."""
     line = _line()

@@ -158,6 +158,14 @@ def test_a_simulator_that_always_meddles_costs_at_most_the_simulations_where_it_
     survived(len(rows))
 
 
+def test_an_answer_that_comes_after_the_time_limit_is_nobody_s(survived: Callable[[int], None]) -> None:
+    X = at([1, 3], 8)
+    with within(120), ProcessExecutor(1, time_limit=1.0) as executor:
+        given_up(executor.run(Meddling(how="answers_late"), X), X, [1, 3], "time_limit")
+        assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+    survived(2)
+
+
 FORKS = """
 import os
 def run(d):
