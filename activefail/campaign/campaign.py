@@ -84,7 +84,13 @@ class Campaign:
         match settings.simulator:
             case config.PythonSimulator() as named:
                 simulator = PythonSimulator(
-                    space, named.python, code, tuple(named.outcomes), tuple(named.margins), folder=run
+                    space,
+                    named.python,
+                    code,
+                    tuple(named.outcomes),
+                    tuple(named.margins),
+                    folder=run,
+                    renew=named.renew,
                 )
                 if code is not None:
                     sources[SIMULATOR_KEY] = simulator.load()

@@ -119,9 +119,14 @@ class OwnSimulator(_Section):
 
 
 class PythonSimulator(OwnSimulator):
-    """A simulator that is a function (`activefail.campaign.own`); its module is looked for as those of features."""
+    """A simulator that is a function (`activefail.campaign.own`); its module is looked for as those of features.
+
+    Attributes:
+        renew: how many simulations one worker process may run before a fresh one replaces it; any number if None.
+    """
 
     python: _Reference
+    renew: int | None = Field(None, ge=1, le=1_000_000)
 
 
 class CommandSimulator(OwnSimulator):

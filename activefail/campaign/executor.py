@@ -1,8 +1,8 @@
 """The executor seam: who runs the simulations of a batch, and what a simulation costs that goes wrong.
 
 A simulation that raises, gives no usable answer, kills its worker or takes too long is one numerical failure with a
-cause of its own; the others of its batch keep their answers. A worker that dies, hangs or runs out of memory may not be
-the simulation's fault, so that simulation is tried once more, by another worker, before it is given up.
+cause of its own; the others of its batch keep their answers. Where it ran in a worker process, the machine may be to
+blame, or what earlier simulations did to the process: it is tried once more, in a fresh one, before it is given up.
 """
 
 import os
@@ -45,7 +45,7 @@ class Executor(Protocol):
         """Simulate designs, (n, d); `progress` is called with the number of rows just done.
 
         The results come in the order of the designs, whoever computed them. A simulation that raises, gives no usable
-        answer, or costs two workers is a numerical failure with a cause.
+        answer, or costs its worker is a numerical failure with a cause.
 
         Raises:
             SimulationError: if the workers cannot do it at all; they are not asked again then.

@@ -39,6 +39,7 @@ class PythonSimulator:
         outcomes, margins: what it may answer.
         source: digest that its module must have, also on another machine; "" if any will do (see `load_function`).
         folder: of the run, in which no code is looked for.
+        renew: simulations that one process may run; any number if None.
     """
 
     space: DesignSpace
@@ -48,6 +49,7 @@ class PythonSimulator:
     margins: tuple[str, ...]
     source: str = ""
     folder: Path | None = None
+    renew: int | None = None
 
     causes = ("",)
     releases_gil = False
@@ -131,6 +133,7 @@ class CommandSimulator:
 
     causes = ("",)
     releases_gil = False
+    isolated = True
 
     def __post_init__(self) -> None:
         quantities = (*self.space.names, *self.space.fixed)
@@ -197,7 +200,7 @@ class CommandSimulator:
         out = folder / "answer.json"
         began = time.perf_counter()
         with (folder / "stdout.txt").open("wb") as stdout, (folder / "stderr.txt").open("wb") as stderr:
-            # In the worker's process group, with which it is ended.
+            # The worker's supervisor ends it with the worker.
             done = subprocess.run(
                 self.arguments(design, out), cwd=folder, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr
             )

@@ -1,26 +1,53 @@
 """Worker processes that may die, hang or run out of memory without taking the batch with them."""
 
-import multiprocessing
+import math
 import os
+import secrets
+import select
 import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection, wait
+from multiprocessing import resource_tracker, spawn
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from activefail.campaign.simulator import OUT_OF_MEMORY, TIME_LIMIT, WORKER_DIED, Results, Simulator, unanswered
+from activefail.campaign.frames import (
+    MOST_TEXT,
+    QUESTION,
+    SECRET,
+    Asks,
+    BrokenFrameError,
+    Frame,
+    Kind,
+    Question,
+    ask_for_senders,
+    longest_answer,
+    opened,
+    received,
+    unpack_answer,
+    unpack_error,
+    unpack_text,
+)
+from activefail.campaign.serving import LOST, Answer
+from activefail.campaign.simulator import (
+    RAISED,
+    TIME_LIMIT,
+    UNUSABLE_ANSWER,
+    WORKER_DIED,
+    Results,
+    Simulator,
+    unanswered,
+)
+from activefail.campaign.supervisor import STATUS
 from activefail.errors import ActivefailError, SimulationError
 from activefail.space import Array
-
-Answer = Callable[[Simulator, Array], tuple[Results, str]]
-"""Answers designs: results, and what befell the first one without an answer ("" if all have one)."""
 
 TRIES = 2
 """Workers that one simulation may cost before it is given up."""
@@ -28,81 +55,202 @@ TRIES = 2
 _START_LIMIT = 300.0
 """Seconds in which a worker must have loaded the simulator: a large library on a slow disk takes a while."""
 
-_READY, _ANSWERED, _REFUSED, _UNLOADABLE = range(4)
-"""What a worker tells: it has the simulator; its answer; an error of activefail's own; it cannot load the simulator.
+_END_LIMIT = 20.0
+"""Seconds in which a supervisor must have ended its worker: longer than it waits for one that hangs in the kernel."""
 
-What befalls it instead is a cause of EXECUTION_CAUSES, below 0.
-"""
+_LONGEST_WAIT = 3600.0
+"""Seconds that the system is asked to wait at a time: it counts milliseconds, and not far."""
 
-_starting = threading.Lock()
-"""Held while a process is started: not all that this touches is made for threads."""
+_PROGRAM = (
+    "import sys; sys.path[:] = sys.argv[4:]; "
+    "from activefail.campaign.supervisor import main; main(*map(int, sys.argv[1:4]))"
+)
+"""What a new process of Python runs; it finds modules where this one does."""
 
 
 @runtime_checkable
-class _Prepared(Protocol):
-    """A simulator with something to load before its first simulation, whose time limit that must not count to."""
+class _Renewed(Protocol):
+    """A simulator that says how many simulations one process may run; any number if None."""
 
-    def prepare(self) -> None: ...
+    @property
+    def renew(self) -> int | None: ...
+
+
+@runtime_checkable
+class _Isolated(Protocol):
+    """A simulator that says whether each simulation has a process of its own, beside that of the worker."""
+
+    @property
+    def isolated(self) -> bool: ...
 
 
 class StoppedError(Exception):
     """A guard was stopped while it waited for an answer."""
 
 
+class _LostError(Exception):
+    """A question has no answer: the cause, one of EXECUTION_CAUSES, and why."""
+
+    def __init__(self, cause: int, why: str) -> None:
+        super().__init__(why)
+        self.cause, self.why = cause, why
+
+
 class _Worker:
-    """A process and our end of its pipe."""
+    """A worker process with its supervisor, and our ends of the connections to both.
 
-    def __init__(self, answer: Answer) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, other = context.Pipe()
-        self.process = context.Process(target=_work, args=(other, answer), daemon=True)
-        with _starting, _may_have_children(), starting_processes():
-            self.process.start()
-        # Only the worker may hold it: its death must close the pipe.
-        other.close()
+    Attributes:
+        answered: how many simulations.
 
-    def ask(self, data: bytes, limit: float | None) -> tuple[Any, ...]:
-        """What it tells about what it is sent, or what befell it within so many seconds."""
+    Raises:
+        SimulationError: if it cannot be started.
+    """
+
+    def __init__(self) -> None:
+        self.answered = 0
+        self._secret = secrets.token_bytes(SECRET)
+        self._process: int | None = None
+        self._said_more = False
+        try:
+            self._connection, theirs = socket.socketpair()
+            self._leash, held = socket.socketpair()
+            ask_for_senders(self._connection)
+            with theirs, held, _deaf_to_ctrl_c():
+                descriptors = (theirs.fileno(), held.fileno())
+                self._supervisor = subprocess.Popen(
+                    [*_python(), "-c", _PROGRAM, str(os.getpid()), *map(str, descriptors), *_search_path()],
+                    stdin=subprocess.DEVNULL,
+                    pass_fds=descriptors,
+                    start_new_session=True,
+                )
+        except OSError as error:
+            raise SimulationError(f"A worker process could not be started: {error.strerror or error}.") from None
+        self._events = select.poll()
+        for end in (self._connection, self._leash):
+            self._events.register(end, select.POLLIN)
+
+    def load(self, simulator: Simulator, answer: Answer) -> None:
+        """Have it load a simulator.
+
+        Raises:
+            SimulationError: if it cannot.
+            ActivefailError: that the simulator raised.
+        """
+        data = bytes(ForkingPickler.dumps(simulator))
+        # The main module is run anew there, which takes time, and only where something of it is needed.
+        content = bytes(ForkingPickler.dumps((answer, _like_here(main=b"__main__" in data), data)))
+        try:
+            if self._process is None:
+                self._ask(Asks.GREETING, self._secret, _START_LIMIT, 0)
+            frame = self._ask(Asks.SIMULATOR, content, _START_LIMIT, MOST_TEXT)
+            why = "" if frame.kind == Kind.READY else unpack_text(frame.payload)
+        except BrokenFrameError as broken:
+            why = _invalid(broken)
+        except _LostError as lost:
+            why = lost.why
+        if why:
+            raise SimulationError(f"A worker process could not load the simulator: {why}.")
+
+    def simulate(self, simulator: Simulator, X: Array, limit: float | None) -> tuple[Results, str]:
+        """The answer to a design, (1, d), and why there is none; "" if there is one.
+
+        Raises:
+            ActivefailError: that the simulator raised.
+        """
+        try:
+            frame = self._ask(Asks.DESIGN, np.asarray(X, dtype=np.float64).tobytes(), limit, longest_answer(simulator))
+            self.answered += 1
+            if frame.kind != Kind.ANSWERED:
+                raise BrokenFrameError("it is no answer to a design")
+            return unpack_answer(frame.payload, simulator)
+        except BrokenFrameError as broken:
+            return unanswered(simulator, 1, WORKER_DIED), _invalid(broken)
+        except _LostError as lost:
+            return unanswered(simulator, 1, lost.cause), lost.why
+
+    def is_sound(self) -> bool:
+        """Whether it lives and has said nothing but what it was asked."""
+        return not self._said_more and not self._events.poll(0)
+
+    def _ask(self, asks: Asks, content: bytes, limit: float | None, most: int) -> Frame:
+        """What it answers within so many seconds, in so many bytes at most."""
         # The monotonic clock: setting the machine's clock must neither end a simulation nor let one go on.
         deadline = np.inf if limit is None else time.monotonic() + limit
-        with suppress(OSError):  # it is dead already, which its pipe tells
-            self.connection.send_bytes(data)
+        question, data = Question.about(content), b""
+        self._connection.settimeout(None if limit is None else min(limit, _LONGEST_WAIT))
+        # Where that fails it has died, or has closed its connection and will die of it.
+        with suppress(OSError):
+            self._connection.sendall(QUESTION.pack(question.ticket, asks, len(content)) + content)
         while True:
             left = deadline - time.monotonic()
-            # A second at most: what a worker has started may hold its pipes open after its death.
-            told = wait([self.connection, self.process.sentinel], min(1.0, max(0.0, left)))
-            if told or not self.process.is_alive():
-                # What it told last is still in the pipe.
-                return self._heard() or self._death()
-            if left <= 0.0:
-                return TIME_LIMIT, f"it took longer than {limit:g} s"
+            ready = self._events.poll(math.ceil(1e3 * min(max(0.0, left), _LONGEST_WAIT)))
+            # First what it said: that is still there when it has died.
+            if any(descriptor == self._connection.fileno() for descriptor, _ in ready):
+                data += self._heard()
+                frame = self._opened(data, question, most)
+                if frame is not None:
+                    return frame
+            elif ready:
+                raise self._death()
+            elif left <= 0.0:
+                raise _LostError(TIME_LIMIT, f"it took longer than {limit:g} s")
 
-    def _heard(self) -> tuple[Any, ...] | None:
+    def _heard(self) -> bytes:
+        """What has come, of the worker itself."""
         try:
-            return tuple(self.connection.recv()) if self.connection.poll() else None
-        except (EOFError, OSError):
-            return None
+            data, sender = received(self._connection)
+        except OSError:  # it ended with something unread
+            data, sender = b"", None
+        if not data:
+            # It is waited for: a worker without a connection ends as soon as it is to answer.
+            self._events.unregister(self._connection)
+        elif sender is not None:
+            if self._process is None:
+                # The first one that is heard is the worker: nothing of the user's has run there yet.
+                self._process = sender
+            if sender != self._process:
+                raise BrokenFrameError("another process sent it")
+        return data
 
-    def _death(self) -> tuple[int, str]:
-        self.process.join(1.0)
-        return WORKER_DIED, f"its worker process died ({_ending(self.process.exitcode)})"
+    def _opened(self, data: bytes, question: Question, most: int) -> Frame | None:
+        """The frame that has come, if it is complete."""
+        frame = opened(data, self._secret, question, self._process, most)
+        if frame is not None:
+            self._process = frame.process
+            self._said_more = frame.more
+            if frame.kind == Kind.REFUSED:
+                raise unpack_error(frame.payload)
+        return frame
+
+    def _death(self) -> _LostError:
+        with suppress(OSError):
+            status = self._leash.recv(STATUS)
+            if status:
+                return _LostError(WORKER_DIED, _ending(os.waitstatus_to_exitcode(int.from_bytes(status, "little"))))
+        # The supervisor was killed, and its worker with it.
+        return _LostError(WORKER_DIED, _ending(self._supervisor.wait()))
 
     def kill(self) -> None:
-        """End it, and whatever it has started."""
-        if self.process.pid is not None:
-            with suppress(ProcessLookupError):  # it had not come as far as to have a group
-                os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.kill()
+        """End it, and whatever it has started; from any thread."""
+        with suppress(OSError):
+            self._leash.shutdown(socket.SHUT_WR)
+        self._supervisor.send_signal(signal.SIGCONT)  # should somebody have stopped it
 
     def close(self) -> None:
         """End it and let go of it."""
         self.kill()
-        self.process.join()
-        self.connection.close()
+        self._leash.settimeout(_END_LIMIT)
+        try:
+            self._leash.recv(STATUS)
+        except OSError:
+            self._supervisor.kill()
+        self._supervisor.wait()
+        self._connection.close()
+        self._leash.close()
 
 
 class Guard:
-    """Answers one design after the other in a worker process, which is replaced when it dies or hangs.
+    """Answers one design after the other in a worker process, which is replaced when it dies, hangs or fails.
 
     Args:
         answer: what the process does; a function of a module.
@@ -118,48 +266,59 @@ class Guard:
         self._lock = threading.Lock()
 
     def answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
-        """The answer to a design, (1, d), and what befell it; "" if it has one.
+        """The answer to a design, (1, d), and why it has none; "" if it has one.
+
+        A simulation that fails is tried once more, in a fresh process, before it is given up: what is recorded must not
+        depend on which simulations that process has run before, nor on a machine that lacked memory for a moment.
 
         Raises:
-            SimulationError: if a worker cannot load the simulator.
+            SimulationError: if a worker cannot be started, or cannot load the simulator.
             ActivefailError: that the simulator raised.
             StoppedError: after `stop`.
         """
-        told = ""
-        for _ in range(TRIES):
-            worker = self._loaded(simulator)
-            kind, *content = worker.ask(bytes(ForkingPickler.dumps(X)), self._time_limit)
-            if self._stopped:
-                raise StoppedError
-            if kind == _REFUSED:
-                raise content[0]
-            if kind == _ANSWERED:
-                results, fault = content
-                return results, fault
-            # Replaced even where it still lives: a worker that once lacked memory is not used again.
+        reasons: list[str] = []
+        while True:
+            worker = self._ready(simulator)
+            fresh = worker.answered == 0
+            try:
+                results, why = worker.simulate(simulator, X, self._time_limit)
+            except ActivefailError:
+                self._check_stopped()
+                raise
+            self._check_stopped()
+            if not why:
+                return results, ""
+            # Even where it still lives: what failed there may have spoilt it.
             self.close()
-            told = content[0]
-        return unanswered(simulator, 1, kind), f"design {X[0].tolist()}: {told}, twice"
+            reasons.append(why.removeprefix(f"design {X[0].tolist()}: "))
+            # The program of an isolated simulator has had a fresh process each time.
+            settled = results.cause[0] in (RAISED, UNUSABLE_ANSWER) and (fresh or _is_isolated(simulator))
+            if settled or len(reasons) == TRIES:
+                return results, f"design {X[0].tolist()}: {_in_words(reasons)}"
 
-    def _loaded(self, simulator: Simulator) -> _Worker:
-        if self._worker is not None and not self._worker.process.is_alive():
+    def _ready(self, simulator: Simulator) -> _Worker:
+        """A sound worker that has loaded the simulator."""
+        if self._worker is not None and not (self._worker.is_sound() and _may_answer(self._worker, simulator)):
             self.close()
         with self._lock:
-            if self._stopped:
-                raise StoppedError
+            self._check_stopped()
             if self._worker is None:
-                self._worker, self._simulator = _Worker(self._answer), None
+                self._worker, self._simulator = _Worker(), None
             worker = self._worker
         if simulator is not self._simulator:
-            kind, *content = worker.ask(bytes(ForkingPickler.dumps(simulator)), _START_LIMIT)
-            if self._stopped:
-                raise StoppedError
-            if kind == _REFUSED:
-                raise content[0]
-            if kind != _READY:
-                raise SimulationError(f"A worker process could not load the simulator: {content[0]}.")
+            try:
+                worker.load(simulator, self._answer)
+            except ActivefailError:
+                self._check_stopped()
+                self.close()
+                raise
+            self._check_stopped()
             self._simulator = simulator
         return worker
+
+    def _check_stopped(self) -> None:
+        if self._stopped:
+            raise StoppedError
 
     def stop(self) -> None:
         """End the worker at once, from another thread; the one that waits for it hears of it and lets go of it."""
@@ -173,6 +332,24 @@ class Guard:
         if self._worker is not None:
             self._worker.close()
             self._worker = None
+
+
+def _may_answer(worker: _Worker, simulator: Simulator) -> bool:
+    """Whether a worker has not yet run as many simulations as one process may."""
+    most = simulator.renew if isinstance(simulator, _Renewed) else None
+    return most is None or worker.answered < most
+
+
+def _is_isolated(simulator: Simulator) -> bool:
+    return isinstance(simulator, _Isolated) and simulator.isolated
+
+
+def _in_words(reasons: list[str]) -> str:
+    """Why a simulation was given up, by the reasons of its tries."""
+    if len(reasons) == 1:
+        return reasons[0]
+    first, second = reasons
+    return f"{first}, twice" if first == second else f"{first}; then, in a fresh process: {second}"
 
 
 class Guards:
@@ -219,28 +396,16 @@ class Guards:
 
 
 @contextmanager
-def _may_have_children() -> Iterator[None]:
-    """For a process that is itself a daemon, as a cluster's workers are, and that would be refused children.
-
-    Ours end with it, which is what the rule is there for (`_end_with_parent`).
-    """
-    settings = multiprocessing.current_process()._config  # type: ignore[attr-defined]
-    daemon = settings.pop("daemon", None)
-    try:
-        yield
-    finally:
-        if daemon is not None:
-            settings["daemon"] = daemon
-
-
-@contextmanager
 def starting_processes() -> Iterator[None]:
     """Processes that are started within take no modules from the current folder and never hear a Ctrl-C.
 
     Around what makes locks or pools, too: the first lock starts a process that keeps count of them.
     """
-    with _without_this_folder(), _deaf_to_ctrl_c():
-        yield
+    with _without_this_folder():
+        # Its start would unblock what is blocked then.
+        resource_tracker.ensure_running()
+        with _deaf_to_ctrl_c():
+            yield
 
 
 @contextmanager
@@ -255,8 +420,6 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
         nonlocal heard
         heard = True
 
-    # Its start would unblock what is blocked here.
-    resource_tracker.ensure_running()
     # Blocked for those that are started, who inherit this; and heard by another thread, it must not break off a start.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     main = threading.current_thread() is threading.main_thread()
@@ -297,60 +460,42 @@ def begin_worker() -> None:
         del os.environ[_SAFE_PATH]
 
 
-def _ending(code: int | None) -> str:
-    if code is not None and code < 0:
-        name = signal.Signals(-code).name
-        return f"{name}, out of memory perhaps" if name == "SIGKILL" else name
-    return f"exit code {code}"
+def _python() -> list[str]:
+    """Python as this process was started, but never looking for modules in the current folder first.
+
+    That may be a run folder which comes from someone else, with a `pickle.py` in it.
+    """
+    flags: list[str] = subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined]
+    return [sys.executable, *flags, "-P"]
 
 
-def _work(connection: Connection, answer: Answer) -> None:
-    """What a worker does: load what it is sent, and answer."""
-    # A group of its own: what it starts can be ended with it.
-    os.setsid()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    begin_worker()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    # Side by side, workers must not each start a thread a core: not in libraries that are loaded, nor in later ones.
-    threadpool_limits(1)
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
-    simulator: Simulator | None = None
-    while True:
+def _search_path() -> list[str]:
+    """Where this process finds modules."""
+    places: list[object] = spawn.get_preparation_data("")["sys_path"]
+    return [place for place in places if isinstance(place, str)]
+
+
+def _like_here(main: bool) -> dict[str, Any]:
+    """What makes another process like this one: its arguments, and its main module if asked for."""
+    known = spawn.get_preparation_data("")
+    wanted = ("sys_argv", "orig_dir", *(("init_main_from_name", "init_main_from_path") if main else ()))
+    return {name: known[name] for name in wanted if name in known}
+
+
+def _ending(code: int) -> str:
+    """How a worker died, by its exit code; that of a signal is below 0."""
+    how = f"exit code {code}"
+    if code == LOST:
+        how = "its connection was closed or replaced"
+    elif code < 0:
         try:
-            data = connection.recv_bytes()
-        except (EOFError, OSError):
-            return
-        try:
-            content = ForkingPickler.loads(data)
-        except Exception as error:
-            connection.send((_UNLOADABLE, f"{type(error).__name__}: {error}"))
-            return
-        if not isinstance(content, np.ndarray):
-            simulator = content
-            try:
-                if isinstance(simulator, _Prepared):
-                    simulator.prepare()
-                connection.send((_READY,))
-            except ActivefailError as error:
-                connection.send((_REFUSED, error))
-            continue
-        assert simulator is not None
-        try:
-            results, fault = answer(simulator, content)
-        except ActivefailError as error:
-            connection.send((_REFUSED, error))
-            continue
-        if (results.cause == OUT_OF_MEMORY).any():
-            connection.send((OUT_OF_MEMORY, fault.partition(": ")[2]))
-            return
-        connection.send((_ANSWERED, results, fault))
+            how = signal.Signals(-code).name
+        except ValueError:  # Python has no names for most real-time signals
+            how = f"signal {-code}"
+        if how == "SIGKILL":
+            how = f"{how}, out of memory perhaps"
+    return f"its worker process died ({how})"
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    wait([parent.sentinel])
-    # Ourselves with whatever the simulation has started: a program would go on for hours for nobody.
-    os.killpg(0, signal.SIGKILL)
+def _invalid(broken: BrokenFrameError) -> str:
+    return f"its answer was not a valid frame: {broken}"

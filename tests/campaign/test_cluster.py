@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from campaign.stub import Disc, disc
 from commandline import activefail, record, refused, started, wait_for
+from faults.simulators import Meddling, Remembering
 
 from activefail.campaign.asynchronous import resumed
 from activefail.campaign.cluster import DaskExecutor
@@ -233,6 +234,15 @@ def test_a_hung_simulation_is_ended_by_its_limit_on_the_worker(cluster: Cluster)
         results = executor.run(Sleeping(), np.array([[-1.9, 11.0], [2.5, 20.0]]))
         assert "it took longer than 1 s, twice" in executor.first_fault
     assert results.outcome.tolist() == [0, -1]
+
+
+def test_a_simulation_that_earlier_ones_of_its_process_spoil_is_tried_again_in_a_fresh_one(cluster: Cluster) -> None:
+    X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
+    X[::4, 0] = 0.0
+    with DaskExecutor(cluster.address) as executor:
+        for simulator in (Remembering(most=2), Meddling(how="forks_and_returns")):
+            results = executor.run(simulator, X)
+            assert (results.outcome.tolist(), executor.first_fault) == (Disc().run(X).outcome.tolist(), "")
 
 
 class Sleeping(Disc):

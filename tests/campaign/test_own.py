@@ -274,6 +274,97 @@ def test_the_digest_of_a_function_that_imports_nothing_of_its_folder_is_that_of_
     assert python(tmp_path).load() == hashlib.sha256(MODEL.encode()).hexdigest()
 
 
+PARALLEL = """
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
+import helper
+
+def work(x):
+    return x + 1.0
+
+def run(design):
+    context = multiprocessing.get_context({method!r})
+    with context.Pool(2) as pool:
+        assert pool.map(helper.work, [design["drift"]] * 2) == [design["drift"] + 1.0] * 2
+    with ProcessPoolExecutor(2, context) as pool:
+        assert list(pool.map(helper.work, [design["T"]])) == [design["T"] + 1.0]
+        assert pool.submit(helper.inherits).result() == ({method!r} == "fork", False)
+    process = context.Process(target=helper.work, args=(design["T"],))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+    if {method!r} == "fork":
+        with context.Pool(1) as pool:
+            assert pool.map(work, [1.0]) == [2.0]
+    return "safe"
+"""
+
+HELPER = """
+import os, sys
+
+def work(x):
+    return x + 1.0
+
+def inherits():
+    links = []
+    for number in os.listdir("/proc/self/fd"):
+        try:
+            links.append(os.readlink(f"/proc/self/fd/{number}"))
+        except OSError:
+            pass
+    return any(link.startswith("socket:") for link in links), hasattr(sys.modules["__main__"], "__file__")
+"""
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_a_function_may_use_multiprocessing_itself(tmp_path: Path, method: str) -> None:
+    (tmp_path / "helper.py").write_text(HELPER)
+    with ProcessExecutor(1, time_limit=120.0) as executor:
+        results = executor.run(python(tmp_path, source=PARALLEL.format(method=method)), X[:2])
+        assert executor.first_fault == ""
+    assert results.outcome.tolist() == [0, 0]
+
+
+PROCESSES = """
+import os
+def run(design):
+    with open(__file__ + ".pids", "a") as file:
+        file.write(f"{os.getpid()} ")
+    return "safe"
+"""
+
+
+@pytest.mark.parametrize(("renew", "processes"), [("", 1), ("renew = 5\n", 4)])
+def test_a_campaign_says_how_many_simulations_one_process_may_run(
+    mine: Path, tmp_path: Path, renew: str, processes: int
+) -> None:
+    (mine / "model.py").write_text(PROCESSES)
+    (mine / "mine.toml").write_text(TOML.replace('python = "model:run"\n', f'python = "model:run"\n{renew}'))
+    # One outcome only: what is learned is not looked at.
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run", "--budget", "16", "--workers", "1")
+    assert said.code == 0, said.err
+    pids = (mine / "model.py.pids").read_text().split()
+    assert len(pids) == 16
+    assert len(set(pids)) == processes
+    assert renew in (tmp_path / "run" / "campaign.toml").read_text()
+    assert ("renew" in (tmp_path / "run" / "campaign.toml").read_text()) == bool(renew)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ('python = "model:run", renew = 0', "simulator.renew: must be greater than or equal to 1, got 0"),
+        ('python = "model:run", renew = 1.5', "simulator.renew: must be a valid integer, got 1.5"),
+        ('command = "m {out}", renew = 3', "simulator.renew: belongs to `python`"),
+    ],
+)
+def test_a_number_of_simulations_that_no_process_can_run_is_refused(tmp_path: Path, given: str, says: str) -> None:
+    (tmp_path / "mine.toml").write_text(f"simulator = {{ {given} }}\nspace.x = {{ low = 0.0, high = 1.0 }}\n")
+    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), "mine.toml", says)
+
+
 # --- a program ---------------------------------------------------------------------------------------------------
 
 
@@ -351,11 +442,29 @@ if os.path.getsize({str(tmp_path / "tries")!r}) < 3:
 
 
 @pytest.mark.faults
-def test_a_program_that_hangs_is_ended_with_all_that_it_started(tmp_path: Path) -> None:
+def test_a_program_that_fails_is_run_no_more_often_in_a_worker_for_it_has_a_process_of_its_own(tmp_path: Path) -> None:
+    source = f"""
+if float(sys.argv[1]) > 2:
+    with open({str(tmp_path / "tries")!r}, "a") as file:
+        file.write(".")
+    sys.exit(1)
+{ANSWERS}"""
+    with ProcessExecutor(1) as executor:
+        results = executor.run(program(tmp_path, source, retries=2), X)
+        assert "exit code 1" in executor.first_fault
+    assert results.outcome.tolist() == [0, -1, -1]
+    assert len((tmp_path / "tries").read_text()) == 2 * 3
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("session", [False, True])
+def test_a_program_that_hangs_is_ended_with_all_that_it_started(tmp_path: Path, session: bool) -> None:
+    if session and sys.platform != "linux":
+        pytest.skip("a process in a session of its own is found on Linux alone")
     source = f"""
 if float(sys.argv[1]) > 3:
     import subprocess
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session={session})
     with open({str(tmp_path / "pids")!r}, "a") as file:
         file.write(f"{{os.getpid()}} {{child.pid}} ")
     time.sleep(600)
@@ -787,7 +896,7 @@ time.sleep(600)
 def test_a_ctrl_c_on_the_terminal_while_worker_processes_start_costs_nothing(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with started("run", mine / "mine.toml", "--out", run, "--workers", "2") as process:
-        until(lambda: any("spawn_main" in command for command in started_by(process.pid)))
+        until(lambda: any("supervisor" in command for command in started_by(process.pid)))
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate(timeout=120)
         assert process.returncode == 130, err

@@ -2,14 +2,23 @@
 
 import os
 import signal
+import socket
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import CellType, FunctionType
+from typing import Any
 
 import numpy as np
 from campaign.stub import Disc
 
+from activefail.campaign.frames import Kind, pack_answer, sealed
 from activefail.campaign.simulator import Results
+from activefail.errors import SimulationError
 from activefail.space import Array
 
 
@@ -63,3 +72,292 @@ class Failing(Disc):
             case "memory":
                 np.empty(2**58)
         raise AssertionError(self.how)
+
+
+# --- that come between a worker and its parent -------------------------------------------------------------------
+
+DESCRIPTORS = range(3, 65)
+"""Those that a simulator has not opened itself, and a good many that it might have."""
+
+
+@dataclass(frozen=True)
+class Meddling(Disc):
+    """Does something to its worker where the first number is 0, and gives the answer of a disc.
+
+    Attributes:
+        how: the name of a function of this module.
+    """
+
+    how: str = ""
+    releases_gil = False
+
+    def run(self, X: Array) -> Results:
+        if (X[:, 0] == 0.0).any():
+            globals()[self.how](X)
+        return Disc().run(X)
+
+
+def forks_and_returns(X: Array) -> None:
+    """As where the program of a child cannot be started: both come back."""
+    if os.fork() == 0:
+        with suppress(OSError):
+            os.execvp("no-such-program", ["x"])
+
+
+def forks_and_lies(X: Array) -> None:
+    """Both come back, and the child says that it is its parent."""
+    parent = os.getpid()
+    if os.fork() == 0:
+        os.getpid = lambda: parent
+
+
+def forks_and_forges(X: Array) -> None:
+    """A child says that it is its parent in a frame that is right in all else, and it says so first."""
+    line = _line()
+    child = os.fork()
+    if child == 0:
+        line["connection"].sendall(_forged(line, X))
+        os._exit(0)
+    os.waitpid(child, 0)
+
+
+def forks_and_repeats(X: Array) -> None:
+    """A child writes half a frame to every descriptor, before its parent answers."""
+    line = _line()
+    child = os.fork()
+    if child == 0:
+        _to_all(lambda descriptor: os.write(descriptor, _forged(line, X)[:60]))
+        os._exit(0)
+    os.waitpid(child, 0)
+
+
+def forks_and_stays(X: Array) -> None:
+    """A child lives on, with the worker's connection open, in a session of its own."""
+    if os.fork() == 0:
+        os.setsid()
+        while True:
+            time.sleep(60.0)
+
+
+def answers_late(X: Array) -> None:
+    """A child in a session of its own answers as soon as its parent is no more; which never ends by itself."""
+    line = _line()
+    parent = os.getpid()
+    if os.fork() == 0:
+        os.setsid()
+        while os.getppid() == parent:
+            time.sleep(0.001)
+        with suppress(OSError):
+            line["connection"].sendall(_forged(line, X))
+        os._exit(0)
+    time.sleep(600.0)
+
+
+def answers_twice(X: Array) -> None:
+    """The right answer, before the one that the worker gives."""
+    line = _line()
+    line["connection"].sendall(sealed(*_sealing(line), pack_answer(Disc().run(X), "")))
+
+
+def answers_at_all_times(X: Array) -> None:
+    """A thread goes on answering the question that it heard."""
+    from threading import Thread
+
+    line = _line()
+    frame = sealed(*_sealing(line), pack_answer(Disc().run(X), ""))
+
+    def repeat() -> None:
+        with suppress(OSError):
+            while True:
+                line["connection"].sendall(frame)
+
+    Thread(target=repeat, daemon=True).start()
+
+
+def writes(X: Array) -> None:
+    """What is no frame, to every descriptor."""
+    _to_all(lambda descriptor: os.write(descriptor, b"\0\0\0\5AAAAA"))
+
+
+def writes_much(X: Array) -> None:
+    """As much as fits."""
+
+    def fill(descriptor: int) -> None:
+        while True:
+            os.write(descriptor, bytes(1 << 20))
+
+    _to_all(fill)
+
+
+def closes(X: Array) -> None:
+    """Every descriptor."""
+    os.closerange(DESCRIPTORS.start, DESCRIPTORS.stop)
+
+
+def shuts_down(X: Array) -> None:
+    """The connection itself, whatever its descriptors."""
+    _line()["connection"].shutdown(socket.SHUT_RDWR)
+
+
+def replaces(X: Array) -> None:
+    """Every descriptor by one that takes whatever is written, and says nothing."""
+    one, other = socket.socketpair()
+    os.dup2(one.fileno(), 100)
+    os.dup2(other.fileno(), 101)
+    for descriptor in DESCRIPTORS:
+        os.dup2(100, descriptor)
+
+
+def reads(X: Array) -> None:
+    """From every descriptor, and from the terminal."""
+    if sys.stdin.read():
+        raise AssertionError("a worker has something to read")
+    _to_all(lambda descriptor: os.read(descriptor, 100))
+
+
+def raises(X: Array) -> None:
+    """What simulators raise."""
+    raise ValueError("no convergence")
+
+
+def refuses(X: Array) -> None:
+    """What the parent is to raise."""
+    raise SimulationError("no licence: größer")
+
+
+def dies_of_a_real_time_signal(X: Array) -> None:
+    """A signal that has no name."""
+    os.kill(os.getpid(), 40)
+
+
+def dies_after_it_raised(X: Array) -> None:
+    """Raises where it is not the first simulation of its process, dies where it is."""
+    if not _simulations:
+        os._exit(3)
+    raises(X)
+
+
+def _to_all(act: Callable[[int], Any]) -> None:
+    for descriptor in DESCRIPTORS:
+        with suppress(OSError):
+            act(descriptor)
+
+
+def _line() -> dict[str, Any]:
+    """What the worker's end of the connection consists of, which no simulator should ever look for."""
+    frame = sys._getframe()
+    while "reply" not in frame.f_locals or not isinstance(frame.f_locals["reply"], FunctionType):
+        assert frame.f_back is not None
+        frame = frame.f_back
+    reply = frame.f_locals["reply"]
+    cells: tuple[CellType, ...] = reply.__closure__
+    return dict(zip(reply.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True))
+
+
+def _sealing(line: dict[str, Any]) -> tuple[Any, ...]:
+    return line["secret"], line["question"], line["process"], Kind.ANSWERED
+
+
+def _forged(line: dict[str, Any], X: Array) -> bytes:
+    """A whole frame with an answer that the disc does not give."""
+    wrong = replace(Disc().run(X), margins=np.full((1, 1), 7.0))
+    return sealed(*_sealing(line), pack_answer(wrong, ""))
+
+
+# --- that depend on the simulations before them ------------------------------------------------------------------
+
+_simulations: list[Any] = []
+"""What this process has simulated."""
+
+
+@dataclass(frozen=True)
+class Remembering(Disc):
+    """Counts the simulations of its process, and acts by their number.
+
+    Attributes:
+        other: whose answer is given, or what it does.
+        most: simulations of a process after which it raises.
+        folder: where the process and the number of each simulation is noted.
+        renew: simulations that one process may run.
+    """
+
+    other: Disc | None = None
+    most: float = np.inf
+    folder: str = ""
+    renew: int | None = None
+    releases_gil = False
+
+    def run(self, X: Array) -> Results:
+        number = len(_simulations)
+        if self.folder:
+            Path(self.folder, f"{time.monotonic_ns()}-{os.getpid()}-{number}").touch()
+        if number >= self.most:
+            raise OSError(24, "Too many open files")
+        answers = (self.other or Disc()).run(X)
+        _simulations.append(None)
+        return answers
+
+
+class Unusual(Disc):
+    """Answers nonsense from the second simulation of a process on."""
+
+    releases_gil = False
+
+    def run(self, X: Array) -> Results:
+        answers = Disc().run(X)
+        _simulations.append(None)
+        return answers if len(_simulations) < 2 else replace(answers, outcome=np.full(1, 7, np.int8))
+
+
+# --- that leave something behind ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Leaving(Disc):
+    """Starts processes in sessions of their own and notes them in a folder; then does something.
+
+    Attributes:
+        then: "answers", "raises", "dies" or "hangs", or "holds" the interpreter.
+        folder: of the notes.
+    """
+
+    then: str = "answers"
+    folder: str = ""
+    renew: int | None = None
+    releases_gil = False
+
+    def run(self, X: Array) -> Results:
+        started = [subprocess.Popen(["sleep", "600"], start_new_session=True).pid]
+        read, write = os.pipe()
+        if os.fork() == 0:
+            os.setsid()
+            # Its parent ends at once, as daemons do.
+            child = os.fork()
+            if child == 0:
+                os.execvp("sleep", ["sleep", "600"])
+            os.write(write, str(child).encode())
+            os._exit(0)
+        started.append(int(os.read(read, 20)))
+        # A program of Python's that starts others, deaf to all that can be ignored.
+        nest = "import os, signal, time\nfor s in (1, 2, 15): signal.signal(s, signal.SIG_IGN)\n"
+        nest += f"os.setsid()\nfor _ in range(3):\n    if os.fork() == 0: os.setsid()\nopen('{self.folder}/' + "
+        nest += "str(os.getpid()), 'w').close()\nprint(flush=True)\ntime.sleep(600)\n"
+        program = subprocess.Popen([sys.executable, "-c", nest], stdout=subprocess.PIPE)
+        assert program.stdout is not None
+        for _ in range(8):
+            program.stdout.readline()
+        for process in (*started, os.getpid()):
+            Path(self.folder, str(process)).touch()
+        Path(self.folder, "done").touch()
+        match self.then:
+            case "raises":
+                raise ValueError("no convergence")
+            case "dies":
+                os.kill(os.getpid(), signal.SIGKILL)
+            case "hangs":
+                time.sleep(600.0)
+            case "holds":
+                import ctypes
+
+                ctypes.PyDLL(None).sleep(600)
+        return Disc().run(X)

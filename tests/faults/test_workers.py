@@ -1,5 +1,10 @@
 """Simulations that go wrong: a worker's death costs nothing, a simulation's own fault costs that simulation."""
 
+import errno
+import os
+import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -7,17 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaign.stub import Disc
-from contracts.test_executor import Exhausted, Hanging, Killed, Leaving
+from commandline import activefail, record, table
+from contracts.test_executor import Exhausted, Hanging, Killed, bits, designs, given_up, wait_until, within
+from contracts.test_executor import Leaving as Exiting
 from faults.harness import Course
-from faults.simulators import Failing, OnceAt
+from faults.simulators import Failing, Leaving, Meddling, OnceAt, Remembering, Unusual
 from faults.victim import BUDGET, campaign
 
+from activefail.campaign import frames, workers
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.executor import ProcessExecutor
 from activefail.campaign.loop import run, standing
 from activefail.campaign.simulator import NUMERICAL_FAILURE, Simulator, cause_name
 from activefail.campaign.store import FolderStore
 from activefail.errors import SimulationError
+from activefail.space import Array
 
 
 def on(simulator: Simulator, more: float = 0.05) -> Campaign:
@@ -26,7 +35,7 @@ def on(simulator: Simulator, more: float = 0.05) -> Campaign:
     return Campaign.with_simulator(settings, simulator)
 
 
-@pytest.mark.parametrize("fault", [Killed, Leaving, Hanging, Exhausted])
+@pytest.mark.parametrize("fault", [Killed, Exiting, Hanging, Exhausted])
 def test_workers_that_die_or_hang_now_and_then_change_no_bit_of_the_campaign(
     fault: type[Disc], uninterrupted: Course, tmp_path: Path, survived: Callable[[int], None]
 ) -> None:
@@ -80,3 +89,314 @@ def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_
         assert run(one, store, executor, 24, failure_limit=0.9)
         assert standing(one, store.batches, 24).done == 24
     assert time.monotonic() - began < 300.0
+
+
+# --- what comes between a worker and its parent ------------------------------------------------------------------
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux says who sent a message")
+
+HARMLESS = ["forks_and_returns", "forks_and_lies", "forks_and_stays", "reads"]
+TALKATIVE = ["answers_twice", "answers_at_all_times"]
+"""What costs no simulation, though it is done each time."""
+
+INVALID = "its answer was not a valid frame: "
+HARMFUL = {
+    "forks_and_forges": f"{INVALID}another process sent it, twice",
+    "forks_and_repeats": f"{INVALID}another process sent it, twice",
+    "writes": f"{INVALID}it does not begin as a frame does, twice",
+    "writes_much": f"{INVALID}it does not begin as a frame does, twice",
+    "closes": "its worker process died (its connection was closed or replaced), twice",
+    "shuts_down": "its worker process died (its connection was closed or replaced), twice",
+    "replaces": "its worker process died (its connection was closed or replaced), twice",
+    "dies_of_a_real_time_signal": "its worker process died (signal 40), twice",
+}
+"""What costs a simulation if it is done each time, and how that is put."""
+
+
+def at(rows: list[int], n: int = 40) -> Array:
+    """Designs, at some of which a simulator acts."""
+    X = designs(n)
+    X[rows, 0] = 0.0
+    return X
+
+
+@LINUX
+@pytest.mark.parametrize("how", [*HARMLESS, *HARMFUL])
+def test_a_simulator_that_meddles_with_its_worker_now_and_then_changes_no_bit_of_the_campaign(
+    how: str, uninterrupted: Course, tmp_path: Path, survived: Callable[[int], None]
+) -> None:
+    one = on(OnceAt(fault=Meddling(how=how), folder=str(tmp_path), every=2))
+    with (
+        FolderStore.create(tmp_path / "run", campaign().settings.text(), one.schema) as store,
+        ProcessExecutor(2) as executor,
+    ):
+        assert run(one, store, executor, BUDGET)
+        assert Course.of(store) == uninterrupted
+        assert executor.first_fault == ""
+    faults = len(list(tmp_path.glob("at-*")))
+    assert faults > 2
+    survived(faults)
+
+
+@LINUX
+@pytest.mark.parametrize("how", [*HARMLESS, *TALKATIVE, *HARMFUL])
+def test_a_simulator_that_always_meddles_costs_at_most_the_simulations_where_it_does(
+    how: str, survived: Callable[[int], None], capfd: pytest.CaptureFixture[str]
+) -> None:
+    rows = [0, 13, 14, 39]
+    X = at(rows)
+    with within(120), ProcessExecutor(2) as executor:
+        results = executor.run(Meddling(how=how), X)
+        if how in HARMFUL:
+            given_up(results, X, rows, "worker_died")
+            assert executor.first_fault.endswith(f": {HARMFUL[how]}")
+        else:
+            assert bits(results) == bits(Disc().run(X))
+            assert executor.first_fault == ""
+        assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+    assert "Traceback" not in capfd.readouterr().err
+    survived(len(rows))
+
+
+def test_an_answer_that_comes_after_the_time_limit_is_nobody_s(survived: Callable[[int], None]) -> None:
+    X = at([1, 3], 8)
+    with within(120), ProcessExecutor(1, time_limit=1.0) as executor:
+        given_up(executor.run(Meddling(how="answers_late"), X), X, [1, 3], "time_limit")
+        assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+    survived(2)
+
+
+FORKS = """
+import os
+def run(d):
+    x = d["x"]
+    if 0.30 < x < 0.36 and os.fork() == 0:
+        try:
+            os.execvp("no-such-program", ["x"])
+        except OSError:
+            pass
+    return {"outcome": "failure" if x > 0.5 else "safe", "margins": {"m": x}}
+"""
+
+PLANE = """
+sampling = { initial = 24, budget = 40, batch = 4 }
+[simulator]
+python = "f:run"
+margins = ["m"]
+[space]
+x = { low = 0.0, high = 1.0 }
+y = { low = 0.0, high = 1.0 }
+"""
+
+
+def plane(folder: Path, source: str, toml: str = PLANE) -> Path:
+    """The file of a campaign on a function, in a folder."""
+    (folder / "f.py").write_text(source)
+    (folder / "c.toml").write_text(toml)
+    return folder / "c.toml"
+
+
+def test_every_exported_row_has_its_own_answer_where_a_fork_comes_back_out_of_the_function(tmp_path: Path) -> None:
+    said = activefail("run", plane(tmp_path, FORKS), "--out", tmp_path / "run", "--workers", "1")
+    assert (said.code, said.err) == (0, "")
+    assert activefail("export", tmp_path / "run", "--csv", tmp_path / "all.csv").code == 0
+    rows = table(tmp_path / "all.csv")
+    assert len(rows) == 40
+    assert any(0.30 < float(row["x"]) < 0.36 for row in rows)
+    assert [row for row in rows if row["m"] != row["x"]] == []
+
+
+def test_an_error_of_activefail_reaches_the_caller_in_its_own_words() -> None:
+    with within(60), ProcessExecutor(1) as executor, pytest.raises(SimulationError, match=r"^no licence: größer$"):
+        executor.run(Meddling(how="refuses"), at([1], 3))
+
+
+def test_a_worker_that_cannot_be_started_is_an_error_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused() -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(socket, "socketpair", refused)
+    with (
+        ProcessExecutor(1) as executor,
+        pytest.raises(SimulationError, match="not be started: Too many open files"),
+    ):
+        executor.run(Failing(), designs(3))
+
+
+# --- a worker that is spoilt ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("simulator", [Remembering(most=3), Unusual()], ids=["raises", "unusable"])
+def test_what_fails_because_of_earlier_simulations_of_its_process_is_no_failure(simulator: Disc) -> None:
+    X = designs(20)
+    with within(120), ProcessExecutor(1) as executor:
+        assert bits(executor.run(simulator, X)) == bits(Disc().run(X))
+        assert executor.first_fault == ""
+
+
+def noted(folder: Path) -> list[tuple[str, int]]:
+    """Process and number of each simulation, in their order."""
+    names = sorted(path.name.split("-") for path in folder.iterdir())
+    return [(process, int(number)) for _, process, number in names]
+
+
+def test_a_simulation_that_fails_is_tried_once_more_in_a_fresh_process_and_the_next_has_one_too(tmp_path: Path) -> None:
+    X = at([2, 4, 5], 7)
+    simulator = Remembering(other=Meddling(how="raises"), folder=str(tmp_path))
+    with within(120), ProcessExecutor(1) as executor:
+        given_up(executor.run(simulator, X), X, [2, 4, 5], "raised")
+        assert "ValueError: no convergence (" in executor.first_fault
+        assert executor.first_fault.endswith("), twice")
+    # The third fails after two others, and alone; the fourth has a fresh process; the sixth fails in one at once.
+    assert [number for _, number in noted(tmp_path)] == [0, 1, 2, 0, 0, 1, 0, 0, 0]
+    assert len({process for process, _ in noted(tmp_path)}) == 6
+
+
+def test_tries_that_fail_differently_are_both_reported() -> None:
+    X = at([2], 5)
+    with within(120), ProcessExecutor(1) as executor:
+        given_up(executor.run(Remembering(other=Meddling(how="dies_after_it_raised")), X), X, [2], "worker_died")
+        assert "ValueError: no convergence (" in executor.first_fault
+        assert executor.first_fault.endswith("; then, in a fresh process: its worker process died (exit code 3)")
+
+
+@pytest.mark.parametrize(("renew", "numbers"), [(1, [0] * 7), (3, [0, 1, 2, 0, 1, 2, 0]), (None, list(range(7)))])
+def test_a_worker_is_renewed_as_often_as_the_simulator_asks(tmp_path: Path, renew: int, numbers: list[int]) -> None:
+    X = designs(7)
+    with within(120), ProcessExecutor(1) as executor:
+        assert bits(executor.run(Remembering(folder=str(tmp_path), renew=renew), X)) == bits(Disc().run(X))
+    assert [number for _, number in noted(tmp_path)] == numbers
+    assert len({process for process, _ in noted(tmp_path)}) == numbers.count(0)
+
+
+SPOILING = {
+    "leaks descriptors": """
+import os, resource
+def run(d):
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+    for _ in range(60):
+        os.dup(0)
+    return ANSWER
+""",
+    "closes stdout": """
+import os
+def run(d):
+    print("simulating", flush=True)
+    os.close(1)
+    return ANSWER
+""",
+    "limits its descriptors": """
+import resource
+def run(d):
+    open(__file__).close()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (1, 1))
+    return ANSWER
+""",
+    "clears its globals": """
+import math
+def run(d):
+    answer = ANSWER
+    globals().clear()
+    return answer
+""",
+}
+
+
+@pytest.mark.parametrize("how", SPOILING)
+def test_a_simulator_that_spoils_its_process_fails_nowhere_and_resumes_to_the_same_bits(
+    how: str, tmp_path: Path, survived: Callable[[int], None]
+) -> None:
+    answer = '{"outcome": "failure" if d["x"] > 0.5 else "safe", "margins": {"m": d["x"]}}'
+    source = SPOILING[how].replace("ANSWER", answer.replace('"x"]}', '"x"] + math.pi}') if "math" in how else answer)
+    file = plane(tmp_path, source, PLANE.replace("24", "8").replace("40", "16"))
+    for name, budgets in (("whole", ("16",)), ("resumed", ("8", "16"))):
+        for budget in budgets:
+            folder = tmp_path / name
+            words = ("resume", folder, "--code", tmp_path) if folder.exists() else ("run", file, "--out", folder)
+            said = activefail(*words, "--budget", budget, "--workers", "1")
+            assert (said.code, said.err) == (0, "")
+    assert record(tmp_path / "whole") == record(tmp_path / "resumed")
+    assert {row["cause"] for row in record(tmp_path / "whole")} == {""}
+    survived(16)
+
+
+# --- what is left behind -------------------------------------------------------------------------------------------
+
+
+def gone(folder: Path) -> bool:
+    """Whether all processes that are noted in a folder have ended."""
+    return not any(Path(f"/proc/{path.name}").exists() for path in folder.glob("[0-9]*"))
+
+
+@LINUX
+@pytest.mark.parametrize("then", ["answers", "raises", "dies", "hangs", "holds"])
+def test_what_a_simulation_starts_in_a_session_of_its_own_ends_with_its_worker(
+    then: str, tmp_path: Path, survived: Callable[[int], None]
+) -> None:
+    X = designs(1)
+    with within(120), ProcessExecutor(1, time_limit=3.0 if then in ("hangs", "holds") else None) as executor:
+        results = executor.run(Leaving(then=then, folder=str(tmp_path)), X)
+        if then == "answers":
+            assert bits(results) == bits(Disc().run(X))
+            assert not gone(tmp_path)
+            executor.run(Leaving(folder=str(tmp_path)), X)
+        else:
+            cause = {"raises": "raised", "dies": "worker_died"}.get(then, "time_limit")
+            given_up(results, X, [0], cause)
+            # At once, not only at the end.
+            assert gone(tmp_path)
+    assert len(list(tmp_path.glob("[0-9]*"))) >= 11
+    assert gone(tmp_path)
+    survived(1)
+
+
+@LINUX
+def test_what_a_simulation_has_started_ends_where_its_worker_is_renewed(tmp_path: Path) -> None:
+    with within(120), ProcessExecutor(1) as executor:
+        executor.run(Leaving(folder=str(tmp_path), renew=1), designs(1))
+        assert not gone(tmp_path)
+        executor.run(Remembering(renew=1), designs(1))
+        assert gone(tmp_path)
+
+
+LEADING = """
+import numpy as np
+from faults.simulators import Leaving
+from activefail.campaign.executor import ProcessExecutor
+ProcessExecutor(2).run(Leaving(then={then!r}, folder={folder!r}), np.zeros((2, 2)))
+"""
+
+
+@LINUX
+@pytest.mark.parametrize("then", ["hangs", "holds"])
+def test_nothing_of_a_worker_outlives_a_main_program_that_is_killed(
+    then: str, tmp_path: Path, survived: Callable[[int], None]
+) -> None:
+    # Not guarded by `if __name__ == "__main__"`: a worker needs the main module only where the simulator is in it.
+    (tmp_path / "lead.py").write_text(LEADING.format(then=then, folder=str(tmp_path)))
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    process = subprocess.Popen([sys.executable, tmp_path / "lead.py"], env=os.environ | {"PYTHONPATH": paths})
+    with within(60):
+        wait_until(lambda: len(list(tmp_path.glob("[0-9]*"))) == 22)
+        process.kill()
+        process.wait()
+        wait_until(lambda: gone(tmp_path))
+    survived(1)
+
+
+def test_without_what_only_linux_has_answers_are_checked_and_groups_ended_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frames, "_KERNEL_KNOWS", False)
+    linux_has = "supervisor._prctl = lambda *_: None; supervisor._children = set"
+    program = f"import sys; sys.path[:] = sys.argv[4:]; from activefail.campaign import supervisor; {linux_has}; "
+    monkeypatch.setattr(workers, "_PROGRAM", f"{program}supervisor.main(*map(int, sys.argv[1:4]))")
+    X = at([3], 6)
+    with within(120), ProcessExecutor(1) as executor:
+        for how in ("forks_and_returns", "forks_and_lies", "answers_twice"):
+            assert bits(executor.run(Meddling(how=how), X)) == bits(Disc().run(X))
+        for how in ("writes", "closes", "replaces"):
+            given_up(executor.run(Meddling(how=how), X), X, [3], "worker_died")
+    with within(120), ProcessExecutor(1, time_limit=1.0) as executor:
+        given_up(executor.run(Hanging(), X), X, [3], "time_limit")
+        assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
