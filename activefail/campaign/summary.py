@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.boundaries import boundary_shares
+from activefail.campaign.places import LARGEST_SETTINGS, SETTINGS, refuse_links
 from activefail.campaign.record import ACTIVE, SEED, Batch
 from activefail.campaign.recovery import is_segment, plain_files
 from activefail.campaign.segment import Outline, chain_start, decode_outline
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.errors import StoreError
+from activefail.files import read_regular
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Plan:
                     "features": (str() | {"python": str()} | {"expressions": dict()} as features),
                 },
                 "acquisition": {"criterion": str(criterion), "boundary": str() | dict() as boundary},
-            } if isinstance(boundary, str) or (boundary and all(_is_weight(one) for one in boundary.values())):
+            } if all(isinstance(one, dict) for one in space.values()) and _is_boundary(boundary):
                 return cls(
                     description,
                     simulator,
@@ -107,8 +109,11 @@ def _features_in_words(features: str | dict[str, Any]) -> str:
     return ", ".join((["variables"] if features.get("variables", True) else []) + own)
 
 
-def _is_weight(value: object) -> bool:
-    return isinstance(value, int | float) and 0.0 < value <= sys.float_info.max
+def _is_boundary(boundary: str | dict[str, Any]) -> bool:
+    if isinstance(boundary, str):
+        return True
+    weights = boundary.values()
+    return bool(weights) and all(isinstance(one, int | float) and 0.0 < one <= sys.float_info.max for one in weights)
 
 
 @dataclass(frozen=True)
@@ -163,18 +168,20 @@ def read_summary(folder: Path) -> Summary | None:
 
     Every file's SHA-256 is checked, and that each one continues the one before. None where opening the record has more
     to say: nothing is recorded yet, a file is damaged, missing or of another version, or a compaction was interrupted.
+
+    Raises:
+        StoreError: if a file or folder of it is a symbolic link.
     """
-    if not (folder / "campaign.toml").is_file():
-        return None  # to read from a pipe would wait for ever
+    refuse_links(folder)
     try:
-        settings = (folder / "campaign.toml").read_bytes().decode()
+        settings = read_regular(folder / SETTINGS, LARGEST_SETTINGS).decode()
         names = [name for name in plain_files(folder / "segments") if is_segment(name)]
         outlines = sorted(
             (decode_outline(name, (folder / "segments" / name).read_bytes()) for name in names),
             key=lambda outline: outline.first,
         )
         plan = Plan.of(settings)
-    except (OSError, RecursionError, ValueError, StoreError):
+    except (OSError, MemoryError, RecursionError, ValueError, StoreError):
         return None
     if not outlines or not _is_chain(outlines, settings):
         return None

@@ -24,13 +24,15 @@ from activefail.cli.common import (
     show_warnings,
     stop_on_signals,
 )
+from activefail.cli.screen import terminal
 from activefail.errors import InputError
+from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.campaign import Campaign
     from activefail.campaign.executor import AsynchronousExecutor
     from activefail.campaign.loop import Observer, Progress
-    from activefail.campaign.record import Store
+    from activefail.campaign.store import FolderStore
     from activefail.campaign.summary import Summary
     from activefail.campaign.verification import ErrorEstimate
 
@@ -56,6 +58,7 @@ def run(
     # The executor first: what keeps it from working leaves no folder behind.
     with make_executor(assembled, workers, executor, scheduler) as working, create_run(out, assembled) as store:
         again = f"{resume_command(out, assembled)}{_executor_options(executor, scheduler)}"
+        show_warnings(store)
         _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, working, again)
 
 
@@ -85,7 +88,7 @@ def resume(
     from activefail.campaign.folder import open_campaign
 
     with open_campaign(folder, write=True, code=code) as (assembled, store):
-        show_warnings(store.warnings)
+        show_warnings(store)
         target = assembled.settings.sampling.budget if budget is None else budget
         if target < 2:
             raise InputError(f"--budget: must be at least 2, got {target}.")
@@ -121,7 +124,7 @@ _WITHOUT_BATCHES = _Stops(
 
 def _take_to_budget(
     campaign: "Campaign",
-    store: "Store",
+    store: "FolderStore",
     folder: Path,
     budget: int,
     executor: "AsynchronousExecutor",
@@ -141,6 +144,7 @@ def _take_to_budget(
     except KeyboardInterrupt:
         print(f"stopped; {words.at_once}. Go on with: {again}{extra}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
+    show_warnings(store)
     if executor.first_fault:
         print(f"warning: a simulation was given up; the first: {executor.first_fault}", file=sys.stderr)
     if not finished:
@@ -150,7 +154,7 @@ def _take_to_budget(
     if campaign.settings.stop is not None and done < budget:
         rule = campaign.settings.stop
         print(f"good       enough after {done} simulations: an error of at most {100 * rule.error:g} % is verified")
-    print(f"results    {folder}")
+    print(f"results    {visible(str(folder))}")
 
 
 @contextmanager
@@ -160,7 +164,7 @@ def _campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterato
 
     from activefail.campaign.loop import Observer
 
-    console = Console()
+    console = Console(file=terminal(sys.stdout))
     if not console.is_terminal:
         shown_iteration, shown_at = -1, -60.0
 
@@ -214,34 +218,40 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
         parts.append(f"accuracy {100.0 * progress.accuracy:.1f} %")
     if progress.seconds_left is not None and progress.done < progress.budget:
         parts.append(f"{progress.seconds_left:.0f} s left")
-    return " | ".join(parts)
+    return visible(" | ".join(parts))
 
 
 def status(folder: RunFolder) -> None:
     """Show where a campaign stands; safe while it runs."""
-    from activefail.campaign.summary import is_verified, read_summary
+    from activefail.campaign.summary import read_summary
 
-    summary = read_summary(folder) or _opened_summary(folder)
+    for line in _status_lines(folder, read_summary(folder) or _opened_summary(folder)):
+        print(visible(line))
+
+
+def _status_lines(folder: Path, summary: "Summary") -> Iterator[str]:
+    from activefail.campaign.summary import is_verified
+
     plan = summary.plan
-    print(f"campaign   {plan.description or folder.name}")
-    print(f"simulator  {plan.simulator}, {plan.variables} variables, seed {plan.seed}")
+    yield f"campaign   {plan.description or folder.name}"
+    yield f"simulator  {plan.simulator}, {plan.variables} variables, seed {plan.seed}"
     sought = " and ".join(
         f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
         for name, share in plan.boundaries.items()
     )
-    print(f"learner    {plan.kernel} on {plan.features} features, {plan.criterion} at {sought}")
+    yield f"learner    {plan.kernel} on {plan.features} features, {plan.criterion} at {sought}"
     planned = f"{summary.done} of {plan.budget} simulations"
     if summary.done > plan.budget:
         planned = f"{summary.done} simulations, {plan.budget} were planned"
-    print(f"done       {planned}, iteration {summary.iteration}")
+    yield f"done       {planned}, iteration {summary.iteration}"
     names = (*summary.outcomes, "numerical failures")
     for title, counts in (("initial", summary.initial), ("chosen", summary.chosen), ("all", summary.counts)):
-        print(f"{title:<10} {', '.join(f'{n} {name}' for n, name in zip(counts.tolist(), names, strict=True))}")
+        yield f"{title:<10} {', '.join(f'{n} {name}' for n, name in zip(counts.tolist(), names, strict=True))}"
     if summary.done < plan.budget:
         again = f"{resume_command(folder)}{' --code FOLDER' if plan.own_code else ''}"
-        print(f"go on      {again}")
+        yield f"go on      {again}"
         if is_verified(folder, summary):
-            print(f"           {again} --ignore-stop, where it ended by its stop rule")
+            yield f"           {again} --ignore-stop, where it ended by its stop rule"
 
 
 def _opened_summary(folder: Path) -> "Summary":
@@ -250,7 +260,7 @@ def _opened_summary(folder: Path) -> "Summary":
     from activefail.campaign.summary import Summary
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
-        show_warnings(store.warnings)
+        show_warnings(store)
         # Its text, not the file's: an older program may have left out what has a default now.
         return Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches)
 
@@ -269,15 +279,16 @@ def predict(
 
     check_output("--out", out)
     with open_campaign(folder, write=False, code=code) as (campaign, store), one_thread():
-        show_warnings(store.warnings)
+        show_warnings(store)
         if not store.batches:
             raise InputError(f"{folder}: has no simulations to learn from yet.")
         classifier = current_classifier(campaign, store, write=False)
+        show_warnings(store)
         with progress_bar("predicting") as begin:
             outside = predict_table(campaign, classifier, csv, out, begin)
     if outside:
         print(f"warning: outside the campaign's ranges, where it extrapolates: {outside} designs", file=sys.stderr)
-    print(f"written to {out}")
+    print(f"written to {visible(str(out))}")
 
 
 def verify(
@@ -298,11 +309,12 @@ def verify(
         local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
         one_thread(),
     ):
-        show_warnings(store.warnings)
+        show_warnings(store)
         progress = standing(campaign, store.batches, 0)
         if progress.done < campaign.settings.sampling.initial * initial_sets(campaign, store.batches):
             raise InputError(f"{folder}: has not finished its initial design; there is nothing to verify yet.")
         classifier = current_classifier(campaign, store, write=True)
+        show_warnings(store)
         error = verify_classifier(campaign, store, executor, classifier, progress.iteration, simulations, confidence)
     assert error is not None  # it was not asked to stop
     boundary = campaign.settings.acquisition.main_boundary
@@ -330,6 +342,6 @@ def export(
 
     check_output("--csv", csv)
     with open_campaign(folder, write=False, code=code) as (campaign, store):
-        show_warnings(store.warnings)
+        show_warnings(store)
         number = export_table(campaign, store, csv)
-    print(f"{number} simulations written to {csv}")
+    print(f"{number} simulations written to {visible(str(csv))}")

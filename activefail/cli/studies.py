@@ -11,6 +11,7 @@ import typer
 
 from activefail.cli.common import INTERRUPTED, Code, check_output, show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
+from activefail.visible import visible
 
 
 def compare(
@@ -83,7 +84,7 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
         open_campaign(folder, write=True, code=code) as (campaign, store),
         local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
     ):
-        show_warnings(store.warnings)
+        show_warnings(store)
         scores = compare_samplings(
             campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
         )
@@ -99,20 +100,23 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
             f"  {100 * row.outcome_accuracy:>14.2f} %  {row.log_score:>9.4f}"
         )
 
+    from activefail.campaign.places import COMPARISON
+    from activefail.files import replacing
     from activefail.report.curves import plot_learning_curves
     from activefail.study.compare import Score
     from activefail.table import writing
 
-    results = folder / "compare"
+    results = folder / COMPARISON
     with writing_to(results):
         results.mkdir(exist_ok=True)
         with writing(results / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
             write([[*score.row(), test - score.test_designs] for score in scores])
         figure = plot_learning_curves(scores, boundary, scores[0].test_designs)
         for suffix in ("png", "svg"):
-            figure.savefig(results / f"learning_curves.{suffix}")
-    print(f"table      {results / 'scores.csv'}")
-    print(f"curves     {results / 'learning_curves.png'} and .svg")
+            with replacing(results / f"learning_curves.{suffix}", "xb") as file:
+                figure.savefig(file, format=suffix)
+    print(f"table      {visible(str(results / 'scores.csv'))}")
+    print(f"curves     {visible(str(results / 'learning_curves.png'))} and .svg")
 
 
 def _compare_seeds(
@@ -161,11 +165,13 @@ def _compare_seeds(
         except KeyboardInterrupt:
             scores = None
         if scores is None:
-            print(f"stopped; what was scored is kept in {out}. The same command goes on.", file=sys.stderr)
+            print(
+                f"stopped; what was scored is kept in {visible(str(out))}. The same command goes on.", file=sys.stderr
+            )
             raise typer.Exit(INTERRUPTED)
         page = write_comparison(plan, scores, out)
     print("\n".join(comparison_lines(scores)))
-    print(f"page       {page}")
+    print(f"page       {visible(str(page))}")
 
 
 def _parse_names(text: str | None) -> tuple[str, ...]:
@@ -202,7 +208,7 @@ def paper(
     for line in claims(study):
         print(f"{line.item}: {line.verdict.replace('*', '')}")
         print(f"    paper {line.paper or '–'}   ours {line.ours}   one sample {line.one_sample or '–'}")
-    print(f"page       {page}")
+    print(f"page       {visible(str(page))}")
 
 
 def _parse_sizes(option: str, text: str) -> list[int]:

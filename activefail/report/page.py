@@ -1,9 +1,6 @@
 """The report of a campaign: one HTML file that stands for itself."""
 
 import hashlib
-import os
-import shlex
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +23,7 @@ from activefail.campaign.record import Store
 from activefail.campaign.summary import Plan
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
+from activefail.files import replacing, target_of
 from activefail.report import quantities
 from activefail.report.contours import coordinates, plot_outcome_planes
 from activefail.report.curves import plot_learning_curves
@@ -37,6 +35,7 @@ from activefail.report.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.report.scales import LONG, length_scales, plot_length_scales
 from activefail.report.svg import inline
 from activefail.space import Parameter
+from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6
 """Features of the pair plot at the most: those with the shortest length scales."""
@@ -314,11 +313,11 @@ def _what_was_run(findings: Findings, done: int) -> list[tuple[str, str]]:
         for name, share in settings.acquisition.boundaries.items()
     )
     return [
-        ("simulator", f"{plan.simulator}, {findings.campaign.space.dimension} variables"),
+        ("simulator", f"{visible(plan.simulator)}, {findings.campaign.space.dimension} variables"),
         ("simulations", _planned(done, sampling)),
         ("chosen by the learner", _chosen(findings, sampling)),
         ("learner", f"Gaussian process classifier, {settings.classifier.kernel} covariance"),
-        ("features", plan.features),
+        ("features", visible(plan.features)),
         ("sought", f"{sought}, by the criterion {settings.acquisition.criterion}"),
         ("seed", str(settings.seed)),
     ]
@@ -411,13 +410,13 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
     done = standing(campaign, store.batches, 0).done
     counts = _counts(findings)
     scales = length_scales(findings.classifier)
-    quoted = shlex.quote(str(folder))
+    run_folder = quoted(folder)
     stage("drawing")
     budget = f" --budget {done}" if done != settings.sampling.budget else ""
     versions = provenance()
     code = " --code FOLDER" if _features_need_code(campaign) or not isinstance(settings.simulator, str) else ""
     numbers: dict[str, Any] = {
-        "title": settings.description or folder.name,
+        "title": visible(settings.description or folder.name),
         "version": __version__,
         "in_short": _in_short(findings, done),
         "run": _what_was_run(findings, done),
@@ -450,12 +449,12 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
         "missing": findings.missing,
         "done": done,
         "left": max(0, settings.sampling.budget - done),
-        "folder": quoted,
-        "commands": [f"activefail run campaign.toml --out {quoted}{budget}", *_judging(findings, quoted, code)],
+        "folder": run_folder,
+        "commands": [f"activefail run campaign.toml --out {run_folder}{budget}", *_judging(findings, run_folder, code)],
         "same": _same_again(findings, settings.sampling),
         "code": code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),
-        "settings": text,
+        "settings": visible(text, keep="\n"),
         "digest": hashlib.sha256(text.encode()).hexdigest(),
         "versions": {
             name: value for name, value in versions.items() if name not in ("processor_features", "bearing_sources")
@@ -480,15 +479,5 @@ def write_report(page: str, path: Path) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    path = Path(os.path.realpath(path))
-    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(page)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replacing(target_of(path)) as file:
+        file.write(page)
