@@ -17,7 +17,6 @@ from activefail.surrogate.fitting import EXACT, Fit
 from activefail.surrogate.inducing import MOST
 from activefail.surrogate.sites import Sites
 
-
 _LARGEST_LOGARITHM = 100.0
 """Of a learned scale: the priors keep it far below, and its square can be computed with."""
 

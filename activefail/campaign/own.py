@@ -205,7 +205,8 @@ class CommandSimulator:
     def _run_once(self, design: Mapping[str, float], folder: Path) -> Results:
         # What an earlier try has left there would be taken for an answer.
         shutil.rmtree(folder, ignore_errors=True)
-        make_folder(self.work)
+        if not self.work.is_dir():
+            make_folder(self.work)
         folder.mkdir()
         (folder / "design.json").write_text(json.dumps(design, indent=1) + "\n")
         out = folder / "answer.json"

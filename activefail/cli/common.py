@@ -110,7 +110,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(file=terminal(sys.stderr))
+    console = Console(file=terminal(sys.stderr), stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
 
