@@ -23,11 +23,12 @@ from activefail.campaign.segment import Outline, chain_start, decode_outline
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.errors import StoreError
 from activefail.files import read_regular
+from activefail.visible import visible
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a campaign's settings say in a few words.
+    """What a campaign's settings say in a few words, each of them visible text: a run folder may be a stranger's.
 
     Attributes:
         simulator: its name, "module:function", or the command.
@@ -72,15 +73,15 @@ class Plan:
                 "acquisition": {"criterion": str(criterion), "boundary": str() | dict() as boundary},
             } if all(isinstance(one, dict) for one in space.values()) and _is_boundary(boundary):
                 return cls(
-                    description,
-                    simulator,
+                    visible(description),
+                    visible(simulator),
                     seed,
                     sum("value" not in variable for variable in space.values()),
                     budget,
-                    kernel,
-                    _features_in_words(features),
-                    criterion,
-                    boundary_shares(boundary),
+                    visible(kernel),
+                    visible(_features_in_words(features)),
+                    visible(criterion),
+                    {visible(name): share for name, share in boundary_shares(boundary).items()},
                     not isinstance(settings["simulator"], str) or (isinstance(features, dict) and "python" in features),
                     _stop_simulations(settings.get("stop")),
                 )
@@ -122,7 +123,7 @@ class Summary:
 
     Attributes:
         plan: what its settings say.
-        outcomes: their names.
+        outcomes: their names, visible text.
         iteration: batches chosen by the learner so far.
         initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and of the learner by
             outcome, numerical failures last.
@@ -154,7 +155,7 @@ class Summary:
         )
         n = len(outcomes)
         iteration = batches[-1].iteration if batches else 0
-        return cls(Plan.of(settings), outcomes, iteration, _counts(initial, n), _counts(chosen, n))
+        return cls(Plan.of(settings), _shown(outcomes), iteration, _counts(initial, n), _counts(chosen, n))
 
 
 def is_verified(folder: Path, summary: Summary) -> bool:
@@ -191,7 +192,11 @@ def read_summary(folder: Path) -> Summary | None:
     for outline in outlines:
         initial = initial + _counts(outline.outcome[outline.origin == SEED], n)
         chosen = chosen + _counts(outline.outcome[outline.origin == ACTIVE], n)
-    return Summary(plan, outcomes, int(outlines[-1].iterations[-1]), initial, chosen)
+    return Summary(plan, _shown(outcomes), int(outlines[-1].iterations[-1]), initial, chosen)
+
+
+def _shown(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(map(visible, names))
 
 
 def _is_chain(outlines: Sequence[Outline], settings: str) -> bool:

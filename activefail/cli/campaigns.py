@@ -223,35 +223,29 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
 
 def status(folder: RunFolder) -> None:
     """Show where a campaign stands; safe while it runs."""
-    from activefail.campaign.summary import read_summary
+    from activefail.campaign.summary import is_verified, read_summary
 
-    for line in _status_lines(folder, read_summary(folder) or _opened_summary(folder)):
-        print(visible(line))
-
-
-def _status_lines(folder: Path, summary: "Summary") -> Iterator[str]:
-    from activefail.campaign.summary import is_verified
-
+    summary = read_summary(folder) or _opened_summary(folder)
     plan = summary.plan
-    yield f"campaign   {plan.description or folder.name}"
-    yield f"simulator  {plan.simulator}, {plan.variables} variables, seed {plan.seed}"
+    print(f"campaign   {visible(plan.description or folder.name)}")
+    print(f"simulator  {plan.simulator}, {plan.variables} variables, seed {plan.seed}")
     sought = " and ".join(
         f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
         for name, share in plan.boundaries.items()
     )
-    yield f"learner    {plan.kernel} on {plan.features} features, {plan.criterion} at {sought}"
+    print(f"learner    {plan.kernel} on {plan.features} features, {plan.criterion} at {sought}")
     planned = f"{summary.done} of {plan.budget} simulations"
     if summary.done > plan.budget:
         planned = f"{summary.done} simulations, {plan.budget} were planned"
-    yield f"done       {planned}, iteration {summary.iteration}"
+    print(f"done       {planned}, iteration {summary.iteration}")
     names = (*summary.outcomes, "numerical failures")
     for title, counts in (("initial", summary.initial), ("chosen", summary.chosen), ("all", summary.counts)):
-        yield f"{title:<10} {', '.join(f'{n} {name}' for n, name in zip(counts.tolist(), names, strict=True))}"
+        print(f"{title:<10} {', '.join(f'{n} {name}' for n, name in zip(counts.tolist(), names, strict=True))}")
     if summary.done < plan.budget:
         again = f"{resume_command(folder)}{' --code FOLDER' if plan.own_code else ''}"
-        yield f"go on      {again}"
+        print(f"go on      {again}")
         if is_verified(folder, summary):
-            yield f"           {again} --ignore-stop, where it ended by its stop rule"
+            print(f"           {again} --ignore-stop, where it ended by its stop rule")
 
 
 def _opened_summary(folder: Path) -> "Summary":

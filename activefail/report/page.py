@@ -313,11 +313,11 @@ def _what_was_run(findings: Findings, done: int) -> list[tuple[str, str]]:
         for name, share in settings.acquisition.boundaries.items()
     )
     return [
-        ("simulator", f"{visible(plan.simulator)}, {findings.campaign.space.dimension} variables"),
+        ("simulator", f"{plan.simulator}, {findings.campaign.space.dimension} variables"),
         ("simulations", _planned(done, sampling)),
         ("chosen by the learner", _chosen(findings, sampling)),
         ("learner", f"Gaussian process classifier, {settings.classifier.kernel} covariance"),
-        ("features", visible(plan.features)),
+        ("features", plan.features),
         ("sought", f"{sought}, by the criterion {settings.acquisition.criterion}"),
         ("seed", str(settings.seed)),
     ]
