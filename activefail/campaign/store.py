@@ -108,7 +108,7 @@ class FolderStore:
         # Why this object may not write; empty if it may.
         self._refusal = "" if lock else f"{folder} was opened for reading only."
         if lock and not lock.held:
-            self._warn(f"The file system of {folder} has no locks: see to it that one process at a time writes there.")
+            self._warn(f"The file system of {folder} has no locks: make sure that one process at a time writes there.")
 
     @classmethod
     def create(
