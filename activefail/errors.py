@@ -1,5 +1,8 @@
 """What activefail raises: a mistake of the user's, or a fault that the run folder or the machine has."""
 
+import errno
+import resource
+
 
 class ActivefailError(Exception):
     """Base of every error that activefail raises on purpose; its text is meant for the user."""
@@ -19,6 +22,15 @@ class BusyError(StoreError):
 
 class SimulationError(ActivefailError):
     """The simulator did not do its work: too many numerical failures, or workers that keep dying."""
+
+
+def reason_of(error: OSError) -> str:
+    """The system's reason, and the limit where too many files are open."""
+    reason = error.strerror or str(error)
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        reason += f" (this process may open {limit}; `ulimit -n` sets the limit)"
+    return reason
 
 
 def place_of(error: BaseException) -> str:

@@ -14,6 +14,7 @@ from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
 from activefail.errors import InputError, place_of
 from activefail.expressions import parse_expression
 from activefail.space import Array, DesignSpace
+from activefail.visible import visible
 
 FeatureSet = Literal["paper", "design", "sliding", "collision"]
 
@@ -101,7 +102,7 @@ class OwnFeatures:
             answer = self.function(X.copy(), space)
         except Exception as error:
             raise InputError(
-                f"classifier.features: {self.name} raised {type(error).__name__}: {error}{place_of(error)}."
+                visible(f"classifier.features: {self.name} raised {type(error).__name__}: {error}{place_of(error)}.")
             ) from error
         try:
             F = np.asarray(answer, dtype=np.float64)
@@ -241,11 +242,11 @@ def _of_expressions(given: ExpressionFeatures, space: DesignSpace) -> FeatureMap
     expressions = []
     for name, text in given.expressions.items():
         if name in space.names:
-            raise InputError(f"classifier.features.expressions.{name}: is the name of a variable.")
+            raise InputError(f"classifier.features.expressions.{visible(name)}: is the name of a variable.")
         try:
             expressions.append(parse_expression(text, known))
         except ValueError as broken:
-            raise InputError(f"classifier.features.expressions.{name}: {broken}.") from None
+            raise InputError(visible(f"classifier.features.expressions.{name}: {broken}.")) from None
 
     def formula(variables: Sequence[Any]) -> list[Any]:
         quantities = dict(zip(known, space.pick(variables, known), strict=True))
@@ -286,9 +287,11 @@ def _scaled(
         bad = np.flatnonzero(~np.isfinite(F[:, column]))
         if len(bad):
             raise InputError(
-                f"classifier.features: {name} must be finite over the space, got {F[bad[0], column]} "
+                f"classifier.features: {visible(name)} must be finite over the space, got {F[bad[0], column]} "
                 f"for {dict(zip(space.names, X[bad[0]].tolist(), strict=True))}."
             )
         if np.ptp(F[:, column]) == 0.0:
-            raise InputError(f"classifier.features: {name} must vary over the space, got {F[0, column]} everywhere.")
+            raise InputError(
+                f"classifier.features: {visible(name)} must vary over the space, got {F[0, column]} everywhere."
+            )
     return FeatureMap(names, raw, which, F.mean(axis=0), F.std(axis=0), formula)

@@ -2,10 +2,8 @@
 
 import csv
 import math
-import os
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from activefail.errors import InputError
+from activefail.files import replacing, target_of
 from activefail.space import Array
 
 ROWS_AT_ONCE = 2048
@@ -137,14 +136,9 @@ def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Se
     Raises:
         InputError: if the folder cannot be written to or is full.
     """
-    temporary = None
     try:
-        # A link keeps pointing where it did.
-        path = Path(os.path.realpath(path))
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise InputError(f"{path}: must be a file, and is something else.")
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(descriptor, "w", encoding="utf-8", newline="") as file:
+        path = target_of(path)
+        with replacing(path) as file:
             plain = csv.writer(file, lineterminator="\n")
             # The plain writer does not quote a lone carriage return, at which a reader would end the row.
             quoting = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
@@ -155,14 +149,5 @@ def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Se
 
             write([header])
             yield write
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-        temporary = None
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}.") from None
-    finally:
-        if temporary is not None:
-            with suppress(OSError):
-                os.unlink(temporary)

@@ -8,7 +8,7 @@ from functools import cache
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Self
 
-from activefail.campaign.executor import answer
+from activefail.campaign.executor import answer, as_told
 from activefail.campaign.simulator import WORKER_DIED, Results, Simulator, unanswered
 from activefail.campaign.workers import Guards
 from activefail.errors import ActivefailError, InputError, SimulationError
@@ -168,7 +168,7 @@ class DaskExecutor:
                 ) from answer
             case _:
                 results, fault = answer
-        self.first_fault = self.first_fault or fault
+        self.first_fault = self.first_fault or as_told(fault)
         return results
 
     def __enter__(self) -> Self:

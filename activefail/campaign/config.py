@@ -28,6 +28,7 @@ from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import InputError
 from activefail.features import FeatureSet
 from activefail.space import DesignSpace, Distribution, Parameter, distribution_fault
+from activefail.visible import visible
 
 
 class _Section(BaseModel):
@@ -470,7 +471,7 @@ def _checked(values: dict[str, Any], source: str) -> "CampaignSettings":
     try:
         return CampaignSettings.model_validate(values)
     except ValidationError as invalid:
-        rules = "\n".join(f"  {_rule(error)}" for error in invalid.errors())
+        rules = "\n".join(f"  {visible(_rule(error))}" for error in invalid.errors())
         raise InputError(f"{source}:\n{rules}") from None
 
 

@@ -26,8 +26,12 @@ from activefail.campaign.simulator import (
     unanswered,
 )
 from activefail.campaign.workers import Guards
-from activefail.errors import ActivefailError, place_of
+from activefail.errors import ActivefailError, SimulationError, place_of, reason_of
 from activefail.space import Array
+from activefail.visible import visible
+
+_TOLD = 2000
+"""Characters of a fault that a message repeats."""
 
 _ROWS_A_CALL = 16
 """Most rows of one call: short calls show progress and leave little to wait for on an interrupt."""
@@ -123,7 +127,7 @@ class _LocalExecutor:
         results, fault = self._answer(simulator, X)
         if fault:
             with self._lock:
-                self.first_fault = self.first_fault or fault
+                self.first_fault = self.first_fault or as_told(fault)
         return results
 
     def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
@@ -169,7 +173,10 @@ class ProcessExecutor(_LocalExecutor):
         self._guards = Guards(answer, time_limit)
 
     def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
-        return self._guards.of_this_thread().answer(simulator, X)
+        try:
+            return self._guards.of_this_thread().answer(simulator, X)
+        except OSError as error:
+            raise SimulationError(f"A worker process cannot be started: {reason_of(error)}.") from error
 
     def _rows(self, n: int) -> int:
         return 1
@@ -249,6 +256,11 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, 
         np.where(timed, seconds, 0.0),
     )
     return usable, fault
+
+
+def as_told(fault: str) -> str:
+    """A fault as messages show it: a simulator may say anything, at any length."""
+    return visible(fault[:_TOLD])
 
 
 def _cause(error: Exception) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.config import read_settings
+from activefail.campaign.places import LARGEST_SETTINGS, SETTINGS, refuse_links
 from activefail.campaign.provenance import provenance
 from activefail.campaign.store import FolderStore
 from activefail.errors import InputError
@@ -65,9 +66,12 @@ def open_campaign(
         StoreError: if the record cannot be read.
         BusyError: if another process is writing to it.
     """
-    path = folder / "campaign.toml"
+    path = folder / SETTINGS
+    refuse_links(folder)
     if not path.is_file():
         raise InputError(f"{folder}: is not a run folder; there is no campaign.toml in it.")
+    if path.stat().st_size > LARGEST_SETTINGS:
+        raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
     campaign = read_campaign(path, code=code, run=folder, features=features)
     with FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources) as store:
         yield campaign, store

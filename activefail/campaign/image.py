@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from activefail.errors import StoreError
+from activefail.files import temporary_beside
+from activefail.visible import visible
 
 FORMAT = 1
 """Version of the user block and of the rules for what an image may hold."""
-
-TEMPORARY = ".tmp-"
-"""Prefix of a file that is being written; whoever holds the lock may remove it."""
 
 MAGIC = "activefail record"
 BLOCK_BYTES = 512
@@ -34,6 +33,7 @@ DIGEST_BYTES = 64
 CHUNK_BYTES = 1 << 20
 WRITE_BYTES = 1 << 20
 NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
+_NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
 
 
 class DamagedError(StoreError):
@@ -211,7 +211,7 @@ def opened(data: bytes) -> Iterator[Image]:
         with h5py.File(io.BytesIO(data), "r") as root:
             yield Image(root, len(data))
     except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
-        raise DamagedError(f"does not hold what activefail writes ({error})") from error
+        raise DamagedError(f"does not hold what activefail writes ({visible(str(error))})") from error
 
 
 def publish(path: Path, data: bytes) -> None:
@@ -253,6 +253,33 @@ def replace(path: Path, data: bytes) -> None:
     sync_folder(path.parent)
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, each durable in the one above it before the next is made.
+
+    The nearest one that is there already may have been made a moment ago, by a program that was interrupted: its name
+    is made durable too, where the folder above it may be read.
+
+    Raises:
+        SyncError: if fsync failed.
+        OSError: if one cannot be made.
+    """
+    missing = not folder.is_dir()
+    if missing:
+        if folder.parent.is_dir() or not os.path.lexists(folder.parent):
+            make_folder(folder.parent)
+        try:
+            os.mkdir(folder)
+        except FileExistsError:
+            if not folder.is_dir():
+                raise
+    try:
+        sync_folder(folder.parent)
+    except SyncError as error:
+        # Whoever made it may have rights above it that we have not.
+        if missing or getattr(error.__cause__, "errno", None) not in _NO_RIGHT_TO_SYNC:
+            raise
+
+
 def sync_folder(folder: Path) -> None:
     """Make the names in a folder durable.
 
@@ -271,7 +298,7 @@ def sync_folder(folder: Path) -> None:
 
 def _write_temporary(path: Path, data: bytes) -> Path:
     """Write and fsync `data` under a temporary name beside `path`; nothing is left of it if that fails."""
-    temporary = path.with_name(f"{TEMPORARY}{path.name}-{secrets.token_hex(4)}")
+    temporary = temporary_beside(path)
     try:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         try:

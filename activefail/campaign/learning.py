@@ -8,14 +8,19 @@ from numpy.typing import NDArray
 
 from activefail.acquisition.batch import Search
 from activefail.campaign.campaign import Campaign
+from activefail.campaign.image import DamagedError
 from activefail.campaign.record import SEED, Batch, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.campaign.unseen import unseen_outcomes
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent, train
 from activefail.surrogate.covariance import Hyperparameters
-from activefail.surrogate.fitting import Fit
+from activefail.surrogate.fitting import EXACT, Fit
+from activefail.surrogate.inducing import MOST
 from activefail.surrogate.sites import Sites
+
+_LARGEST_LOGARITHM = 100.0
+"""Of a learned scale: the priors keep it far below, and its square can be computed with."""
 
 
 def training_rows(batches: tuple[Batch, ...], through: int | None = None) -> tuple[Array, NDArray[np.int8]]:
@@ -101,13 +106,58 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(array) for name, array in state.items()}
 
 
+def _check_state(state: dict[str, NDArray[Any]], name: str, n: int, m: int) -> None:
+    """Check what a state holds of one boundary's latent, trained on n designs of m features.
+
+    Raises:
+        DamagedError: if an array has a type, a shape or a value that no training gives.
+    """
+    number, count, reals = ("<f8", ()), ("<i8", ()), "<f8"
+    expected = {
+        "mean": number,
+        "log_outputscale": number,
+        "log_lengthscale": (reals, (m,)),
+        "site_linear": (reals, (n,)),
+        "site_precision": (reals, (n,)),
+        "elbo": number,
+        "evaluations": count,
+        "learned_on": count,
+    }
+    for key, (dtype, shape) in expected.items():
+        array = state[f"{name}/{key}"]
+        if (array.dtype, array.shape) != (np.dtype(dtype), shape) or not np.isfinite(array).all():
+            raise DamagedError(f"holds a {key} that is not of finite numbers of shape {shape}")
+    for key in ("log_outputscale", "log_lengthscale"):
+        if (np.abs(state[f"{name}/{key}"]) > _LARGEST_LOGARITHM).any():
+            raise DamagedError(f"holds a {key} beyond ±{_LARGEST_LOGARITHM:g}")
+    if (state[f"{name}/site_precision"] < 0.0).any():
+        raise DamagedError("holds a site_precision below 0")
+    inducing = state.get(f"{name}/inducing")
+    if (inducing is None) != (n <= EXACT):
+        raise DamagedError(f"was learned from {n} designs {'without' if inducing is None else 'with'} inducing points")
+    if inducing is not None and (
+        inducing.dtype != np.int64
+        or inducing.ndim != 1
+        or not 1 <= len(np.unique(inducing)) == len(inducing) <= MOST
+        or not 0 <= inducing.min() <= inducing.max() < n
+    ):
+        raise DamagedError(f"holds inducing points that are not up to {MOST} different ones of {n} designs")
+
+
 def classifier_from_state(
     campaign: Campaign, state: dict[str, NDArray[Any]], X: Array, outcome: NDArray[np.int8]
 ) -> Classifier:
-    """The classifier that `classifier_state` described, on the designs and outcomes it was trained on."""
+    """The classifier that `classifier_state` described, on the designs and outcomes it was trained on.
+
+    Raises:
+        KeyError: if an array is missing.
+        DamagedError: if the arrays are none that a training gives, or predict nothing: a file may be whole, and of a
+            stranger's making.
+    """
     F = torch.from_numpy(campaign.features(X))
     latents = []
     for severity, name in enumerate(campaign.simulator.outcomes[1:], start=1):
+        _check_state(state, name, *F.shape)
         inducing = state.get(f"{name}/inducing")
         trained = Fit(
             campaign.settings.classifier.kernel,
@@ -124,20 +174,38 @@ def classifier_from_state(
             int(state[f"{name}/learned_on"]),
             None if inducing is None else torch.from_numpy(inducing),
         )
-        latents.append(Latent(trained))
+        latents.append(_predicting(Latent(trained)))
     return Classifier(campaign.simulator.outcomes, campaign.features, tuple(latents))
+
+
+def _predicting(latent: Latent) -> Latent:
+    """A latent, once it has predicted something.
+
+    Raises:
+        DamagedError: if it cannot.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            moments = latent.moments(latent.trained.features[:1].numpy())
+    # Numbers may be finite each and still give a covariance that has no factor.
+    except (ArithmeticError, LookupError, RuntimeError, ValueError) as error:
+        raise DamagedError(f"cannot be used ({type(error).__name__})") from error
+    if not (np.isfinite(moments.mean).all() and np.isfinite(moments.sd).all()):
+        raise DamagedError("predicts no finite numbers")
+    return latent
 
 
 def restore(campaign: Campaign, store: Store, through: int) -> tuple[Classifier | None, int]:
     """The newest saved classifier of at most iteration `through`, and its iteration; (None, -1) when there is none."""
-    saved = store.latest_state()
-    if saved is None or saved[0] > through:
-        return None, -1
-    iteration, state = saved
-    try:
-        return classifier_from_state(campaign, state, *training_rows(store.batches, iteration)), iteration
-    except KeyError:  # saved by a version that kept less: learned again from the record
-        return None, -1
+    while (saved := store.latest_state()) is not None and saved[0] <= through:
+        iteration, state = saved
+        try:
+            return classifier_from_state(campaign, state, *training_rows(store.batches, iteration)), iteration
+        except KeyError:  # saved by a version that kept less: learned again from the record
+            break
+        except DamagedError as error:
+            store.reject_state(iteration, str(error))
+    return None, -1
 
 
 def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:

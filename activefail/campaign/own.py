@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shlex
 import shutil
 import string
@@ -15,13 +16,21 @@ from pathlib import Path
 
 import numpy as np
 
+from activefail.campaign.image import make_folder
 from activefail.campaign.plugin import SIMULATOR_KEY, load_function, look_beside
 from activefail.campaign.simulator import Results, UnusableAnswerError
 from activefail.errors import InputError
+from activefail.files import end_of, read_regular
 from activefail.space import Array, DesignSpace
 
 _TOLD = 300
 """Characters of a program's last words that a message repeats."""
+
+LONGEST_NUMBER = 100
+"""Largest width and precision of a format in a command: memory and time grow with both."""
+
+LARGEST_ANSWER = 1_000_000
+"""Bytes that the file of an answer may have."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +157,10 @@ class CommandSimulator:
             for _, field, form, _ in fields:
                 if "{" in (form or ""):
                     raise ValueError(f"a format holds no braces, as that of {{{field}}} does")
+                if any(len(digits.lstrip("0")) > 3 or int(digits) > LONGEST_NUMBER for digits in _digits(form or "")):
+                    raise ValueError(
+                        f"a format has a width and a precision of at most {LONGEST_NUMBER}, unlike that of {{{field}}}"
+                    )
                 if field not in known:
                     raise ValueError(f"{{{field}}} is none of {', '.join(f'{{{name}}}' for name in known)}")
             if "out" not in asked:
@@ -195,7 +208,9 @@ class CommandSimulator:
     def _run_once(self, design: Mapping[str, float], folder: Path) -> Results:
         # What an earlier try has left there would be taken for an answer.
         shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
+        if not self.work.is_dir():
+            make_folder(self.work)
+        folder.mkdir()
         (folder / "design.json").write_text(json.dumps(design, indent=1) + "\n")
         out = folder / "answer.json"
         began = time.perf_counter()
@@ -206,15 +221,26 @@ class CommandSimulator:
             )
         seconds = time.perf_counter() - began
         if done.returncode != 0:
-            last = (folder / "stderr.txt").read_text(errors="replace").strip()[-_TOLD:]
+            # Of UTF-8, where a character has four bytes at the most.
+            last = end_of(folder / "stderr.txt", 4 * _TOLD).decode(errors="replace").strip()[-_TOLD:]
             raise RuntimeError(f"exit code {done.returncode}; {folder}{os.sep}stderr.txt ends: {last!r}")
         try:
-            said = json.loads(out.read_bytes())
+            # The program's own link, as to a file of its results, is followed.
+            written = read_regular(out, LARGEST_ANSWER, follow=True)
         except FileNotFoundError:
             raise UnusableAnswerError(f"the program has not written {out}") from None
-        except ValueError as malformed:
+        except ValueError as unfit:
+            raise UnusableAnswerError(f"{out} {unfit}") from None
+        try:
+            said = json.loads(written)
+        except (ValueError, RecursionError) as malformed:
             raise UnusableAnswerError(f"{out} is not JSON: {malformed}") from None
         return _read_answer(said, self.outcomes, self.margins, seconds)
+
+
+def _digits(form: str) -> list[str]:
+    """The numbers in a format: its width and its precision, and perhaps a digit that it fills with."""
+    return re.findall(r"[0-9]+", form)
 
 
 class _Number(float):

@@ -1,10 +1,18 @@
 """The files and folders that a run folder keeps for itself, and whether a path is one of them."""
 
+import errno
 import os
+from collections.abc import Sequence
 from pathlib import Path
+
+from activefail.errors import StoreError
+from activefail.visible import visible
 
 SETTINGS = "campaign.toml"
 """The frozen copy of the settings."""
+
+LARGEST_SETTINGS = 10_000_000
+"""Bytes that a frozen copy may have: more than any design space needs, and no burden to read."""
 
 LOCK = ".lock"
 
@@ -13,6 +21,54 @@ FOLDERS = ("segments", "state", "sets")
 
 SIMULATIONS = "simulations"
 """Where programs that simulate have their folders."""
+
+COMPARISON = "compare"
+"""Where `compare` writes."""
+
+REPORT = "report.html"
+"""What `report` writes where it is not told another file."""
+
+_OWN = (SETTINGS, LOCK, REPORT, *FOLDERS, SIMULATIONS, COMPARISON)
+
+
+def refuse_links(folder: Path, names: Sequence[str] = _OWN) -> None:
+    """Check that nothing in a run folder that activefail reads or writes there is a symbolic link.
+
+    A run folder may come from someone else, and a link in it may lead anywhere: what is written, replaced or removed
+    by its name would be the user's. Checked once, when the folder is opened: links that come with a folder are refused,
+    not someone who changes the folder meanwhile. The run folder itself may be reached through links.
+
+    Args:
+        folder: of the run.
+        names: of its files, and of its folders, whose entries are looked at too.
+
+    Raises:
+        StoreError: naming the link.
+    """
+    for name in names:
+        place = folder / name
+        if os.path.islink(place):
+            raise _linked(place)
+        try:
+            with os.scandir(place) as entries:
+                link = next((entry.name for entry in entries if entry.is_symlink()), None)
+        except OSError as error:
+            if error.errno in _NO_FOLDER:
+                continue
+            raise StoreError(f"Cannot read {place}: {error.strerror or error}.") from error
+        if link is not None:
+            raise _linked(place / link)
+
+
+_NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
+"""What the system answers for a folder that is none; what is wrong with it is for its reader to say."""
+
+
+def _linked(path: Path) -> StoreError:
+    return StoreError(
+        f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it by what "
+        f"it points to, or remove it."
+    )
 
 
 def run_folder_owning(path: Path) -> Path | None:
@@ -26,6 +82,17 @@ def run_folder_owning(path: Path) -> Path | None:
         own = path == folder / name if name in (SETTINGS, LOCK) else name in (*FOLDERS, SIMULATIONS)
         if own and _is_run_folder(folder):
             return folder
+    return None
+
+
+def link_in_run_folder(path: Path) -> Path | None:
+    """The first symbolic link on the way from a run folder to a path in it; None if there is none."""
+    path = path.absolute()
+    for folder in reversed(path.parents):
+        if _is_run_folder(folder):
+            inside = path.relative_to(folder).parts
+            ways = (folder.joinpath(*inside[:depth]) for depth in range(1, len(inside) + 1))
+            return next((way for way in ways if way.is_symlink()), None)
     return None
 
 

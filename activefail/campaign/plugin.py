@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from activefail.errors import InputError
+from activefail.visible import visible
 
 SIMULATOR_KEY = "simulator.python"
 FEATURES_KEY = "classifier.features.python"
@@ -67,14 +68,15 @@ def load_function(
     except ModuleNotFoundError as missing:
         if not path.is_file() and missing.name and f"{module_name}.".startswith(f"{missing.name}."):
             raise InputError(f"{key}: there is no module {module_name!r}; looked for {path}.") from None
-        raise InputError(f"{key}: {module_name} cannot be imported: {missing}.") from missing
+        raise InputError(f"{key}: {module_name} cannot be imported: {visible(str(missing))}.") from missing
     except _NeverRunError as refused:
         raise InputError(
             f"{key}: {module_name} is {refused}, in the run folder, which may come from someone else and is not looked "
             f"in for code; name another folder, or that one itself where you trust it: --code FOLDER."
         ) from None
     except (Exception, SystemExit) as error:  # a script that ends itself must not end us, and in silence
-        raise InputError(f"{key}: {module_name} cannot be imported: {type(error).__name__}: {error}.") from error
+        said = visible(f"{type(error).__name__}: {error}")
+        raise InputError(f"{key}: {module_name} cannot be imported: {said}.") from error
     function = getattr(module, name, None)
     if not callable(function):
         raise InputError(f"{key}: {module.__file__ or module_name} has no function {name!r}.")

@@ -164,6 +164,10 @@ class Store(Protocol):
         """The newest state that can be read and was learned from batches of this record, with its iteration."""
         ...
 
+    def reject_state(self, iteration: int, reason: str) -> None:
+        """Skip the state of an iteration from now on, until it is written anew; `reason` completes "<file> ..."."""
+        ...
+
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep designs X, shape (n, d), and their results beside the campaign, in the place of an older set.
 
@@ -221,6 +225,10 @@ class MemoryStore:
             return None
         iteration = max(self._states)
         return iteration, {name: array.copy() for name, array in self._states[iteration].items()}
+
+    def reject_state(self, iteration: int, reason: str) -> None:
+        """Forget a state (see Store)."""
+        self._states.pop(iteration, None)
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

@@ -12,6 +12,7 @@ from activefail.campaign.image import DamagedError
 from activefail.campaign.record import Schema
 from activefail.campaign.segment import Segment, decode_segment
 from activefail.errors import StoreError
+from activefail.visible import visible
 
 QUARANTINE = ".quarantine"
 
@@ -42,6 +43,8 @@ def reading(path: Path) -> Iterator[None]:
         raise StoreError(f"{path} {error}") from error
     except OSError as error:
         raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
+    except MemoryError:
+        raise StoreError(f"Cannot read {path}: it does not fit into the memory.") from None
 
 
 def is_segment(name: str) -> bool:
@@ -86,7 +89,7 @@ def check_campaign(segments: Sequence[Segment], settings: str, schema: Schema | 
                 f"The settings were changed after the campaign began: the SHA-256 of campaign.toml is not the one in "
                 f"segments/{segment.name}. Restore the frozen copy (the segment holds its text, in the dataset "
                 f"'settings'), or begin a new campaign in another folder. What was changed:\n"
-                + ("\n".join(lines) or "only line ends")
+                + ("\n".join(map(visible, lines)) or "only line ends")
             )
         schema = schema or segment.schema
         for field in fields(schema):
@@ -157,7 +160,7 @@ def set_aside(path: Path, reason: str) -> str:
     """
     aside = path.with_name(path.name + QUARANTINE)
     number = 1
-    while aside.exists():
+    while os.path.lexists(aside):
         number += 1
         aside = path.with_name(f"{path.name}{QUARANTINE}-{number}")
     try:

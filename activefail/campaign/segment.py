@@ -14,6 +14,7 @@ from activefail import __version__
 from activefail.campaign.image import DamagedError, Image, encode, opened
 from activefail.campaign.record import COLUMNS, Batch, Schema, batch_of, columns_of, results_of
 from activefail.errors import StoreError
+from activefail.visible import visible
 
 SCHEMA_VERSION = 1
 """Version of what the datasets and attributes of the files mean."""
@@ -200,8 +201,8 @@ def check_version(image: Image) -> None:
     """Raise StoreError if a file was written in another schema version."""
     written = image.attribute("schema_version")
     if written != str(SCHEMA_VERSION):
-        program = image.attributes("provenance.").get("activefail", "of an unknown version")
+        program = visible(image.attributes("provenance.").get("activefail", "of an unknown version"))
         raise StoreError(
-            f"was written in schema version {written} by activefail {program}; "
+            f"was written in schema version {visible(written)} by activefail {program}; "
             f"this program (activefail {__version__}) reads schema version {SCHEMA_VERSION}."
         )

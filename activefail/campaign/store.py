@@ -4,7 +4,7 @@
              segments/<first>-<last>.h5 the only truth: whole batches, immutable, published with os.link
              state/<iteration>.h5       what was learned; the last three; can be rebuilt
              sets/<name>.h5             side data, simulated once
-             .lock                      one writer
+             .lock                      one writer at a time
 
 Every batch extends a chain of digests that begins with the settings and the schema, so a segment that is missing,
 altered or from another campaign is noticed; merging segments leaves the chain as it is.
@@ -18,14 +18,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from activefail import __version__
 from activefail.campaign import compaction
 from activefail.campaign.beside import decode_set, decode_state, encode_set, encode_state
-from activefail.campaign.image import TEMPORARY, DamagedError, SyncError, publish, replace, sync_folder
-from activefail.campaign.places import FOLDERS, LOCK, SETTINGS
+from activefail.campaign.image import DamagedError, SyncError, make_folder, publish, replace, sync_folder
+from activefail.campaign.lock import FolderLock
+from activefail.campaign.places import FOLDERS, LARGEST_SETTINGS, LOCK, SETTINGS, refuse_links
 from activefail.campaign.plugin import FEATURES_KEY, SIMULATOR_KEY
 from activefail.campaign.record import STATES_KEPT, Batch, Schema, check_set, checked_state, own_copy
 from activefail.campaign.recovery import (
@@ -41,22 +41,10 @@ from activefail.campaign.recovery import (
 )
 from activefail.campaign.segment import Segment, chain_start, encode_segment
 from activefail.campaign.simulator import Results
-from activefail.errors import BusyError, InputError, StoreError
+from activefail.errors import InputError, StoreError
+from activefail.files import TEMPORARY, read_regular
 from activefail.space import Array
-
-
-def _lock(folder: Path) -> FileLock:
-    """The lock of a run folder, taken; the kernel releases it when the process dies, however it dies."""
-    lock = FileLock(folder / LOCK, timeout=0, thread_local=False)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise BusyError(
-            f"Another process is writing to {folder}. Wait until it is done or stop it; reading is possible meanwhile."
-        ) from None
-    except OSError as error:
-        raise StoreError(f"Cannot write to {folder}: {error.strerror or error}.") from error
-    return lock
+from activefail.visible import visible
 
 
 def _named(settings: str, key: str) -> str:
@@ -87,7 +75,9 @@ def check_empty(folder: Path, what: str, instead: str) -> None:
     present = sorted(os.listdir(folder)) if folder.exists() else []
     found = [name for name in present if name != LOCK and not name.startswith(TEMPORARY)]
     if found:
-        raise InputError(f"{folder} is not empty (it holds {found[0]}): a new {what} needs a new folder. {instead}")
+        raise InputError(
+            f"{folder} is not empty (it holds {visible(found[0])}): a new {what} needs a new folder. {instead}"
+        )
 
 
 class FolderStore:
@@ -100,7 +90,7 @@ class FolderStore:
     """
 
     def __init__(
-        self, folder: Path, settings: str, schema: Schema | None, lock: FileLock | None, provenance: Mapping[str, str]
+        self, folder: Path, settings: str, schema: Schema | None, lock: FolderLock | None, provenance: Mapping[str, str]
     ) -> None:
         self.folder = folder
         self.settings = settings
@@ -108,6 +98,8 @@ class FolderStore:
         self._provenance = {"activefail": __version__, **provenance}
         self._lock = lock
         self._warnings: list[str] = []
+        self._shown = 0
+        self._rejected: set[int] = set()
         self._segments: list[Segment] = []
         self._start = ""
         self._batches: list[Batch] = []
@@ -115,6 +107,8 @@ class FolderStore:
         self._batches_read: tuple[Batch, ...] | None = None
         # Why this object may not write; empty if it may.
         self._refusal = "" if lock else f"{folder} was opened for reading only."
+        if lock and not lock.held:
+            self._warn(f"The file system of {folder} has no locks: make sure that one process at a time writes there.")
 
     @classmethod
     def create(
@@ -139,15 +133,14 @@ class FolderStore:
             raise InputError("The settings must not hold a NUL.")
         try:
             check_empty(folder, "campaign", "Resume the campaign in it, if there is one, or choose another folder.")
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder)
         except (FileExistsError, NotADirectoryError) as error:
             raise InputError(f"{folder}: cannot be a run folder: {error.strerror}.") from None
         except OSError as error:
             raise StoreError(f"Cannot create {folder}: {error.strerror or error}.") from error
-        store = cls(folder, settings, schema, _lock(folder), provenance or {})
+        store = cls(folder, settings, schema, FolderLock(folder), provenance or {})
         try:
             publish(folder / SETTINGS, settings.encode())
-            sync_folder(folder.parent)
             store._load()
         except BaseException:
             store.close()
@@ -173,8 +166,9 @@ class FolderStore:
         """
         folder = Path(folder).absolute()
         path = folder / SETTINGS
+        refuse_links(folder)
         try:
-            settings = path.read_bytes().decode()
+            settings = read_regular(path, LARGEST_SETTINGS).decode()
         except FileNotFoundError:
             kept = [name for name in plain_files(folder / "segments") if is_segment(name)]
             hint = f" Restore it: segments/{kept[0]} holds its text, in the dataset 'settings'." if kept else ""
@@ -183,7 +177,9 @@ class FolderStore:
             raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
         except UnicodeDecodeError:
             raise StoreError(f"{path} is not UTF-8 text any more. Restore the frozen copy.") from None
-        store = cls(folder, settings, schema, _lock(folder) if write else None, provenance or {})
+        except ValueError as error:
+            raise StoreError(f"{path} {error}. Restore the frozen copy.") from None
+        store = cls(folder, settings, schema, FolderLock(folder) if write else None, provenance or {})
         try:
             store._load()
         except BaseException:
@@ -242,7 +238,8 @@ class FolderStore:
         folder = self.folder / "segments"
         try:
             for name in FOLDERS:
-                (self.folder / name).mkdir(exist_ok=True)
+                with suppress(FileExistsError):
+                    os.mkdir(self.folder / name)
             for place in (self.folder, *(self.folder / name for name in FOLDERS)):
                 for name in plain_files(place):
                     if name.startswith(TEMPORARY):
@@ -263,7 +260,13 @@ class FolderStore:
         """What the user should know: files set aside, skipped or ignored, and why."""
         return tuple(self._warnings)
 
+    def new_warnings(self) -> tuple[str, ...]:
+        """The warnings that came since this was asked last."""
+        shown, self._shown = self._shown, len(self._warnings)
+        return tuple(self._warnings[shown:])
+
     def _warn(self, text: str) -> None:
+        text = visible(text)  # it may name a stranger's file
         if text not in self._warnings:
             self._warnings.append(text)
 
@@ -372,6 +375,7 @@ class FolderStore:
         data = encode_state(iteration, checked_state(iteration, arrays), self._digest)
         with self._writing():
             replace(self.folder / "state" / f"{iteration:09d}.h5", data)
+            self._rejected.discard(iteration)
             older = [path for i, path in self._states() if i < iteration]
             for path in older[: 1 - STATES_KEPT] + [path for i, path in self._states() if i > iteration]:
                 with suppress(OSError):
@@ -387,6 +391,8 @@ class FolderStore:
         """The newest state that is whole and of this record (see Store)."""
         digests = {digest for segment in self._segments for digest in segment.chain.values()} or {self._start}
         for iteration, path in reversed(self._states()):
+            if iteration in self._rejected:
+                continue
             try:
                 with reading(path):
                     return iteration, decode_state(path.read_bytes(), iteration, digests)
@@ -395,6 +401,11 @@ class FolderStore:
             except DamagedError as error:
                 self._warn(f"state/{path.name} {error}; it is skipped.")
         return None
+
+    def reject_state(self, iteration: int, reason: str) -> None:
+        """Skip a state from now on (see Store)."""
+        self._rejected.add(iteration)
+        self._warn(f"state/{iteration:09d}.h5 {reason}; it is skipped.")
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

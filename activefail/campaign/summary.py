@@ -16,17 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.boundaries import boundary_shares
+from activefail.campaign.places import LARGEST_SETTINGS, SETTINGS, refuse_links
 from activefail.campaign.record import ACTIVE, SEED, Batch
 from activefail.campaign.recovery import is_segment, plain_files
 from activefail.campaign.segment import Outline, chain_start, decode_outline
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.errors import StoreError
+from activefail.files import read_regular
+from activefail.visible import visible
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a campaign's settings say in a few words.
+    """What a campaign's settings say in a few words, each of them visible text: a run folder may be a stranger's.
 
     Attributes:
         simulator: its name, "module:function", or the command.
@@ -71,18 +74,18 @@ class Plan:
                     "features": (str() | {"python": str()} | {"expressions": dict()} as features),
                 },
                 "acquisition": {"criterion": str(criterion), "boundary": str() | dict() as boundary},
-            } if isinstance(boundary, str) or (boundary and all(_is_weight(one) for one in boundary.values())):
+            } if all(isinstance(one, dict) for one in space.values()) and _is_boundary(boundary):
                 return cls(
-                    description,
-                    simulator,
+                    visible(description),
+                    visible(simulator),
                     seed,
                     sum("value" not in variable for variable in space.values()),
                     initial,
                     budget,
-                    kernel,
-                    _features_in_words(features),
-                    criterion,
-                    boundary_shares(boundary),
+                    visible(kernel),
+                    visible(_features_in_words(features)),
+                    visible(criterion),
+                    {visible(name): share for name, share in boundary_shares(boundary).items()},
                     not isinstance(settings["simulator"], str) or (isinstance(features, dict) and "python" in features),
                     _stop_simulations(settings.get("stop")),
                 )
@@ -111,8 +114,11 @@ def _features_in_words(features: str | dict[str, Any]) -> str:
     return ", ".join((["variables"] if features.get("variables", True) else []) + own)
 
 
-def _is_weight(value: object) -> bool:
-    return isinstance(value, int | float) and 0.0 < value <= sys.float_info.max
+def _is_boundary(boundary: str | dict[str, Any]) -> bool:
+    if isinstance(boundary, str):
+        return True
+    weights = boundary.values()
+    return bool(weights) and all(isinstance(one, int | float) and 0.0 < one <= sys.float_info.max for one in weights)
 
 
 @dataclass(frozen=True)
@@ -121,7 +127,7 @@ class Summary:
 
     Attributes:
         plan: what its settings say.
-        outcomes: their names.
+        outcomes: their names, visible text.
         iteration: batches chosen by the learner so far.
         initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and of the learner by
             outcome, numerical failures last.
@@ -161,7 +167,7 @@ class Summary:
         )
         n = len(outcomes)
         iteration = batches[-1].iteration if batches else 0
-        return cls(Plan.of(settings), outcomes, iteration, _counts(initial, n), _counts(chosen, n))
+        return cls(Plan.of(settings), _shown(outcomes), iteration, _counts(initial, n), _counts(chosen, n))
 
 
 def is_verified(folder: Path, summary: Summary) -> bool:
@@ -175,18 +181,20 @@ def read_summary(folder: Path) -> Summary | None:
 
     Every file's SHA-256 is checked, and that each one continues the one before. None where opening the record has more
     to say: nothing is recorded yet, a file is damaged, missing or of another version, or a compaction was interrupted.
+
+    Raises:
+        StoreError: if a file or folder of it is a symbolic link.
     """
-    if not (folder / "campaign.toml").is_file():
-        return None  # to read from a pipe would wait for ever
+    refuse_links(folder)
     try:
-        settings = (folder / "campaign.toml").read_bytes().decode()
+        settings = read_regular(folder / SETTINGS, LARGEST_SETTINGS).decode()
         names = [name for name in plain_files(folder / "segments") if is_segment(name)]
         outlines = sorted(
             (decode_outline(name, (folder / "segments" / name).read_bytes()) for name in names),
             key=lambda outline: outline.first,
         )
         plan = Plan.of(settings)
-    except (OSError, RecursionError, ValueError, StoreError):
+    except (OSError, MemoryError, RecursionError, ValueError, StoreError):
         return None
     if not outlines or not _is_chain(outlines, settings):
         return None
@@ -196,7 +204,11 @@ def read_summary(folder: Path) -> Summary | None:
     for outline in outlines:
         initial = initial + _counts(outline.outcome[outline.origin == SEED], n)
         chosen = chosen + _counts(outline.outcome[outline.origin == ACTIVE], n)
-    return Summary(plan, outcomes, int(outlines[-1].iterations[-1]), initial, chosen)
+    return Summary(plan, _shown(outcomes), int(outlines[-1].iterations[-1]), initial, chosen)
+
+
+def _shown(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(map(visible, names))
 
 
 def _is_chain(outlines: Sequence[Outline], settings: str) -> bool:

@@ -10,13 +10,14 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperCommand
 
 from activefail.cli.common import INTERRUPTED
-from activefail.errors import ActivefailError, InputError
+from activefail.cli.screen import OUTPUT, visible_output
+from activefail.errors import ActivefailError, InputError, place_of, reason_of
 
 app = typer.Typer(
     help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",
@@ -58,12 +59,16 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A description or a folder's name may have letters that the terminal's encoding has not.
         sys.stdout.reconfigure(errors="backslashreplace")
+    with visible_output():
+        _main()
+
+
+def _main() -> None:
     hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     try:
         app()
     except ActivefailError as error:
-        print(f"activefail: {error}", file=sys.stderr)
-        sys.exit(2 if isinstance(error, InputError) else 1)
+        _end(str(error), 2 if isinstance(error, InputError) else 1)
     except BrokenPipeError:
         # `| head`, say.
         _silence()
@@ -72,15 +77,22 @@ def main() -> None:
         )
         sys.exit(1)
     except OSError as error:
-        _silence()
-        print(f"activefail: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
-        sys.exit(2 if error.errno in _NO_NAMES else 1)
+        if error.filename == OUTPUT:
+            _silence()
+        _end(_told(error), 2 if error.errno in _NO_NAMES else 1)
     finally:
         # It is ending. What is cleared away at exit has nothing to lose, and a Ctrl-C more ends it without a traceback.
         for again in _coming_again:
             again.cancel()
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
         sys.unraisablehook = hook
+
+
+def _end(message: str, code: int) -> NoReturn:
+    """End with a message. Its first line alone begins at the margin: what follows may quote a stranger's text."""
+    first, *more = f"activefail: {message}".split("\n")
+    print("\n".join([first, *(line if line.startswith("  ") else f"  {line}" for line in more)]), file=sys.stderr)
+    sys.exit(code)
 
 
 class Command(TyperCommand):
@@ -137,6 +149,11 @@ def _unraisable(dropped: "sys.UnraisableHookArgs") -> None:
         _coming_again.append(again)
     else:
         sys.__unraisablehook__(dropped)
+
+
+def _told(error: OSError) -> str:
+    """The file that the system refused, or where the program called the system, and the reason."""
+    return f"{error.filename or f'a system call failed{place_of(error)}'}: {reason_of(error)}"
 
 
 _NO_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)

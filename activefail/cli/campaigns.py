@@ -24,14 +24,16 @@ from activefail.cli.common import (
     show_warnings,
     stop_on_signals,
 )
+from activefail.cli.screen import terminal
 from activefail.errors import InputError
 from activefail.shares import interval_percent, percent
+from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.campaign import Campaign
     from activefail.campaign.executor import AsynchronousExecutor
     from activefail.campaign.loop import Observer, Progress
-    from activefail.campaign.record import Store
+    from activefail.campaign.store import FolderStore
     from activefail.campaign.summary import Summary
     from activefail.campaign.verification import ErrorEstimate
 
@@ -57,6 +59,7 @@ def run(
     # The executor first: what keeps it from working leaves no folder behind.
     with make_executor(assembled, workers, executor, scheduler) as working, create_run(out, assembled) as store:
         again = f"{resume_command(out, assembled)}{_executor_options(executor, scheduler)}"
+        show_warnings(store)
         _take_to_budget(assembled, store, out, assembled.settings.sampling.budget, working, again)
 
 
@@ -86,7 +89,7 @@ def resume(
     from activefail.campaign.folder import open_campaign
 
     with open_campaign(folder, write=True, code=code) as (assembled, store):
-        show_warnings(store.warnings)
+        show_warnings(store)
         target = assembled.settings.sampling.budget if budget is None else budget
         if target < 2:
             raise InputError(f"--budget: must be at least 2, got {target}.")
@@ -122,7 +125,7 @@ _WITHOUT_BATCHES = _Stops(
 
 def _take_to_budget(
     campaign: "Campaign",
-    store: "Store",
+    store: "FolderStore",
     folder: Path,
     budget: int,
     executor: "AsynchronousExecutor",
@@ -154,6 +157,7 @@ def _take_to_budget(
     except KeyboardInterrupt:
         print(f"stopped; {words.at_once}. Go on with: {again}{extra}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
+    show_warnings(store)
     if executor.first_fault:
         print(f"warning: a simulation was given up; the first: {executor.first_fault}", file=sys.stderr)
     if not finished:
@@ -166,13 +170,13 @@ def _take_to_budget(
             f"verified with {100 * rule.confidence:g} % confidence, over all looks"
         )
     _show_unseen(Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches))
-    print(f"results    {folder}")
+    print(f"results    {visible(str(folder))}")
 
 
 def _show_unseen(summary: "Summary") -> None:
     """A warning on the error stream where a campaign never saw an outcome."""
     if warning := summary.unseen_warning:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(f"warning: {visible(warning)}", file=sys.stderr)
 
 
 @contextmanager
@@ -182,7 +186,7 @@ def _campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterato
 
     from activefail.campaign.loop import Observer
 
-    console = Console()
+    console = Console(file=terminal(sys.stdout))
     if not console.is_terminal:
         shown_iteration, shown_at = -1, -60.0
 
@@ -238,7 +242,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
         parts.append(f"accuracy {percent(progress.accuracy)}")
     if progress.seconds_left is not None and progress.done < progress.budget:
         parts.append(f"{progress.seconds_left:.0f} s left")
-    return " | ".join(parts)
+    return visible(" | ".join(parts))
 
 
 def status(folder: RunFolder) -> None:
@@ -247,7 +251,7 @@ def status(folder: RunFolder) -> None:
 
     summary = read_summary(folder) or _opened_summary(folder)
     plan = summary.plan
-    print(f"campaign   {plan.description or folder.name}")
+    print(f"campaign   {visible(plan.description or folder.name)}")
     print(f"simulator  {plan.simulator}, {plan.variables} variables, seed {plan.seed}")
     sought = " and ".join(
         f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
@@ -275,7 +279,7 @@ def _opened_summary(folder: Path) -> "Summary":
     from activefail.campaign.summary import Summary
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
-        show_warnings(store.warnings)
+        show_warnings(store)
         # Its text, not the file's: an older program may have left out what has a default now.
         return Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches)
 
@@ -294,15 +298,16 @@ def predict(
 
     check_output("--out", out)
     with open_campaign(folder, write=False, code=code) as (campaign, store), one_thread():
-        show_warnings(store.warnings)
+        show_warnings(store)
         if not store.batches:
             raise InputError(f"{folder}: has no simulations to learn from yet.")
         classifier = current_classifier(campaign, store, write=False)
+        show_warnings(store)
         with progress_bar("predicting") as begin:
             outside = predict_table(campaign, classifier, csv, out, begin)
     if outside:
         print(f"warning: outside the campaign's ranges, where it extrapolates: {outside} designs", file=sys.stderr)
-    print(f"written to {out}")
+    print(f"written to {visible(str(out))}")
 
 
 def verify(
@@ -324,11 +329,12 @@ def verify(
         local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
         one_thread(),
     ):
-        show_warnings(store.warnings)
+        show_warnings(store)
         progress = standing(campaign, store.batches, 0)
         if progress.done < campaign.settings.sampling.initial * initial_sets(campaign, store.batches):
             raise InputError(f"{folder}: has not finished its initial design; there is nothing to verify yet.")
         classifier = current_classifier(campaign, store, write=True)
+        show_warnings(store)
         error = verify_classifier(campaign, store, executor, classifier, progress.iteration, simulations, confidence)
         summary = Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches)
     assert error is not None  # it was not asked to stop
@@ -358,6 +364,6 @@ def export(
 
     check_output("--csv", csv)
     with open_campaign(folder, write=False, code=code) as (campaign, store):
-        show_warnings(store.warnings)
+        show_warnings(store)
         number = export_table(campaign, store, csv)
-    print(f"{number} simulations written to {csv}")
+    print(f"{number} simulations written to {visible(str(csv))}")

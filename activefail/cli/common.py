@@ -1,6 +1,5 @@
 """What commands share: a run folder as argument, a progress bar, warnings, and how signals and full disks are met."""
 
-import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -10,11 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from activefail.cli.screen import terminal
 from activefail.errors import InputError
+from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
     from activefail.campaign.campaign import Campaign
     from activefail.campaign.executor import AsynchronousExecutor
+    from activefail.campaign.store import FolderStore
 
 INTERRUPTED = 130
 """The exit code of a program that a Ctrl-C ended, as shells have it."""
@@ -67,10 +69,10 @@ def make_executor(
 
 def resume_command(folder: Path, campaign: "Campaign | None" = None) -> str:
     """The command that goes on with a campaign, ready to be pasted; with the folder of the campaign's own code."""
-    command = f"activefail resume {shlex.quote(str(folder))}"
+    command = f"activefail resume {quoted(folder)}"
     if campaign is None or (isinstance(campaign.settings.simulator, str) and not campaign.sources):
         return command
-    return f"{command} --code {'FOLDER' if campaign.code is None else shlex.quote(str(campaign.code))}"
+    return f"{command} --code {'FOLDER' if campaign.code is None else quoted(campaign.code)}"
 
 
 def check_output(option: str, path: Path | None) -> None:
@@ -79,10 +81,14 @@ def check_output(option: str, path: Path | None) -> None:
     Raises:
         InputError: naming the option and the file.
     """
-    from activefail.campaign.places import run_folder_owning
+    from activefail.campaign.places import link_in_run_folder, run_folder_owning
 
-    if path is not None and run_folder_owning(path) is not None:
+    if path is None:
+        return
+    if run_folder_owning(path) is not None:
         raise InputError(f"{option}: {path} is a file of the run folder itself; name another.")
+    if (link := link_in_run_folder(path)) is not None:
+        raise InputError(f"{option}: {link} is a symbolic link in a run folder, which is not followed; name another.")
 
 
 @contextmanager
@@ -104,7 +110,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    console = Console(file=terminal(sys.stderr), stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
 
@@ -135,7 +141,7 @@ def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Cal
             signal.signal(number, handler)
 
 
-def show_warnings(warnings: tuple[str, ...]) -> None:
-    """Warnings of a record, on the error stream."""
-    for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+def show_warnings(store: "FolderStore") -> None:
+    """Warnings of a record that were not shown yet, on the error stream."""
+    for warning in store.new_warnings():
+        print(f"warning: {visible(warning)}", file=sys.stderr)

@@ -28,11 +28,13 @@ def explore(
 
     with one_thread():
         with open_campaign(Path(folder), write=False, code=code) as (campaign, store):
-            show_warnings(store.warnings)
+            show_warnings(store)
             if not any((batch.results.outcome >= 0).any() for batch in store.batches):
                 raise InputError(f"{folder}: has no simulations to learn from yet.")
             print("learning", file=sys.stderr, flush=True)
-            findings = glance(folder, campaign, store, current_classifier(campaign, store, write=False))
+            classifier = current_classifier(campaign, store, write=False)
+            show_warnings(store)
+            findings = glance(folder, campaign, store, classifier)
         server = ExplorerServer(host, port, Answers(findings))
         print(f"explorer   {server.address}  (Ctrl-C ends it)", flush=True)
         try:

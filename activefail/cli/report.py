@@ -8,6 +8,7 @@ import typer
 
 from activefail.cli.common import Code, RunFolder, check_output, resume_command, show_warnings, writing_to
 from activefail.errors import InputError
+from activefail.visible import visible
 
 
 def report(
@@ -21,11 +22,12 @@ def report(
     from activefail.campaign.folder import open_campaign
     from activefail.campaign.learning import current_classifier
     from activefail.campaign.loop import one_thread
+    from activefail.campaign.places import REPORT
     from activefail.report.findings import gather
     from activefail.report.page import render, write_report
 
     check_output("--out", out)
-    target = out or folder / "report.html"
+    target = out or folder / REPORT
     if target.suffix.lower() not in {".html", ".htm"}:
         raise InputError(f"--out: must end in .html, got {str(target)!r}.")
     if out is not None and not target.absolute().parent.is_dir():
@@ -35,17 +37,18 @@ def report(
         print(text, file=sys.stderr, flush=True)
 
     with open_campaign(folder, write=False, code=code) as (campaign, store), one_thread():
-        show_warnings(store.warnings)
+        show_warnings(store)
         if not any((batch.results.outcome >= 0).any() for batch in store.batches):
             raise InputError(
                 f"{folder}: has no simulations to report yet; `{resume_command(folder, campaign)}` goes on."
             )
         stage("learning")
         classifier = current_classifier(campaign, store, write=False)
+        show_warnings(store)
         findings = gather(folder, campaign, store, classifier, stage)
         page = render(findings, store, stage)
     with writing_to(target):
         write_report(page, target)
     for missing in findings.missing.values():
-        print(f"missing    {missing}")
-    print(f"report     {target}")
+        print(f"missing    {visible(missing)}")
+    print(f"report     {visible(str(target))}")

@@ -9,6 +9,7 @@ import typer
 
 from activefail.cli.common import check_output, progress_bar, writing_to
 from activefail.errors import InputError
+from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.bearing import Model, Response, Tolerance
@@ -120,13 +121,13 @@ def _simulate_one(
 
         with writing_to(plot):
             plot_response(response).savefig(plot)
-        print(f"plot       {plot}")
+        print(f"plot       {visible(str(plot))}")
     if animate is not None:
         from activefail.report.animation import save_animation
 
         with writing_to(animate):
             save_animation(response, animate)
-        print(f"film       {animate}")
+        print(f"film       {visible(str(animate))}")
     if response.outcome == "numerical_failure":
         raise typer.Exit(1)
 
@@ -168,4 +169,4 @@ def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tole
         f"{total} designs in {time.monotonic() - began:.1f} s: "
         + ", ".join(f"{n} {name}" for name, n in counts.items())
     )
-    print(f"written to {target}")
+    print(f"written to {visible(str(target))}")

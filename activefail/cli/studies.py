@@ -12,6 +12,7 @@ import typer
 from activefail.cli.common import INTERRUPTED, Code, check_output, show_warnings, stop_on_signals, writing_to
 from activefail.errors import InputError
 from activefail.shares import interval_percent, percent
+from activefail.visible import visible
 
 
 def compare(
@@ -84,7 +85,7 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
         open_campaign(folder, write=True, code=code) as (campaign, store),
         local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
     ):
-        show_warnings(store.warnings)
+        show_warnings(store)
         scores = compare_samplings(
             campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
         )
@@ -103,11 +104,13 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
         recall = ", ".join(f"{name} {one.in_words}" for name, one in row.recall.items())
         print(f"{row.simulations:>11}  {row.sampling:<8}  {recall}")
 
+    from activefail.campaign.places import COMPARISON
+    from activefail.files import replacing
     from activefail.report.curves import plot_learning_curves
     from activefail.study.compare import Score
     from activefail.table import writing
 
-    results = folder / "compare"
+    results = folder / COMPARISON
     with writing_to(results):
         results.mkdir(exist_ok=True)
         columns = [*Score.columns(), *Score.recall_columns(campaign.simulator.outcomes), "test_unanswered"]
@@ -115,9 +118,10 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
             write([[*score.row(), test - score.test_designs] for score in scores])
         figure = plot_learning_curves(scores, boundary, scores[0].test_designs)
         for suffix in ("png", "svg"):
-            figure.savefig(results / f"learning_curves.{suffix}")
-    print(f"table      {results / 'scores.csv'}")
-    print(f"curves     {results / 'learning_curves.png'} and .svg")
+            with replacing(results / f"learning_curves.{suffix}", "xb") as file:
+                figure.savefig(file, format=suffix)
+    print(f"table      {visible(str(results / 'scores.csv'))}")
+    print(f"curves     {visible(str(results / 'learning_curves.png'))} and .svg")
 
 
 def _compare_seeds(
@@ -166,11 +170,13 @@ def _compare_seeds(
         except KeyboardInterrupt:
             scores = None
         if scores is None:
-            print(f"stopped; what was scored is kept in {out}. The same command goes on.", file=sys.stderr)
+            print(
+                f"stopped; what was scored is kept in {visible(str(out))}. The same command goes on.", file=sys.stderr
+            )
             raise typer.Exit(INTERRUPTED)
         page = write_comparison(plan, scores, out)
     print("\n".join(comparison_lines(scores)))
-    print(f"page       {page}")
+    print(f"page       {visible(str(page))}")
 
 
 def _parse_names(text: str | None) -> tuple[str, ...]:
@@ -207,7 +213,7 @@ def paper(
     for line in claims(study):
         print(f"{line.item}: {line.verdict.replace('*', '')}")
         print(f"    paper {line.paper or '–'}   ours {line.ours}   one sample {line.one_sample or '–'}")
-    print(f"page       {page}")
+    print(f"page       {visible(str(page))}")
 
 
 def _parse_sizes(option: str, text: str) -> list[int]:

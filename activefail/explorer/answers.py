@@ -36,6 +36,7 @@ from activefail.report.quantities import plain, words
 from activefail.report.style import styled
 from activefail.report.svg import inline
 from activefail.space import Array
+from activefail.visible import visible
 
 _GRID, _CURVE, _FRAMES = 36, 81, 240
 
@@ -113,7 +114,7 @@ class Answers:
         first = np.argsort(-influence, kind="stable").tolist()
         plane = [names[column] for column in first[:2]]
         return {
-            "title": settings.description or findings.folder.name,
+            "title": visible(settings.description or findings.folder.name),
             "simulations": len(findings.X),
             "variables": [
                 {

@@ -1,6 +1,7 @@
 """What a campaign has found, gathered from its run folder for the report; nothing in the folder is changed."""
 
 import csv
+import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from activefail.campaign.record import ACTIVE, Store
 from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
 from activefail.campaign.verification import ErrorEstimate, expected_error, leave_one_out, verify
 from activefail.errors import InputError
+from activefail.files import read_regular
 from activefail.report.quantities import words
 from activefail.space import Array
 from activefail.study.compare import Recall, Score, default_budgets, score
@@ -31,6 +33,7 @@ CONFIDENCE = 0.95
 
 _Z = 1.959964
 _POOL = 2**12
+_LARGEST_TABLE = 10_000_000
 _BUDGETS = 5
 
 
@@ -178,7 +181,9 @@ def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
     kinds = {name: other.get(name, float) for name in Score.columns()}
     scores, unanswered = [], 0
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        # A run folder may come from someone else, with a pipe or a table without end.
+        text = read_regular(path, _LARGEST_TABLE).decode()
+        with io.StringIO(text, newline="") as file:
             for number, row in enumerate(csv.DictReader(file), start=1):
                 try:
                     numbers: dict[str, Any] = {name: kind(row[name]) for name, kind in kinds.items()}
@@ -195,7 +200,11 @@ def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
                     raise InputError(
                         f"{path}: row {number}: is not one that `activefail compare` writes: {bad}."
                     ) from None
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
+    except InputError:
+        raise
+    except (csv.Error, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}.") from None
     if not scores:
         raise InputError(f"{path}: has no rows.")

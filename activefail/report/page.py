@@ -1,9 +1,6 @@
 """The report of a campaign: one HTML file that stands for itself."""
 
 import hashlib
-import os
-import shlex
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +23,7 @@ from activefail.campaign.record import Store
 from activefail.campaign.summary import Plan, Summary
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
+from activefail.files import replacing, target_of
 from activefail.report import quantities
 from activefail.report.contours import coordinates, plot_outcome_planes
 from activefail.report.curves import plot_learning_curves
@@ -39,6 +37,7 @@ from activefail.report.svg import inline
 from activefail.shares import interval_percent, percent
 from activefail.space import Parameter
 from activefail.study.compare import Score
+from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6
 """Features of the pair plot at the most: those with the shortest length scales."""
@@ -422,13 +421,13 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
     done = standing(campaign, store.batches, 0).done
     counts = _counts(findings)
     scales = length_scales(findings.classifier)
-    quoted = shlex.quote(str(folder))
+    run_folder = quoted(folder)
     stage("drawing")
     budget = f" --budget {done}" if done != settings.sampling.budget else ""
     versions = provenance()
     code = " --code FOLDER" if _features_need_code(campaign) or not isinstance(settings.simulator, str) else ""
     numbers: dict[str, Any] = {
-        "title": settings.description or folder.name,
+        "title": visible(settings.description or folder.name),
         "version": __version__,
         "in_short": _in_short(findings, done),
         "run": _what_was_run(findings, done),
@@ -462,12 +461,12 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
         "done": done,
         "unseen": Summary.of(settings.text(), outcomes, store.batches).unseen_warning,
         "left": max(0, settings.sampling.budget - done),
-        "folder": quoted,
-        "commands": [f"activefail run campaign.toml --out {quoted}{budget}", *_judging(findings, quoted, code)],
+        "folder": run_folder,
+        "commands": [f"activefail run campaign.toml --out {run_folder}{budget}", *_judging(findings, run_folder, code)],
         "same": _same_again(findings, settings.sampling),
         "code": code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),
-        "settings": text,
+        "settings": visible(text, keep="\n"),
         "digest": hashlib.sha256(text.encode()).hexdigest(),
         "versions": {
             name: value for name, value in versions.items() if name not in ("processor_features", "bearing_sources")
@@ -492,15 +491,5 @@ def write_report(page: str, path: Path) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    path = Path(os.path.realpath(path))
-    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(page)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replacing(target_of(path)) as file:
+        file.write(page)

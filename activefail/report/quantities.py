@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.dfp import DfpSimulator
+from activefail.visible import visible
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ _RAISED = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def _typeset(unit: str) -> str:
     """A unit with its powers raised: m/s^2 as m/s², N/m^1.5 as N/m¹·⁵."""
-    return re.sub(r"\^(-?\d+(?:\.\d+)?)", lambda power: power[1].translate(_RAISED), unit)
+    return re.sub(r"\^(-?\d+(?:\.\d+)?)", lambda power: power[1].translate(_RAISED), visible(unit))
 
 
 _KNOWN = {
@@ -74,7 +75,7 @@ def quantity(name: str, unit: str | None = None) -> Quantity:
     """What is known of a variable or feature; a user's own keeps its name and unit."""
     known, unit = _KNOWN.get(name), _typeset(unit or "")
     if known is None:
-        return Quantity(name, plain(name), name, unit)
+        return Quantity(name, plain(visible(name)), visible(name), unit)
     if unit not in ("", known.unit):
         return Quantity(name, known.symbol, known.text, unit, known.meaning)
     return known
@@ -111,7 +112,7 @@ def own_quantity(name: str, unit: str = "") -> Quantity:
     letters, unit = _SYMBOL.fullmatch(name), _typeset(unit)
     if letters is None:
         # No subscripts: in `storey_height` there is none.
-        return Quantity(name, plain(name), name.replace("_", " "), unit)
+        return Quantity(name, plain(visible(name)), visible(name).replace("_", " "), unit)
     stem, below = letters["stem"], letters["below"]
     symbol = f"\\{stem}" if stem in _GREEK else stem
     text = _GREEK.get(stem, stem)

@@ -6,7 +6,6 @@ comparison that was interrupted goes on where it stopped.
 
 import json
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -24,14 +23,15 @@ from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.config import CampaignSettings, parse_settings
 from activefail.campaign.executor import local_executor
 from activefail.campaign.folder import create_run, open_campaign
-from activefail.campaign.image import TEMPORARY
 from activefail.campaign.learning import first_rows
 from activefail.campaign.loop import Observer, one_thread, run
+from activefail.campaign.places import refuse_links
 from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.campaign.store import check_empty
 from activefail.campaign.workers import begin_worker, starting_processes
 from activefail.errors import InputError, SimulationError
+from activefail.files import replacing
 from activefail.space import Array
 from activefail.study.estimate import Estimate
 from activefail.study.score import NEIGHBOURS, FreshSet, displaced, measures
@@ -192,9 +192,8 @@ def _score_arm(job: _Job) -> list[Score] | None:
 
 def _write(path: Path, text: str) -> None:
     """Under its final name only once it is whole."""
-    temporary = path.with_name(f"{TEMPORARY}{path.name}")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    with replacing(path) as file:
+        file.write(text)
 
 
 def _saved(path: Path) -> list[Score] | None:
@@ -225,9 +224,11 @@ def prepare(folder: Path, plan: Plan) -> None:
 
     Raises:
         InputError: if it holds another comparison, or anything else.
+        StoreError: if a file or folder of it is a symbolic link.
     """
     frozen = plan.settings.text() + f"\n# fresh designs to judge by: {plan.test}\n"
     path = folder / "comparison.toml"
+    refuse_links(folder, ("comparison.toml", "scores", "runs", "designs"))
     if path.exists():
         if path.read_text(encoding="utf-8") != frozen:
             raise InputError(f"{folder}: holds the comparison of another campaign or test set; give another folder.")

@@ -1,6 +1,7 @@
 """The run folder: what survives crashes, full disks, changed bits, second writers and hostile files."""
 
 import errno
+import fcntl
 import os
 import re
 import resource
@@ -150,9 +151,11 @@ def unlocked(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a file system whose locks do nothing."""
 
     class Nothing:
+        held = True
+
         def release(self) -> None: ...
 
-    monkeypatch.setattr(store_module, "_lock", lambda folder: Nothing())
+    monkeypatch.setattr(store_module, "FolderLock", lambda folder: Nothing())
 
 
 # Create and open
@@ -186,16 +189,21 @@ def test_a_folder_that_cannot_be_written_is_refused_with_the_systems_reason(
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=f"{tmp_path}/file/run: cannot be a run folder: Not a directory"):
         FolderStore.create(tmp_path / "file" / "run", SETTINGS, SCHEMA)
-    faults(fail("open", errno.EROFS))
+
+    def read_only(name: str, arguments: tuple[Any, ...], number: int) -> Any:
+        if name == "open" and arguments[1] & os.O_CREAT:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    faults(read_only)
     with pytest.raises(StoreError, match=r"campaign.toml: Read-only file system"):
         FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA)
     faults(None)
     written(tmp_path / "there", 2)
 
-    def refuse(self: object) -> None:
+    def refuse(descriptor: int, how: int) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr(store_module.FileLock, "acquire", refuse)
+    monkeypatch.setattr(fcntl, "flock", refuse)
     with pytest.raises(StoreError, match=f"Cannot write to {tmp_path}/there: Permission denied"):
         FolderStore.open(tmp_path / "there", SCHEMA, write=True)
 
@@ -1235,9 +1243,11 @@ def test_foreign_states_and_sets_are_not_read_either(tmp_path: Path) -> None:
             assert store.read_set("test") is not None
 
 
-def test_links_to_files_elsewhere_are_ignored_by_name(tmp_path: Path) -> None:
-    held = written(tmp_path / "run", 2, 3)
+@pytest.mark.parametrize("write", [True, False])
+def test_links_to_files_elsewhere_are_refused_by_name(tmp_path: Path, write: bool) -> None:
+    written(tmp_path / "run", 2, 3)
     path = segment_file(tmp_path / "run", 1)
     path.rename(tmp_path / "elsewhere")
     path.symlink_to(tmp_path / "elsewhere")
-    assert read(tmp_path / "run") == held[:1]
+    with pytest.raises(StoreError, match=rf"segments/{path.name} is a symbolic link; activefail follows no links"):
+        FolderStore.open(tmp_path / "run", SCHEMA, write=write)

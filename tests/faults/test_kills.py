@@ -14,10 +14,10 @@ from faults.harness import Course, Victim, Victims, few, finished, traced
 from faults.victim import BUDGET, COMMITS, COMPACT_AT, Inline, campaign, opened
 
 from activefail.campaign import compaction
-from activefail.campaign.image import TEMPORARY
 from activefail.campaign.loop import Observer, run
 from activefail.campaign.recovery import QUARANTINE
 from activefail.campaign.store import FolderStore
+from activefail.files import TEMPORARY
 
 Call = tuple[str, int]
 """A system call and how often it was made before, since the tracer was there."""
@@ -209,8 +209,8 @@ def test_refused_any_system_call_it_stops_with_the_reason_or_goes_on_and_loses_n
         # One message that names a file of the folder and the reason, or nothing to tell: never a traceback.
         assert code in (0, 1), (name, number, error, victim.told)
         if code == 1:
-            # The entry of a new folder is made durable in the one above it.
-            assert str(folder.parent if place == "creation 1" else folder) in victim.told[-1], victim.told[-1]
+            # The entry of a new folder is made durable in the one above it, and that one's too.
+            assert str(folder.parents[1] if place == "creation 1" else folder) in victim.told[-1], victim.told[-1]
             assert os.strerror(getattr(errno, error)) in victim.told[-1], victim.told[-1]
         if name == "fsync":
             # The kernel may have dropped the pages: a second fsync would succeed without them (Rebello et al. 2020).

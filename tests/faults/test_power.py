@@ -2,11 +2,14 @@
 
 The model is what POSIX promises and no more. The content of a file is as it was at its last fsync, or anything between
 that and what was written since. Of the names that were made, moved and taken away in a folder since its last fsync, any
-may be on the disk and any may not.
+may be on the disk and any may not; folders have names too, and without that of a folder all in it is gone.
 """
 
 import itertools
 import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +28,9 @@ from activefail.campaign.store import FolderStore
 
 SCHEMA = Schema(("x", "y"), ("safe", "broken"), ("", "crack"), ("distance",))
 SETTINGS = "seed = 1\n"
+RUN = "runs/deep/run"
+"""The run folder on the disk, which holds nothing before: two folders above it are made as well."""
+
 BATCHES = 5
 MOST_SUBSETS = 64
 
@@ -53,6 +59,15 @@ class File:
         }
 
 
+@dataclass(frozen=True)
+class Directory:
+    """A folder: its name is all there is of it."""
+
+    def kept(self) -> Iterator[None]:
+        """It is found as it is."""
+        yield None
+
+
 Change = tuple[tuple[str, int | None], ...]
 """Names that come to stand for a file, or for none, in one step."""
 
@@ -63,11 +78,11 @@ class Moment:
 
     names: Mapping[str, int]
     pending: tuple[Change, ...]
-    files: Mapping[int, File]
+    files: Mapping[int, File | Directory]
     told: tuple[str, ...]
 
-    def after_power_loss(self) -> Iterator[dict[str, bytes]]:
-        """Contents by name that may be found."""
+    def after_power_loss(self) -> Iterator[dict[str, bytes | None]]:
+        """Contents by name that may be found, None for a folder."""
         for kept in self._subsets():
             names = dict(self.names)
             for change in kept:
@@ -76,6 +91,7 @@ class Moment:
                         names.pop(name, None)
                     else:
                         names[name] = number
+            names = {name: number for name, number in names.items() if _above(name) <= names.keys()}
             numbers = sorted(set(names.values()))
             for contents in itertools.product(*(list(self.files[number].kept()) for number in numbers)):
                 found = dict(zip(numbers, contents, strict=True))
@@ -95,6 +111,11 @@ class Moment:
             yield tuple(itertools.compress(self.pending, mask))
 
 
+def _above(name: str) -> set[str]:
+    """The names of the folders that a path leads through."""
+    return {str(folder) for folder in Path(name).parents} - {"."}
+
+
 class Disk:
     """The module `os` as the record sees it, which notes at each call what a loss of power would leave."""
 
@@ -102,7 +123,7 @@ class Disk:
         self.folder = str(folder)
         self.names: dict[str, int] = {}
         self.pending: list[Change] = []
-        self.files: dict[int, File] = {}
+        self.files: dict[int, File | Directory] = {}
         self.told: list[str] = []
         self.open_files: dict[int, int] = {}
         self.open_folders: dict[int, str] = {}
@@ -126,6 +147,17 @@ class Disk:
         assert found is not None, name
         return found
 
+    def _file(self, number: int) -> File:
+        file = self.files[number]
+        assert isinstance(file, File)
+        return file
+
+    def mkdir(self, path: Any) -> None:
+        os.mkdir(path)
+        number = len(self.files)
+        self.files[number] = Directory()
+        self._change((path, number))
+
     def open(self, path: Any, flags: int, mode: int = 0o777) -> int:
         descriptor = os.open(path, flags, mode)
         if flags & os.O_DIRECTORY:
@@ -140,7 +172,7 @@ class Disk:
     def write(self, descriptor: int, data: Any) -> int:
         length = os.write(descriptor, data)
         number = self.open_files[descriptor]
-        file = self.files[number]
+        file = self._file(number)
         self.files[number] = File(file.synced, file.written + bytes(data[:length]))
         self.note()
         return length
@@ -149,7 +181,7 @@ class Disk:
         os.fsync(descriptor)
         if descriptor in self.open_files:
             number = self.open_files[descriptor]
-            self.files[number] = File(self.files[number].written, self.files[number].written)
+            self.files[number] = File(self._file(number).written, self._file(number).written)
         else:
             folder = self.open_folders[descriptor]
             within = [change for change in self.pending if os.path.dirname(change[0][0]) == folder.removeprefix(".")]
@@ -188,11 +220,12 @@ def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tupl
     monkeypatch.setattr(compaction, "COMPACT_AT", 3)
 
     def made() -> tuple[list[Moment], str]:
-        disk = Disk(tmp_path / "run")
+        (tmp_path / "disk").mkdir()
+        disk = Disk(tmp_path / "disk")
         with pytest.MonkeyPatch.context() as patch:
             for module in (image, store_module, recovery):
                 patch.setattr(module, "os", disk)
-            with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as store:
+            with FolderStore.create(tmp_path / "disk" / RUN, SETTINGS, SCHEMA) as store:
                 disk.told.append("created")
                 for number in range(BATCHES):
                     store.commit(batch(number))
@@ -210,16 +243,13 @@ def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tupl
     return made
 
 
-def restored(contents: Mapping[str, bytes], folder: Path) -> Path:
-    """A folder with these files."""
-    folder.mkdir()
-    # They are made once campaign.toml is durable under its name.
-    for name in ("segments", "state", "sets") if "campaign.toml" in contents else ():
-        (folder / name).mkdir()
-    for name, content in contents.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_bytes(content)
-    return folder
+def restored(contents: Mapping[str, bytes | None], disk: Path) -> Path:
+    """The run folder on a disk with these folders and files."""
+    disk.mkdir()
+    for name in sorted(contents):
+        content = contents[name]
+        (disk / name).mkdir() if content is None else (disk / name).write_bytes(content)
+    return disk / RUN
 
 
 def lost(told: tuple[str, ...], folder: Path) -> list[str]:
@@ -249,7 +279,7 @@ def test_a_loss_of_power_at_any_moment_leaves_all_that_was_acknowledged(
         (moment.told, tuple(sorted(contents.items()))) for moment in moments for contents in moment.after_power_loss()
     }
     assert len(states) > 80
-    for number, (told, contents) in enumerate(few(sorted(states), every_fault, 30)):
+    for number, (told, contents) in enumerate(few(sorted(states, key=repr), every_fault, 30)):
         folder = restored(MappingProxyType(dict(contents)), tmp_path / str(number))
         assert lost(told, folder) == []
         opener = FolderStore.open if (folder / "campaign.toml").exists() else FolderStore.create
@@ -264,12 +294,20 @@ def test_a_loss_of_power_at_any_moment_leaves_all_that_was_acknowledged(
         survived()
 
 
-@pytest.mark.parametrize("without", ["files", "folders"])
+@pytest.mark.parametrize("without", ["files", "folders", "folders above"])
 def test_the_model_finds_what_a_program_without_fsync_would_lose(
     course: Callable[[], tuple[list[Moment], str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without: str
 ) -> None:
     if without == "files":
         monkeypatch.setattr(image, "_sync_file", lambda descriptor, path: None)
+    elif without == "folders above":
+
+        def made(folder: Path) -> None:
+            for above in (folder.parent.parent, folder.parent, folder):
+                image.os.mkdir(above)
+            image.sync_folder(folder.parent)
+
+        monkeypatch.setattr(store_module, "make_folder", made)
     else:
         for module in (image, store_module):
             monkeypatch.setattr(module, "sync_folder", lambda folder: None)
@@ -283,3 +321,22 @@ def test_the_model_finds_what_a_program_without_fsync_would_lose(
         except Exception:
             found += 1
     assert found > 0
+
+
+def test_every_folder_that_is_made_is_durable_in_the_one_above_it_before_anything_is_recorded(
+    tmp_path: Path, strace: str
+) -> None:
+    program = (
+        "from activefail.campaign.record import Schema\nfrom activefail.campaign.store import FolderStore\n"
+        f"FolderStore.create('new/deep/run', 'seed = 1', Schema({SCHEMA.variables}, {SCHEMA.outcomes}, ('',), ()))\n"
+    )
+    trace = tmp_path / "trace"
+    options = ["-f", "-y", "-e", "trace=mkdir,mkdirat,fsync,link,linkat", "-o", str(trace)]
+    subprocess.run([strace, *options, sys.executable, "-c", program], cwd=tmp_path, check=True)
+    calls = [line for line in trace.read_text().splitlines() if "/new" in line or f"<{tmp_path}>" in line]
+    linked = next(number for number, line in enumerate(calls) if re.search(r"\blink(at)?\(", line))
+    for folder in ("new", "new/deep", "new/deep/run"):
+        path = tmp_path / folder
+        made = next(number for number, line in enumerate(calls) if re.search(rf'mkdir(at)?\(.*"{path}"', line))
+        synced = [number for number, line in enumerate(calls) if re.search(rf"fsync\(\d+<{path.parent}>\)", line)]
+        assert any(made < number < linked for number in synced), folder
