@@ -33,7 +33,7 @@ from activefail.errors import ActivefailError, BusyError, InputError, Simulation
 
 pytestmark = pytest.mark.faults
 
-SECRET, QUESTION, PROCESS, MOST = bytes(range(32)), Question.about(b"a design"), 4711, 100
+SECRET, QUESTION, PROCESS, MOST = bytes(range(32)), Question.about(b"a design", bytes(16)), 4711, 100
 PAYLOAD = b"an answer"
 FRAME = sealed(SECRET, QUESTION, PROCESS, Kind.ANSWERED, PAYLOAD)
 
@@ -68,7 +68,7 @@ def test_a_frame_of_which_any_bit_is_wrong_is_refused() -> None:
 @pytest.mark.parametrize(
     ("frame", "says"),
     [
-        (sealed(SECRET, Question.about(b"a design"), PROCESS, Kind.ANSWERED), "another question"),
+        (sealed(SECRET, Question.about(b"a design", bytes([1] * 16)), PROCESS, Kind.ANSWERED), "another question"),
         (sealed(SECRET, Question.about(b"?", QUESTION.ticket), PROCESS, Kind.ANSWERED), "another question"),
         (sealed(SECRET, QUESTION, PROCESS + 1, Kind.ANSWERED), "another process"),
         (sealed(bytes(32), QUESTION, PROCESS, Kind.ANSWERED), "checksum"),
@@ -78,10 +78,15 @@ def test_a_frame_of_which_any_bit_is_wrong_is_refused() -> None:
         (FRAME[:4] + FRAME, "does not begin"),
         (FRAME[:50] + FRAME, "too long|checksum"),
     ],
+    ids=["ticket", "digest", "process", "key", "kind", "junk", "late", "prefix", "part"],
 )
 def test_what_answers_something_else_or_is_no_frame_is_refused(frame: bytes, says: str) -> None:
     with pytest.raises(BrokenFrameError, match=says):
         read(frame)
+
+
+def test_no_two_questions_have_the_same_ticket() -> None:
+    assert len({Question.about(b"a design").ticket for _ in range(1000)}) == 1000
 
 
 def test_a_length_beyond_the_bound_is_refused_before_anything_of_it_has_come() -> None:

@@ -336,7 +336,7 @@ def run(design):
 """
 
 
-@pytest.mark.parametrize(("renew", "processes"), [("", 1), ("renew = 5\n", 4)])
+@pytest.mark.parametrize(("renew", "processes"), [("", 1), ("renew = 5\n", 4)], ids=["never", "five"])
 def test_a_campaign_says_how_many_simulations_one_process_may_run(
     mine: Path, tmp_path: Path, renew: str, processes: int
 ) -> None:

@@ -327,7 +327,8 @@ class Leaving(Disc):
     releases_gil = False
 
     def run(self, X: Array) -> Results:
-        started = [subprocess.Popen(["sleep", "600"], start_new_session=True).pid]
+        self.note(os.getpid())
+        self.note(subprocess.Popen(["sleep", "600"], start_new_session=True).pid)
         read, write = os.pipe()
         if os.fork() == 0:
             os.setsid()
@@ -337,18 +338,11 @@ class Leaving(Disc):
                 os.execvp("sleep", ["sleep", "600"])
             os.write(write, str(child).encode())
             os._exit(0)
-        started.append(int(os.read(read, 20)))
-        # A program of Python's that starts others, deaf to all that can be ignored.
-        nest = "import os, signal, time\nfor s in (1, 2, 15): signal.signal(s, signal.SIG_IGN)\n"
-        nest += f"os.setsid()\nfor _ in range(3):\n    if os.fork() == 0: os.setsid()\nopen('{self.folder}/' + "
-        nest += "str(os.getpid()), 'w').close()\nprint(flush=True)\ntime.sleep(600)\n"
-        program = subprocess.Popen([sys.executable, "-c", nest], stdout=subprocess.PIPE)
+        self.note(int(os.read(read, 20)))
+        program = subprocess.Popen([sys.executable, "-c", NEST], stdout=subprocess.PIPE)
         assert program.stdout is not None
         for _ in range(8):
-            program.stdout.readline()
-        for process in (*started, os.getpid()):
-            Path(self.folder, str(process)).touch()
-        Path(self.folder, "done").touch()
+            self.note(int(program.stdout.readline()))
         match self.then:
             case "raises":
                 raise ValueError("no convergence")
@@ -361,3 +355,20 @@ class Leaving(Disc):
 
                 ctypes.PyDLL(None).sleep(600)
         return Disc().run(X)
+
+    def note(self, process: int) -> None:
+        """Leave a note of a process."""
+        Path(self.folder, str(process)).touch()
+
+
+NEST = """
+import os, signal, time
+for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, signal.SIG_IGN)
+for _ in range(3):
+    if os.fork() == 0:
+        os.setsid()
+os.write(1, b"%d\\n" % os.getpid())
+time.sleep(600)
+"""
+"""A program that becomes eight processes in sessions of their own, deaf to what can be ignored."""

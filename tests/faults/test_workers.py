@@ -306,8 +306,10 @@ def run(d):
 def test_a_simulator_that_spoils_its_process_fails_nowhere_and_resumes_to_the_same_bits(
     how: str, tmp_path: Path, survived: Callable[[int], None]
 ) -> None:
-    answer = '{"outcome": "failure" if d["x"] > 0.5 else "safe", "margins": {"m": d["x"]}}'
-    source = SPOILING[how].replace("ANSWER", answer.replace('"x"]}', '"x"] + math.pi}') if "math" in how else answer)
+    # Where something is imported, the answer needs it.
+    margin = 'd["x"] + math.pi' if "math" in SPOILING[how] else 'd["x"]'
+    answer = f'{{"outcome": "failure" if d["x"] > 0.5 else "safe", "margins": {{"m": {margin}}}}}'
+    source = SPOILING[how].replace("ANSWER", answer)
     file = plane(tmp_path, source, PLANE.replace("24", "8").replace("40", "16"))
     for name, budgets in (("whole", ("16",)), ("resumed", ("8", "16"))):
         for budget in budgets:
@@ -345,7 +347,8 @@ def test_what_a_simulation_starts_in_a_session_of_its_own_ends_with_its_worker(
             given_up(results, X, [0], cause)
             # At once, not only at the end.
             assert gone(tmp_path)
-    assert len(list(tmp_path.glob("[0-9]*"))) >= 11
+    # However little of a simulation there was before its limit.
+    assert len(list(tmp_path.glob("[0-9]*"))) >= (1 if then in ("hangs", "holds") else 11)
     assert gone(tmp_path)
     survived(1)
 
@@ -376,10 +379,13 @@ def test_nothing_of_a_worker_outlives_a_main_program_that_is_killed(
     (tmp_path / "lead.py").write_text(LEADING.format(then=then, folder=str(tmp_path)))
     paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     process = subprocess.Popen([sys.executable, tmp_path / "lead.py"], env=os.environ | {"PYTHONPATH": paths})
-    with within(60):
-        wait_until(lambda: len(list(tmp_path.glob("[0-9]*"))) == 22)
+    try:
+        with within(300):
+            wait_until(lambda: len(list(tmp_path.glob("[0-9]*"))) == 22)
+    finally:
         process.kill()
         process.wait()
+    with within(60):
         wait_until(lambda: gone(tmp_path))
     survived(1)
 
