@@ -823,7 +823,9 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
 def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
     tmp_path: Path, first: signal.Signals, second: signal.Signals
 ) -> None:
-    (tmp_path / "long.toml").write_text("sampling = { initial = 20000, budget = 20000, batch = 20000 }\n")
+    (tmp_path / "long.toml").write_text(
+        "sampling = { initial = 500, budget = 500, batch = 500 }\nbearing.tolerance = 1e-9\n"
+    )
     words = ("run", tmp_path / "long.toml", "--out", tmp_path / "run", "--workers", "2")
     with holding("activefail.campaign.dfp:DfpSimulator.run", *words) as running:
         process = running.process
@@ -831,7 +833,7 @@ def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
         process.send_signal(first)
         wait_for(process.stderr, "stopping after this batch")
         process.send_signal(second)
-        # The calls in flight are short, and waited for; of the others there are more than a thousand.
+        # The calls in flight are waited for, the others would take many times as long.
         running.release()
         _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err

@@ -793,9 +793,14 @@ time.sleep(600)
 @pytest.mark.faults
 def test_a_ctrl_c_on_the_terminal_while_worker_processes_start_costs_nothing(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
+    # Until the signal has come no simulation ends, and the campaign neither.
+    waits = "def run(design):\n    import time\n    while not pathlib.Path(__file__).with_name('open').exists():\n"
+    (mine / "model.py").write_text(MODEL.replace("def run(design):\n", f"{waits}        time.sleep(0.02)\n"))
     with started("run", mine / "mine.toml", "--out", run, "--workers", "2") as process:
         until(lambda: any("spawn_main" in command for command in started_by(process.pid)))
         os.killpg(process.pid, signal.SIGINT)
+        wait_for(process.stderr, "stopping after this batch")
+        (mine / "open").touch()
         _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 130, err
     assert "Traceback" not in err
