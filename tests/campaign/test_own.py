@@ -167,10 +167,17 @@ def test_a_simulator_of_one_s_own_goes_to_a_worker_process_and_gives_the_same_th
     assert results.margins.tobytes() == expected.margins.tobytes()
 
 
-def test_the_import_of_a_function_s_module_does_not_count_to_its_time_limit(tmp_path: Path) -> None:
-    simulator = python(tmp_path, source=f"import time\ntime.sleep(3.0)\n{MODEL}")
-    with ProcessExecutor(1, time_limit=2.0) as executor:
+def test_the_import_of_a_function_s_module_does_not_count_to_its_time_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    imports = tmp_path / "imports"
+    # Each import takes a minute.
+    clock = Clock(lambda: 60.0 * imports.stat().st_size if imports.exists() else 0.0)
+    monkeypatch.setattr("activefail.campaign.workers.time", clock)
+    simulator = python(tmp_path, source=f"with open({str(imports)!r}, 'a') as file:\n    file.write('.')\n{MODEL}")
+    with ProcessExecutor(1, time_limit=30.0) as executor:
         assert executor.run(simulator, X).outcome.tolist() == [0, 1, 2]
+    assert imports.stat().st_size == 1
 
 
 WITH_HELPERS = """

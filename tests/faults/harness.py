@@ -107,7 +107,8 @@ class Victims:
             stdout=subprocess.PIPE,
             text=True,
             cwd=folder,
-            env=os.environ | {"PYTHONPATH": path},
+            # Without the current folder among those that modules are looked for in: each victim changes it.
+            env=os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": "1"},
         )
         assert self.answer() == "ready"
 
