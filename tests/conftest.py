@@ -22,8 +22,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Have Hypothesis try the same examples each time, and more of them, new ones, where every fault is to be tried."""
     every = config.getoption("--every-fault")
-    hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
-    hypothesis.settings.register_profile("every fault", max_examples=1000, deadline=None)
+    # How long an example takes, and its making, depends on the machine.
+    timeless = hypothesis.settings(deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+    hypothesis.settings.register_profile("same", timeless, derandomize=True)
+    hypothesis.settings.register_profile("every fault", timeless, max_examples=1000)
     hypothesis.settings.load_profile("every fault" if every else "same")
 
 

@@ -5,11 +5,12 @@ from typing import Any
 
 import pytest
 from explorer.conftest import served
-from patience import until
+from patience import PATIENCE, until
 from report.browser import NO_BROWSER, browser, console_errors, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.explorer.answers import Answers
+from activefail.explorer.server import MOST_QUESTIONS
 
 pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
 
@@ -175,6 +176,23 @@ def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, answers, 
     until(lambda: visitor.one("#earlier").is_displayed(), "the word that the motion is of an earlier design")
     visitor.one("#simulate").click()
     until(lambda: not visitor.one("#earlier").is_displayed(), "the motion of this design")
+
+
+def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answers):
+    from selenium.webdriver.common.keys import Keys
+
+    with served(answers) as server, browser() as driver:
+        driver.get(server.address)
+        visitor = Visitor(driver)
+        visitor.settled()
+        for _ in range(MOST_QUESTIONS):
+            assert server.turns.acquire(timeout=PATIENCE)
+        visitor.one("#v8").send_keys(Keys.HOME)
+        until(lambda: any("503" in line for line in console_errors(driver)), "a refusal")
+        server.turns.release(MOST_QUESTIONS)
+        expected = answers.predict([*answers.about()["presets"][0]["point"][:8], 0.1])["probabilities"]
+        until(lambda: abs(visitor.probabilities()["failure"] - expected[2]) < 1e-9, "its prediction")
+        assert visitor.one("#status").text == ""
 
 
 def test_on_a_phone_nothing_is_wider_than_the_page(address, tmp_path):
