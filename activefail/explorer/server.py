@@ -3,9 +3,9 @@
 It changes nothing and reads no file but its own. Only who names this machine in the Host header is answered, so that no
 other site can ask in a visitor's name; beyond the loopback interface only who has the token is.
 
-Every connection has a thread, and there are only so many. A browser keeps connections open that it may never use again,
-and other programs open some that they never use at all, so the one that has been quiet longest makes room for a new one.
-Questions that cost time are few at once; others get a 503 and may ask again.
+Each connection has a thread, and their number is bounded. Browsers keep idle connections open, so at the limit the
+server closes the one that has been idle longest. Questions in progress are bounded too: beyond that a question gets a
+503 with Retry-After.
 """
 
 import hmac
@@ -35,10 +35,10 @@ LONGEST_BODY = 4096
 """Of a question [bytes]; a design is some hundred."""
 
 MOST_CONNECTIONS = 512
-"""Open at once, each with a thread of its own."""
+"""Open at once; each has a thread."""
 
 MOST_QUESTIONS = 32
-"""Answered or in line at once. A browser opens at most six connections to a server."""
+"""In progress at once. A browser opens at most six connections to a server."""
 
 _LENGTH = re.compile(r"[0-9]{1,9}")
 
@@ -79,12 +79,12 @@ class ExplorerServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    # Connections that the system holds until they are accepted. Of more it drops the beginning, and the visitor waits.
+    # Connections that the system keeps until we accept them; further visitors would wait for a retransmission.
     request_queue_size = 1024
 
     def __init__(self, host: str, port: int, answers: Answers) -> None:
         self._host = host
-        # The one that has been quiet longest first.
+        # The one that has been idle longest first.
         self._connections: dict[socket.socket, None] = {}
         self._fewer = threading.Condition()
         self.turns = threading.BoundedSemaphore(MOST_QUESTIONS)
@@ -128,38 +128,38 @@ class ExplorerServer(ThreadingHTTPServer):
         """Accept the next connection.
 
         Raises:
-            OSError: if there is no room for it yet; `serve_forever` then tries again.
+            OSError: if there is no room for it yet; `serve_forever` tries again.
         """
         if len(self._connections) >= MOST_CONNECTIONS:
             self._make_room()
         try:
             accepted = super().get_request()
         except OSError:
-            # The process may have used up its descriptors.
+            # Perhaps the process has used up its descriptors.
             self._make_room()
             raise
         self.heard_from(accepted[0])
         return accepted
 
     def _make_room(self) -> None:
-        """End the connection that has been quiet longest; a question of it that is being answered still gets its answer.
+        """End the connection that has been idle longest; a question in progress on it is still answered.
 
         Raises:
-            BlockingIOError: if it takes its time.
+            BlockingIOError: if no connection ended within half a second.
         """
         with self._fewer:
-            quiet = next(iter(self._connections), None)
-            if quiet is not None:
-                # Next time another one, should this one be slow to end.
-                self.heard_from(quiet)
+            idle = next(iter(self._connections), None)
+            if idle is not None:
+                # The next attempt takes another one, in case this one is slow to end.
+                self.heard_from(idle)
                 # Its thread reads the end of the stream; what it writes still reaches the visitor.
                 with suppress(OSError):
-                    quiet.shutdown(socket.SHUT_RD)
+                    idle.shutdown(socket.SHUT_RD)
             if not self._fewer.wait(0.5):
                 raise BlockingIOError("There is no room for another connection yet.")
 
     def heard_from(self, connection: socket.socket) -> None:
-        """Note that a connection is new or was answered: all others have been quiet for longer."""
+        """Note that a connection is new or was just answered; all others have been idle for longer."""
         with self._fewer:
             self._connections.pop(connection, None)
             self._connections[connection] = None
