@@ -432,7 +432,7 @@ def test_what_a_hung_simulation_has_started_ends_with_it(tmp_path: Path, monkeyp
     # A minute passes whenever both processes are noted.
     clock = Clock(lambda: 60.0 * (len(os.listdir(tmp_path)) // 2))
     monkeypatch.setattr("activefail.campaign.workers.time", clock)
-    with within(600), ProcessExecutor(1, time_limit=30.0) as executor:
+    with within(600), ProcessExecutor(1, time_limit=1.0) as executor:
         given_up(executor.run(Starting(folder=str(tmp_path)), X), X, [1], "time_limit")
     assert len(os.listdir(tmp_path)) == 4
     for path in tmp_path.iterdir():
