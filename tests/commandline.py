@@ -2,10 +2,12 @@
 
 import csv
 import io
+import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -13,9 +15,13 @@ from pathlib import Path
 from typing import IO
 from unittest import mock
 
+import held
 import pytest
+from patience import until
 
 from activefail.cli import main
+
+TESTS = Path(__file__).parent
 
 
 @dataclass(frozen=True)
@@ -64,17 +70,20 @@ def record(folder: Path) -> list[dict[str, str]]:
 
 
 @contextmanager
-def started(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
+def started(
+    *words: str | Path, module: str = "activefail.cli", environment: dict[str, str] | None = None
+) -> Iterator[subprocess.Popen[str]]:
     """The program in a process of its own, which leads a group as a terminal's command does, ended with the block."""
     # A shell has its background jobs ignore Ctrl-C, and what they start would too.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "activefail.cli", *map(str, words)],
+            [sys.executable, "-u", "-m", module, *map(str, words)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             process_group=0,
+            env=os.environ | (environment or {}),
         )
     finally:
         signal.signal(signal.SIGINT, before)
@@ -83,6 +92,38 @@ def started(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
     finally:
         process.kill()
         process.communicate()
+
+
+@dataclass(frozen=True)
+class Held:
+    """The program in a process of its own, with one of its functions held (see `held`)."""
+
+    process: subprocess.Popen[str]
+    folder: Path
+
+    def wait(self, number: int = 1) -> list[int]:
+        """Wait until the function is held in so many calls; the processes that they are in."""
+
+        def noted() -> list[int]:
+            assert self.process.poll() is None, self.process.communicate()
+            found = [int(name.partition("-")[0]) for name in os.listdir(self.folder) if name != held.OPEN]
+            return found if len(found) >= number else []
+
+        return until(noted, "the program to come to what is held")
+
+    def release(self) -> None:
+        """Let the function return, here and in all calls to come."""
+        (self.folder / held.OPEN).touch()
+
+
+@contextmanager
+def holding(place: str, *words: str | Path, passing: int = 0) -> Iterator[Held]:
+    """The program with a function held from its call after the first so many on."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.pathsep.join([str(TESTS), *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = {held.VARIABLE: json.dumps([place, folder, passing]), "PYTHONPATH": path}
+        with started(*words, module="held", environment=environment) as process:
+            yield Held(process, Path(folder))
 
 
 def wait_for(lines: IO[str] | None, start: str) -> None:

@@ -2,10 +2,12 @@
 
 import signal
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import hypothesis
 import pytest
+from patience import PATIENCE
 
 # A shell that runs the suite in the background has it ignore Ctrl-C, and all that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -20,9 +22,46 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Have Hypothesis try the same examples each time, and more of them, new ones, where every fault is to be tried."""
     every = config.getoption("--every-fault")
-    hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
-    hypothesis.settings.register_profile("every fault", max_examples=1000, deadline=None)
+    # How long an example takes, and its making, depends on the machine.
+    timeless = hypothesis.settings(deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+    hypothesis.settings.register_profile("same", timeless, derandomize=True)
+    hypothesis.settings.register_profile("every fault", timeless, max_examples=1000)
     hypothesis.settings.load_profile("every fault" if every else "same")
+
+
+@contextmanager
+def _ended_if_it_hangs(item: pytest.Item) -> Iterator[None]:
+    """Fail what hangs, at the place where it does; no claim about speed (see `patience`)."""
+
+    def ring(number: int, frame: object) -> None:
+        pytest.fail(f"this hangs: it is not done after {3 * PATIENCE:.0f} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    # Of every fault there are thousands in one test.
+    signal.alarm(0 if item.config.getoption("--every-fault") else int(3 * PATIENCE))
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
+    with _ended_if_it_hangs(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    with _ended_if_it_hangs(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
+    with _ended_if_it_hangs(item):
+        return (yield)
 
 
 @pytest.fixture

@@ -9,14 +9,15 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
-from commandline import Said, activefail, record, refused, started, table, wait_for
+from commandline import Said, activefail, holding, record, refused, started, table, wait_for
+from patience import PATIENCE, until
 
 from activefail import __version__
 from activefail.bearing import TABLE_1, simulate
@@ -747,10 +748,10 @@ def test_a_campaign_is_explored_on_this_machine_until_ctrl_c(folder: Path) -> No
         said = server.stdout.readline()
         address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C ends it\)\n", said)
         assert address is not None, said
-        with urllib.request.urlopen(address[1], timeout=60) as page:
+        with urllib.request.urlopen(address[1], timeout=PATIENCE) as page:
             assert "This design" in page.read().decode()
         server.send_signal(signal.SIGINT)
-        _, err = server.communicate(timeout=60)
+        _, err = server.communicate(timeout=PATIENCE)
     assert server.returncode == 0
     assert err.splitlines()[-1] == "ended"
     assert "Traceback" not in err
@@ -794,17 +795,19 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
     long: tuple[Path, list[dict[str, str]]], tmp_path: Path, number: signal.Signals
 ) -> None:
     folder = tmp_path / "run"
-    with started("run", long[0], "--out", folder, "--workers", "2") as process:
-        wait_for(process.stdout, "20/80 simulations")
+    words = ("run", long[0], "--out", folder, "--workers", "2")
+    # Five batches are done, of the sixth two simulations are.
+    with holding("activefail.campaign.dfp:DfpSimulator.run", *words, passing=27) as running:
+        process = running.process
+        running.wait(2)
         process.send_signal(number)
-        out, err = process.communicate(timeout=120)
+        wait_for(process.stderr, "stopping after this batch; once more to stop now")
+        running.release()
+        out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert "stopping after this batch; once more to stop now" in err
     assert "results" not in out
-    done = len(record(folder))
-    assert done % 5 == 0
-    assert 20 <= done < 80
+    assert len(record(folder)) == 30
     command = shlex.split(err.strip().splitlines()[-1].partition("Go on with: ")[2])
     assert command == ["activefail", "resume", str(folder)]
 
@@ -820,17 +823,19 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
 def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
     tmp_path: Path, first: signal.Signals, second: signal.Signals
 ) -> None:
-    (tmp_path / "slow.toml").write_text(
+    (tmp_path / "long.toml").write_text(
         "sampling = { initial = 500, budget = 500, batch = 500 }\nbearing.tolerance = 1e-9\n"
     )
-    with started("run", tmp_path / "slow.toml", "--out", tmp_path / "run", "--workers", "2") as process:
-        wait_for(process.stdout, "0/500 simulations")
-        # Into the batch, which takes many times as long: before it begins there is nothing to finish.
-        time.sleep(1.0)
+    words = ("run", tmp_path / "long.toml", "--out", tmp_path / "run", "--workers", "2")
+    with holding("activefail.campaign.dfp:DfpSimulator.run", *words) as running:
+        process = running.process
+        running.wait(2)
         process.send_signal(first)
         wait_for(process.stderr, "stopping after this batch")
         process.send_signal(second)
-        _, err = process.communicate(timeout=120)
+        # The calls in flight are waited for, the others would take many times as long.
+        running.release()
+        _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert err.splitlines()[-1] == (
         f"stopped; batches that were recorded are safe. Go on with: activefail resume {tmp_path / 'run'}"
@@ -842,12 +847,12 @@ def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
 def test_a_ctrl_c_while_the_program_is_ending_has_no_traceback() -> None:
     script = (
         "import atexit, os, signal, sys, time\n"
-        "atexit.register(lambda: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60.0)))\n"
+        "atexit.register(lambda: (os.kill(os.getpid(), signal.SIGINT), time.sleep(600.0)))\n"
         "from activefail.cli import main\n"
         "sys.argv = ['activefail', '--version']\n"
         "main()\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
@@ -865,7 +870,7 @@ def test_a_ctrl_c_ends_the_program_though_a_thread_of_its_own_never_ends(tmp_pat
         "program()\n"
     )
     words = [sys.executable, str(tmp_path / "program.py")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 130
     assert "Traceback" not in done.stderr
 
@@ -895,7 +900,7 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
 
     def compiling(*arguments: object) -> None:
         ctypes.CFUNCTYPE(None)(struck)()
-        threading.Event().wait(60.0)
+        threading.Event().wait(PATIENCE)
         pytest.fail("nothing came")
 
     monkeypatch.setattr("activefail.study.paper.run_study", compiling)
@@ -903,44 +908,45 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
     assert (said.code, said.err) == (130, "stopped; nothing is kept of it. The same command begins anew.\n")
 
 
-def struck_as_by_a_terminal(process: subprocess.Popen[str]) -> str:
+def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], None] = lambda: None) -> str:
     """Send Ctrl-C to a process and all that it has started; what it says then. None of them may be left."""
     os.killpg(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=120)
+    then()
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    give_up = time.monotonic() + 60.0
-    while time.monotonic() < give_up:
+
+    def gone() -> bool:
         try:
             os.killpg(process.pid, 0)
         except ProcessLookupError:
-            return err
-        time.sleep(0.05)
-    pytest.fail("something that it had started is left")
+            return True
+        return False
+
+    until(gone, "the end of all that it had started")
+    return err
 
 
 @pytest.mark.faults
-@pytest.mark.parametrize("stage", ["simulating 4 draws", "regressions"])
-def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, stage: str) -> None:
-    with started("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper") as process:
-        wait_for(process.stderr, stage)
-        err = struck_as_by_a_terminal(process)
+@pytest.mark.parametrize("place", ["simulated", "study_draw"])
+def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, place: str) -> None:
+    words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
+    with holding(f"activefail.study.paper:{place}", *words) as running:
+        running.wait()
+        err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "stopped; nothing is kept of it. The same command begins anew."
     assert list((tmp_path / "paper").iterdir()) == []
 
 
 @pytest.mark.faults
 def test_a_worker_process_that_is_killed_ends_the_reproduction_with_a_message(tmp_path: Path) -> None:
-    with started("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper") as process:
-        wait_for(process.stderr, "what depends on the choices")
-        workers = [
-            int(child)
-            for task in Path(f"/proc/{process.pid}/task").iterdir()
-            for child in (task / "children").read_text().split()
-            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()
-        ]
-        os.kill(workers[0], signal.SIGKILL)
-        _, err = process.communicate(timeout=120)
+    words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
+    with holding("activefail.study.paper:study_draw", *words) as running:
+        process = running.process
+        worker = running.wait()[0]
+        assert worker != process.pid
+        os.kill(worker, signal.SIGKILL)
+        _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1, err
     assert err.splitlines()[-1].startswith("activefail: A worker process died")
     assert "Traceback" not in err
@@ -952,9 +958,9 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 ) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
     words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with started(*words, "--static", "20", "--jobs", "2") as process:
-        wait_for(process.stderr, "campaigns and classifiers")
-        err = struck_as_by_a_terminal(process)
+    with holding("activefail.study.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
+        wait_for(running.process.stderr, "campaigns and classifiers")
+        err = struck_as_by_a_terminal(running.process, running.release)
     assert (
         err.splitlines()[-1]
         == f"stopped; what was scored is kept in {tmp_path / 'compared'}. The same command goes on."
@@ -966,23 +972,23 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 @pytest.mark.faults
 def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_on(folder: Path) -> None:
     words = ("compare", folder, "--test", "10")
-    with started(*words) as process:
-        wait_for(process.stderr, "learning from")
-        err = struck_as_by_a_terminal(process)
+    with holding("activefail.study.compare:train", *words) as running:
+        running.wait()
+        err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "activefail: stopped; what was recorded is safe"
     assert not (folder / "compare").exists()
     assert activefail(*words).code == 0
 
 
 def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_path: Path) -> None:
-    (tmp_path / "in.csv").write_text(f"{HEADER}\n" + f"{ROW}\n" * 6000)
-    with started("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv") as process:
-        give_up = time.monotonic() + 60.0
-        while len(os.listdir(tmp_path)) < 2 and time.monotonic() < give_up:
-            assert process.poll() is None, process.communicate()
-            time.sleep(0.01)
+    (tmp_path / "in.csv").write_text(f"{HEADER}\n" + f"{ROW}\n" * 100)
+    words = ("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    with holding("activefail.study.tables:simulate", *words) as running:
+        process = running.process
+        running.wait()
+        assert len(os.listdir(tmp_path)) == 2
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert os.listdir(tmp_path) == ["in.csv"]
@@ -1017,5 +1023,5 @@ def test_a_reader_that_goes_away_is_no_reason_for_a_traceback(ran: tuple[Path, S
     with started("status", ran[0]) as process:
         process.stdout.close()  # type: ignore[union-attr]
         process.stdout = None
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (1, "")

@@ -127,7 +127,10 @@ class DaskExecutor:
         forgotten = any(future.status == "cancelled" for future, _, _ in self._out.values())
         if forgotten or self._client.status not in ("running", "connecting"):
             raise self._lost()
-        if not came:
+        if came:
+            # There were workers: should none be left, that is news again.
+            self._waits_for_workers = False
+        else:
             self._look_for_workers()
         return [(ticket, self._result(key, answer)) for ticket, key, answer in came]
 

@@ -49,6 +49,12 @@ async function ask(question, what) {
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify(what),
   });
+  if (response.status === 503) {
+    // The server has many to answer, and says when to ask again.
+    const seconds = Number(response.headers.get("Retry-After")) || 1;
+    await new Promise((asked) => setTimeout(asked, 1000 * seconds));
+    return ask(question, what);
+  }
   const answer = await response.json();
   if (!response.ok) throw new Error(answer.error || response.statusText);
   document.body.dataset[`${question}Ms`] = (performance.now() - began).toFixed(1);

@@ -2,6 +2,10 @@
 
 It changes nothing and reads no file but its own. Only who names this machine in the Host header is answered, so that no
 other site can ask in a visitor's name; beyond the loopback interface only who has the token is.
+
+Each connection has a thread, and their number is bounded. Browsers keep idle connections open, so at the limit the
+server closes the one that has been idle longest. Questions in progress are bounded too: beyond that a question gets a
+503 with Retry-After.
 """
 
 import hmac
@@ -11,7 +15,9 @@ import re
 import secrets
 import socket
 import sys
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -27,6 +33,12 @@ from activefail.explorer.answers import Answer, Answers
 
 LONGEST_BODY = 4096
 """Of a question [bytes]; a design is some hundred."""
+
+MOST_CONNECTIONS = 512
+"""Open at once; each has a thread."""
+
+MOST_QUESTIONS = 32
+"""In progress at once. A browser opens at most six connections to a server."""
 
 _LENGTH = re.compile(r"[0-9]{1,9}")
 
@@ -67,9 +79,15 @@ class ExplorerServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    # Connections that the system keeps until we accept them; further visitors would wait for a retransmission.
+    request_queue_size = 1024
 
     def __init__(self, host: str, port: int, answers: Answers) -> None:
         self._host = host
+        # The one that has been idle longest first.
+        self._connections: dict[socket.socket, None] = {}
+        self._fewer = threading.Condition()
+        self.turns = threading.BoundedSemaphore(MOST_QUESTIONS)
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(24)
         self.page = page(answers.about()).encode()
         read = files("activefail.explorer")
@@ -106,6 +124,53 @@ class ExplorerServer(ThreadingHTTPServer):
         except OverflowError:
             raise InputError(f"--port: must lie between 0 and 65535, got {port}.") from None
 
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Accept the next connection.
+
+        Raises:
+            OSError: if there is no room for it yet; `serve_forever` tries again.
+        """
+        if len(self._connections) >= MOST_CONNECTIONS:
+            self._make_room()
+        try:
+            accepted = super().get_request()
+        except OSError:
+            # Perhaps the process has used up its descriptors.
+            self._make_room()
+            raise
+        self.heard_from(accepted[0])
+        return accepted
+
+    def _make_room(self) -> None:
+        """End the connection that has been idle longest; a question in progress on it is still answered.
+
+        Raises:
+            BlockingIOError: if no connection ended within half a second.
+        """
+        with self._fewer:
+            idle = next(iter(self._connections), None)
+            if idle is not None:
+                # The next attempt takes another one, in case this one is slow to end.
+                self.heard_from(idle)
+                # Its thread reads the end of the stream; what it writes still reaches the visitor.
+                with suppress(OSError):
+                    idle.shutdown(socket.SHUT_RD)
+            if not self._fewer.wait(0.5):
+                raise BlockingIOError("There is no room for another connection yet.")
+
+    def heard_from(self, connection: socket.socket) -> None:
+        """Note that a connection is new or was just answered; all others have been idle for longer."""
+        with self._fewer:
+            self._connections.pop(connection, None)
+            self._connections[connection] = None
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        super().shutdown_request(request)
+        with self._fewer:
+            self._connections.pop(request, None)
+            self._fewer.notify()
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A visitor who goes away in the middle is no fault; anything else is told."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
@@ -141,7 +206,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     server: ExplorerServer
     protocol_version = "HTTP/1.1"
-    timeout = 30
+    timeout = 30  # [s] without a byte
+
+    def handle_one_request(self) -> None:
+        """Read one request of the connection and answer it."""
+        super().handle_one_request()
+        self.server.heard_from(self.connection)
 
     def do_GET(self) -> None:
         """The page and its two files."""
@@ -187,6 +257,9 @@ class _Handler(BaseHTTPRequestHandler):
         if not isinstance(asked, dict):
             self._refuse(HTTPStatus.BAD_REQUEST, "A question must be a JSON object.")
             return
+        if not self.server.turns.acquire(blocking=False):
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "The explorer is busy; ask again.", {"Retry-After": "1"})
+            return
         try:
             said = answer(asked)
         except InputError as wrong:
@@ -195,6 +268,8 @@ class _Handler(BaseHTTPRequestHandler):
         except Exception:
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, "The explorer failed; its terminal says how.")
             raise
+        finally:
+            self.server.turns.release()
         self._send(HTTPStatus.OK, "application/json", json.dumps(said, allow_nan=False).encode())
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
@@ -230,10 +305,11 @@ class _Handler(BaseHTTPRequestHandler):
             cookie = None
         return [*given, *([cookie.value] if cookie else [])]
 
-    def _refuse(self, status: HTTPStatus, text: str) -> None:
+    def _refuse(self, status: HTTPStatus, text: str, more: dict[str, str] | None = None) -> None:
         # What was sent and not read would be taken for the next request.
         self.close_connection = True
-        self._send(status, "application/json", json.dumps({"error": text}).encode(), {"Connection": "close"})
+        body = json.dumps({"error": text}).encode()
+        self._send(status, "application/json", body, {"Connection": "close"} | (more or {}))
 
     def _send(self, status: HTTPStatus, kind: str, body: bytes, more: dict[str, str] | None = None) -> None:
         self.send_response(status)

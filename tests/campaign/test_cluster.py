@@ -18,6 +18,7 @@ import pytest
 from campaign.stub import Disc, disc
 from commandline import activefail, record, refused, started, wait_for
 from faults.simulators import Meddling, Remembering
+from patience import PATIENCE
 
 from activefail.campaign.asynchronous import resumed
 from activefail.campaign.cluster import DaskExecutor
@@ -86,7 +87,7 @@ class Cluster:
 
 def until(true: Callable[[], bool]) -> None:
     """Wait for something to be true."""
-    give_up = time.monotonic() + 120.0
+    give_up = time.monotonic() + PATIENCE
     while not true():
         assert time.monotonic() < give_up
         time.sleep(0.05)
@@ -230,9 +231,9 @@ def test_a_simulation_that_ends_its_process_costs_itself_and_not_the_worker(clus
 
 
 def test_a_hung_simulation_is_ended_by_its_limit_on_the_worker(cluster: Cluster) -> None:
-    with DaskExecutor(cluster.address, time_limit=1.0) as executor:
+    with DaskExecutor(cluster.address, time_limit=3.0) as executor:
         results = executor.run(Sleeping(), np.array([[-1.9, 11.0], [2.5, 20.0]]))
-        assert "it took longer than 1 s, twice" in executor.first_fault
+        assert "it took longer than 3 s, twice" in executor.first_fault
     assert results.outcome.tolist() == [0, -1]
 
 
@@ -284,7 +285,7 @@ def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time
     assert "Start Nanny at" in (tmp_path / "one.log").read_text()
     (tmp_path / "bearing.toml").write_text("seed = 2\nsampling = { initial = 20, budget = 24, batch = 4 }")
     (tmp_path / "unruly.py").write_text(UNRULY)
-    limited = TOML.replace('"slow:run"', '"unruly:run", time_limit = 1.0') + "[limits]\nnumerical_failures = 1.0\n"
+    limited = TOML.replace('"slow:run"', '"unruly:run", time_limit = 3.0') + "[limits]\nnumerical_failures = 1.0\n"
     (tmp_path / "unruly.toml").write_text(limited)
     dask = ("--executor", "dask", "--scheduler", alone.address)
     for name in ("bearing", "unruly"):
@@ -359,7 +360,7 @@ def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds
         # In a thread of its own: a wait that is never over fails this test instead of holding it up.
         asking = Thread(target=ask_while_it_is_lost, daemon=True)
         asking.start()
-        asking.join(120.0)
+        asking.join(PATIENCE)
         assert not asking.is_alive()
         assert (tmp_path / "dug").exists()
         assert answers == []
@@ -419,10 +420,19 @@ x = { low = 0.0, high = 4.0 }
 y = { low = 1.0, high = 3.0 }
 """
 
+# Of all processes' simulations the ninth and those after it wait until they may end.
 SLOW = """
-import time
+import itertools, pathlib, time
 def run(design):
-    time.sleep(0.4)
+    folder = pathlib.Path(__file__).parent
+    for number in itertools.count(1):
+        try:
+            (folder / f"begun-{number}").touch(exist_ok=False)
+            break
+        except FileExistsError:
+            pass
+    while number > 8 and not (folder / "open").exists():
+        time.sleep(0.02)
     return "failure" if design["x"] > 1.5 else "safe"
 """
 
@@ -437,7 +447,7 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
         cluster.scheduler.kill()
         cluster.scheduler.wait()
         cluster.begin()
-        _, err = process.communicate(timeout=120)
+        _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 1, err
     assert f"The Dask scheduler at {cluster.address} was lost" in err
     assert "Traceback" not in err
@@ -446,6 +456,7 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
     for worker in cluster.workers.values():
         worker.kill()
         worker.wait()
+    (tmp_path / "open").touch()
     cluster.add("three")
     said = activefail("resume", folder, *dask, "--code", tmp_path)
     assert said.code == 0, said.err
@@ -456,7 +467,7 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
 
 def hear(process: subprocess.Popen[str], start: str) -> None:
     """Read what a program says until a line begins so; it is ended where none does."""
-    give_up = Timer(120.0, process.kill)
+    give_up = Timer(PATIENCE, process.kill)
     give_up.start()
     try:
         wait_for(process.stderr, start)
@@ -470,11 +481,11 @@ def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) ->
         executor.start(Disc(), 1, np.array([0.0, 20.0]))
         until(lambda: executor.answered(0.1) == [] and len(told) == 1)
         alone.scheduler.send_signal(signal.SIGSTOP)
-        waker = Timer(30.0, alone.scheduler.send_signal, (signal.SIGCONT,))
+        waker = Timer(PATIENCE, alone.scheduler.send_signal, (signal.SIGCONT,))
         waker.start()
-        began = time.monotonic()
         assert executor.answered(0.1) == []
-        assert time.monotonic() - began < 15.0
+        # While it hangs, that is.
+        assert waker.is_alive()
         waker.cancel()
         alone.scheduler.send_signal(signal.SIGCONT)
         alone.add("one")
@@ -494,7 +505,7 @@ def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_pa
         process.send_signal(signal.SIGINT)
         hear(process, "stopping")
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=120)
+        _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert record(folder) == []
@@ -505,8 +516,9 @@ def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_pa
         alone.workers["one"].kill()
         # Told anew, and but once.
         hear(process, waiting)
+        (tmp_path / "open").touch()
         alone.add("two")
-        _, err = process.communicate(timeout=120)
+        _, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (0, "")
     assert len({(row["x"], row["y"]) for row in record(folder)}) == 24
 
@@ -537,14 +549,14 @@ def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path:
     assert not (tmp_path / "run").exists()
 
 
-def test_an_address_that_cannot_be_is_told_at_once_and_without_a_traceback(tmp_path: Path) -> None:
+def test_an_address_that_cannot_be_is_told_without_a_traceback(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
     with started(
         "run", tmp_path / "mine.toml", "--out", tmp_path / "run", "--executor", "dask", "--scheduler", "foo"
     ) as process:
         # Where the message is the end of it, so is the process.
         wait_for(process.stderr, "activefail: --scheduler: no Dask scheduler answers at 'foo'")
-        _, rest = process.communicate(timeout=10)
+        _, rest = process.communicate(timeout=PATIENCE)
     assert (process.returncode, rest) == (2, "")
 
 

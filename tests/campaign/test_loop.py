@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from campaign.stub import Brittle, Counting, Disc, disc, distance
 from numpy.typing import NDArray
+from patience import PATIENCE
 
 from activefail.campaign.campaign import Campaign, initial_designs, stream
 from activefail.campaign.config import parse_settings
@@ -623,19 +624,20 @@ def test_halted_within_the_seed_by_a_smaller_budget_and_resumed_a_campaign_goes_
 
 # --- the bearing, killed -----------------------------------------------------------------------------------------
 
-BEARING = "seed = 11\nsampling = { initial = 40, budget = 120, batch = 5 }\n"
+# With a budget that is never reached: the killer may come late.
+BEARING = "seed = 11\nsampling = { initial = 40, budget = 5000, batch = 5 }\n"
 
 
 def _kill_after(command: list[str], segments: Path, number: int, delay: float) -> None:
-    """Start a command and kill it -9 some time after there are so many segments."""
+    """Start a command and kill it -9 some time after there are so many segments, wherever it is by then."""
     log = segments.parents[1] / f"killed-{number}.txt"
     with log.open("w") as file:
         process = subprocess.Popen([sys.executable, "-m", "activefail.cli", *command], stdout=file, stderr=file)
-    give_up = time.monotonic() + 120.0
+    give_up = time.monotonic() + PATIENCE
     try:
         while not segments.is_dir() or len(list(segments.glob("*.h5"))) < number:
             assert process.poll() is None, log.read_text()
-            assert time.monotonic() < give_up
+            assert time.monotonic() < give_up, log.read_text()
             time.sleep(0.002)
         time.sleep(delay)
     finally:
@@ -653,9 +655,10 @@ def test_a_bearing_campaign_killed_twice_and_resumed_is_the_uninterrupted_one_bi
     _kill_after(["resume", str(folder), "--workers", "1"], folder / "segments", 9, delays[1])
 
     campaign = Campaign.of(parse_settings(BEARING, "bearing"))
-    straight = take(campaign, workers=2)
     with open_campaign(folder, write=True) as (again, store):
-        assert 9 <= len(store.batches) < 24, f"killed too late, after {delays} s"
-        take(again, store)
+        assert len(store.batches) >= 9
+        budget = max(120, 5 * len(store.batches) + 5)
+        straight = take(campaign, budget=budget, workers=2)
+        take(again, store, budget=budget)
         assert recorded(store) == recorded(straight)
         assert learned(store) == learned(straight)

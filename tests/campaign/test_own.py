@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commandline import activefail, record, refused, started, table
+from commandline import activefail, record, refused, started, table, wait_for
+from patience import PATIENCE, Clock
 
 from activefail.campaign.executor import ProcessExecutor, answer
 from activefail.campaign.folder import create_run, read_campaign
@@ -84,7 +85,7 @@ def started_by(pid: int) -> list[str]:
 
 def until(true: Callable[[], bool]) -> None:
     """Wait for something to be true."""
-    give_up = time.monotonic() + 60.0
+    give_up = time.monotonic() + PATIENCE
     while not true():
         assert time.monotonic() < give_up
         time.sleep(0.02)
@@ -166,10 +167,17 @@ def test_a_simulator_of_one_s_own_goes_to_a_worker_process_and_gives_the_same_th
     assert results.margins.tobytes() == expected.margins.tobytes()
 
 
-def test_the_import_of_a_function_s_module_does_not_count_to_its_time_limit(tmp_path: Path) -> None:
-    simulator = python(tmp_path, source=f"import time\ntime.sleep(2.0)\n{MODEL}")
+def test_the_import_of_a_function_s_module_does_not_count_to_its_time_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    imports = tmp_path / "imports"
+    # Each import takes a minute.
+    clock = Clock(lambda: 60.0 * imports.stat().st_size if imports.exists() else 0.0)
+    monkeypatch.setattr("activefail.campaign.workers.time", clock)
+    simulator = python(tmp_path, source=f"with open({str(imports)!r}, 'a') as file:\n    file.write('.')\n{MODEL}")
     with ProcessExecutor(1, time_limit=1.0) as executor:
         assert executor.run(simulator, X).outcome.tolist() == [0, 1, 2]
+    assert imports.stat().st_size == 1
 
 
 WITH_HELPERS = """
@@ -458,9 +466,15 @@ if float(sys.argv[1]) > 2:
 
 @pytest.mark.faults
 @pytest.mark.parametrize("session", [False, True])
-def test_a_program_that_hangs_is_ended_with_all_that_it_started(tmp_path: Path, session: bool) -> None:
+def test_a_program_that_hangs_is_ended_with_all_that_it_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: bool
+) -> None:
     if session and sys.platform != "linux":
         pytest.skip("a process in a session of its own is found on Linux alone")
+    notes = tmp_path / "pids"
+    # A minute passes whenever it has come to where it hangs.
+    clock = Clock(lambda: 60.0 * len(notes.read_text().split()) / 2 if notes.exists() else 0.0)
+    monkeypatch.setattr("activefail.campaign.workers.time", clock)
     source = f"""
 if float(sys.argv[1]) > 3:
     import subprocess
@@ -469,13 +483,13 @@ if float(sys.argv[1]) > 3:
         file.write(f"{{os.getpid()}} {{child.pid}} ")
     time.sleep(600)
 {ANSWERS}"""
-    with ProcessExecutor(2, time_limit=2.0) as executor:
+    with ProcessExecutor(1, time_limit=1.0) as executor:
         results = executor.run(program(tmp_path, source), X)
         fault = executor.first_fault
     assert results.outcome.tolist() == [0, 1, -1]
     assert results.cause[2] == TIME_LIMIT
-    assert "it took longer than 2 s, twice" in fault
-    pids = (tmp_path / "pids").read_text().split()
+    assert "it took longer than 1 s, twice" in fault
+    pids = notes.read_text().split()
     assert len(pids) == 4
     for pid in pids:
         until(lambda pid=pid: ended(pid))
@@ -887,7 +901,7 @@ time.sleep(600)
     ) as process:
         until(lambda: pids.exists() and len(pids.read_text().split()) == 2)
         process.kill()
-        process.communicate(timeout=60)
+        process.communicate(timeout=PATIENCE)
     for pid in pids.read_text().split():
         until(lambda pid=pid: ended(pid))
 
@@ -895,10 +909,15 @@ time.sleep(600)
 @pytest.mark.faults
 def test_a_ctrl_c_on_the_terminal_while_worker_processes_start_costs_nothing(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
+    # Until the signal has come no simulation ends, and the campaign neither.
+    waits = "def run(design):\n    import time\n    while not pathlib.Path(__file__).with_name('open').exists():\n"
+    (mine / "model.py").write_text(MODEL.replace("def run(design):\n", f"{waits}        time.sleep(0.02)\n"))
     with started("run", mine / "mine.toml", "--out", run, "--workers", "2") as process:
         until(lambda: any("supervisor" in command for command in started_by(process.pid)))
         os.killpg(process.pid, signal.SIGINT)
-        _, err = process.communicate(timeout=120)
+        wait_for(process.stderr, "stopping after this batch")
+        (mine / "open").touch()
+        _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 130, err
     assert "Traceback" not in err
     assert f"Go on with: activefail resume {run} --code {mine}" in err
@@ -918,10 +937,10 @@ if os.path.exists({str(slow)!r}):
     run = tmp_path / "run"
     with started("run", file, "--out", run, "--workers", "2") as process:
         until(lambda: (tmp_path / "pids").exists() and len((tmp_path / "pids").read_text().split()) == 2)
-        for _ in range(2):
-            process.send_signal(signal.SIGINT)
-            time.sleep(0.3)
-        _, err = process.communicate(timeout=60)
+        process.send_signal(signal.SIGINT)
+        wait_for(process.stderr, "stopping after this batch")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 130
     assert f"activefail resume {run} --code {tmp_path}" in err
     for pid in (tmp_path / "pids").read_text().split():

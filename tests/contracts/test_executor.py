@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from campaign.stub import HIGH, LOW, Disc
+from patience import Clock
 from threadpoolctl import threadpool_info
 
 from activefail.campaign.cluster import DaskExecutor
@@ -295,7 +297,7 @@ def test_single_designs_are_answered_once_each_with_their_tickets(executor: Asyn
     for ticket, x in enumerate(X[:20]):
         executor.start(Slow(), 100 + ticket, x)
     answers: dict[int, Results] = {}
-    with within(120):
+    with within(600):
         while len(answers) < 30:
             for ticket, results in executor.answered(0.5):
                 assert ticket not in answers
@@ -306,7 +308,7 @@ def test_single_designs_are_answered_once_each_with_their_tickets(executor: Asyn
 
 
 def test_where_nothing_is_answered_the_wait_ends_in_time(executor: AsynchronousExecutor) -> None:
-    with within(60):
+    with within(600):
         assert executor.answered(0.05) == []
 
 
@@ -344,7 +346,7 @@ def test_a_simulation_without_a_usable_answer_is_one_numerical_failure_with_its_
     X = designs(40)
     X[20, 0] = 0.0
     steps: list[int] = []
-    with within(120), make() as executor:
+    with within(600), make() as executor:
         results = executor.run(simulator, X, steps.append)
         given_up(results, X, [20], cause)
         assert sum(steps) == 40
@@ -360,25 +362,32 @@ def test_a_simulation_without_a_usable_answer_is_one_numerical_failure_with_its_
 def test_what_activefail_itself_raises_reaches_the_caller_as_it_is(make: Callable[[], Executor]) -> None:
     X = designs(40)
     X[20, 0] = 0.0
-    with within(120), make() as executor, pytest.raises(SimulationError, match="no licence"):
+    with within(600), make() as executor, pytest.raises(SimulationError, match="no licence"):
         executor.run(Refusing(), X)
 
 
 def test_what_progress_raises_reaches_the_caller_and_the_rest_is_not_simulated() -> None:
     rows: list[int] = []
+    stopped = threading.Event()
 
     class Noting(Disc):
         def run(self, X: Array) -> Results:
             rows.append(len(X))
-            time.sleep(0.002)
+            # The second call is in flight when the first one's progress stops it all.
+            assert len(rows) == 1 or stopped.wait(600)
             return super().run(X)
+
+    class Stopping(ThreadExecutor):
+        def _stop(self) -> None:
+            super()._stop()
+            stopped.set()
 
     def stop(done: int) -> None:
         raise KeyboardInterrupt
 
-    with within(60), ThreadExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
+    with within(600), Stopping(1) as executor, pytest.raises(KeyboardInterrupt):
         executor.run(Noting(), designs(1600), stop)
-    assert sum(rows) < 800
+    assert sum(rows) <= 32
 
 
 @pytest.mark.parametrize(
@@ -388,8 +397,8 @@ def test_what_progress_raises_reaches_the_caller_and_the_rest_is_not_simulated()
         (Killed(), "worker_died", "its worker process died (SIGKILL, out of memory perhaps), twice"),
         (Crashing(), "worker_died", "its worker process died (SIGSEGV), twice"),
         (Forking(), "worker_died", "its worker process died (SIGKILL, out of memory perhaps), twice"),
-        (Hanging(), "time_limit", "it took longer than 1 s, twice"),
-        (Stopped(), "time_limit", "it took longer than 1 s, twice"),
+        (Hanging(), "time_limit", "it took longer than 2 s, twice"),
+        (Stopped(), "time_limit", "it took longer than 2 s, twice"),
         (Exhausted(), "out_of_memory", "MemoryError"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, Disc) else None,
@@ -401,7 +410,8 @@ def test_a_worker_that_dies_or_hangs_twice_costs_one_simulation(
     X = designs(40)
     X[rows, 0] = 0.0
     before = started_here()
-    with within(120), ProcessExecutor(2, time_limit=1.0) as executor:
+    # Short only where it is reached: on a busy machine a process takes a while to die.
+    with within(600), ProcessExecutor(2, time_limit=2.0 if cause == "time_limit" else 300.0) as executor:
         given_up(executor.run(simulator, X), X, rows, cause)
         assert says in executor.first_fault
         assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
@@ -413,17 +423,22 @@ def test_a_worker_that_dies_or_hangs_once_costs_nothing(simulator: type[Disc], t
     X = designs(40)
     X[13, 0] = 0.0
     once = Once(other=simulator(), note=str(tmp_path / "done"))
-    with within(120), ProcessExecutor(2, time_limit=1.0) as executor:
+    hangs = simulator in (Hanging, Stopped)
+    with within(600), ProcessExecutor(2, time_limit=2.0 if hangs else 300.0) as executor:
         assert bits(executor.run(once, X)) == bits(Disc().run(X))
         assert executor.first_fault == ""
     assert (tmp_path / "done").exists()
 
 
-def test_what_a_hung_simulation_has_started_ends_with_it(tmp_path: Path) -> None:
+def test_what_a_hung_simulation_has_started_ends_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     X = designs(4)
     X[1, 0] = 0.0
-    with within(60), ProcessExecutor(1, time_limit=1.0) as executor:
+    # A minute passes whenever both processes are noted.
+    clock = Clock(lambda: 60.0 * (len(os.listdir(tmp_path)) // 2))
+    monkeypatch.setattr("activefail.campaign.workers.time", clock)
+    with within(600), ProcessExecutor(1, time_limit=1.0) as executor:
         given_up(executor.run(Starting(folder=str(tmp_path)), X), X, [1], "time_limit")
+    assert len(os.listdir(tmp_path)) == 4
     for path in tmp_path.iterdir():
         wait_until(lambda path=path: not Path(f"/proc/{path.name}").exists())
 
@@ -439,7 +454,7 @@ def test_workers_end_with_the_process_that_leads_them_however_it_ends(tmp_path: 
     (tmp_path / "lead.py").write_text(program)
     paths = [str(Path(__file__).parents[1]), *sys.path]
     process = subprocess.Popen([sys.executable, tmp_path / "lead.py"], env=os.environ | {"PYTHONPATH": ":".join(paths)})
-    with within(60):
+    with within(600):
         wait_until(lambda: len(list(tmp_path.iterdir())) == 3)
         process.kill()
         process.wait()
@@ -450,7 +465,7 @@ def test_workers_end_with_the_process_that_leads_them_however_it_ends(tmp_path: 
 def test_a_simulator_that_no_worker_can_load_is_an_error_with_the_reason() -> None:
     for simulator, says in ((Unloadable(), "ValueError: no such material"), (Deadly(), r"its worker process died")):
         with (
-            within(60),
+            within(600),
             ProcessExecutor(2) as executor,
             pytest.raises(SimulationError, match=f"could not load the simulator: {says}"),
         ):
@@ -462,7 +477,7 @@ def test_a_clock_that_is_set_ends_no_simulation_and_lets_none_go_on(monkeypatch:
     X[1, 0] = 0.0
     jumps = iter([0.0, 4e9, -4e9] * 10_000)
     monkeypatch.setattr(time, "time", lambda: next(jumps))
-    with within(60), ProcessExecutor(2, time_limit=1.0) as executor:
+    with within(600), ProcessExecutor(2, time_limit=2.0) as executor:
         given_up(executor.run(Hanging(), X), X, [1], "time_limit")
 
 
@@ -476,7 +491,7 @@ def test_a_ctrl_c_that_the_worker_processes_hear_too_does_not_cost_the_batch() -
     # On a terminal it goes to the whole process group; whether to stop is for the process that leads to say.
     X = designs(40)
     X[13, 0] = 0.0
-    with within(60), ProcessExecutor(2) as executor:
+    with within(600), ProcessExecutor(2) as executor:
         try:
             results = executor.run(Interrupted(), X)
         except KeyboardInterrupt:
@@ -485,7 +500,7 @@ def test_a_ctrl_c_that_the_worker_processes_hear_too_does_not_cost_the_batch() -
 
 
 def test_a_worker_process_computes_on_one_thread() -> None:
-    with within(60), ProcessExecutor(1) as executor:
+    with within(600), ProcessExecutor(1) as executor:
         assert executor.run(Threads(), designs(3)).margins.tolist() == [[1.0]] * 3
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from patience import until
 from report.test_report import ran, settings
 
 from activefail.campaign.folder import open_campaign
@@ -39,3 +40,5 @@ def served(answers: Answers, host: str = "127.0.0.1") -> Iterator[ExplorerServer
         finally:
             server.shutdown()
             thread.join()
+            # Who is still being answered would compete for the classifier with the next test.
+            until(lambda: not server._connections, "the end of all connections")

@@ -3,11 +3,12 @@
 import json
 import shlex
 import threading
-import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from campaign.stub import disc
+from patience import until
 from report.test_report import other, ran, settings
 from typer.testing import CliRunner
 
@@ -102,22 +103,28 @@ def test_a_plane_says_where_its_axes_are_and_names_their_units(answers):
 
 
 def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
-    order = []
-    visitor = threading.Thread(target=lambda: (answers.predict(FAILING), order.append("prediction")))
+    turns = []
+    visitor = threading.Thread(target=answers.predict, args=(FAILING,))
+    turn = answers._turn
+
+    @contextmanager
+    def noted():
+        with turn():
+            turns.append("visitor" if threading.current_thread() is visitor else "plane")
+            yield
 
     def part(campaign, classifier, rows):
-        if not order:
+        if len(turns) == 1:
             visitor.start()
-            while not answers._next.locked():
-                time.sleep(0.001)
-        order.append("part")
+            until(answers._next.locked, "the visitor to be next")
         return predict(campaign, classifier, rows)
 
+    monkeypatch.setattr(answers, "_turn", noted)
     monkeypatch.setattr(explorer_answers, "predict", part)
     answers.plane(FAILING, 7, 8, "failure")
     visitor.join()
-    assert order.count("part") > 5
-    assert order[-1] == "part"
+    assert turns[:3] == ["plane", "visitor", "plane"]
+    assert turns.count("plane") > 5
 
 
 @pytest.mark.parametrize(

@@ -2,15 +2,22 @@
 
 import http.client
 import json
+import os
 import socket
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
 from explorer.conftest import served
+from patience import PATIENCE, until
 
 from activefail.errors import InputError
+from activefail.explorer import server as explorer_server
 from activefail.explorer.answers import Answers
-from activefail.explorer.server import LONGEST_BODY, ExplorerServer, is_loopback
+from activefail.explorer.server import LONGEST_BODY, MOST_CONNECTIONS, MOST_QUESTIONS, ExplorerServer, is_loopback
 
 POINT = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 
@@ -30,7 +37,7 @@ def request(
     server: ExplorerServer, method: str = "GET", path: str = "/", body: bytes | None = None, **headers: str
 ) -> Reply:
     """A reply to a request with these headers (`Content_Type` for Content-Type); `Host` replaces the right one."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=60)
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=PATIENCE)
     given = {name.replace("_", "-"): value for name, value in headers.items()}
     connection.putrequest(method, path, skip_host="Host" in given)
     for name, value in given.items():
@@ -143,7 +150,7 @@ def test_what_is_no_json_or_too_long_or_of_no_length_is_refused(server):
 
 
 def test_what_is_no_http_is_refused_in_words(server):
-    with socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=60) as line:
+    with socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=PATIENCE) as line:
         line.sendall(b"nonsense\r\n\r\n")
         said = line.makefile("rb").read()
     assert b'{"error": "Bad request syntax' in said
@@ -211,3 +218,139 @@ def test_a_port_that_is_taken_is_named_with_the_reason(answers):
         port = other.getsockname()[1]
         with pytest.raises(InputError, match=rf"127\.0\.0\.1:{port}: cannot be served: Address already in use"):
             ExplorerServer("127.0.0.1", port, answers)
+
+
+# --- many visitors at once ---------------------------------------------------------------------------------------
+
+
+def connected(server: ExplorerServer) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=PATIENCE)
+
+
+def question(server: ExplorerServer, path: str, what: object) -> bytes:
+    """The bytes of a request."""
+    body = json.dumps(what)
+    head = f"POST /api/{path} HTTP/1.1\r\nHost: 127.0.0.1:{server.server_address[1]}\r\n"
+    return f"{head}Content-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode()
+
+
+def reply(line: socket.socket) -> Reply:
+    """The whole response to what was sent; an error if it is cut short."""
+    response = http.client.HTTPResponse(line)
+    response.begin()
+    return Reply(response)
+
+
+class Held:
+    """Predictions that begin, and are answered once they are released."""
+
+    def __init__(self, answers: Answers, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.begun, self.released = threading.Semaphore(0), threading.Event()
+        real = answers.predict
+
+        def predict(point: list[float]) -> dict[str, Any]:
+            self.begun.release()
+            assert self.released.wait(PATIENCE)
+            return real(point)
+
+        monkeypatch.setattr(answers, "predict", predict)
+
+
+@pytest.fixture
+def held(answers: Answers, monkeypatch: pytest.MonkeyPatch) -> Iterator[Held]:
+    made = Held(answers, monkeypatch)
+    yield made
+    made.released.set()
+
+
+def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(answers):
+    with ExitStack() as stack:
+        server = stack.enter_context(ExplorerServer("127.0.0.1", 0, answers))
+        # Nobody accepts them yet: the system must hold them all.
+        lines = [stack.enter_context(connected(server)) for _ in range(200)]
+        point = {"point": POINT}
+        questions = [
+            b"GET / HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % server.server_address[1],
+            question(server, "predict", point),
+            question(server, "fragility", point | {"along": "A_p"}),
+            question(server, "simulate", point),
+        ]
+        for number, line in enumerate(lines):
+            line.sendall(questions[number % len(questions)])
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        replies = [reply(line) for line in lines]
+        server.shutdown()
+        thread.join()
+    assert {found.status for found in replies} <= {200, 503}
+    # The page is no question, and there is always room for some of these.
+    assert all(found.status == 200 for found in replies[::4])
+    assert [found.status for found in replies].count(200) >= 50 + MOST_QUESTIONS
+    for found in replies:
+        assert found.status == 200 or (found.headers["Retry-After"], found.json["error"]) == (
+            "1",
+            "The explorer is busy; ask again.",
+        )
+
+
+def test_beyond_the_most_questions_at_once_one_is_refused_and_may_be_asked_again(answers, held, monkeypatch):
+    monkeypatch.setattr(explorer_server, "MOST_QUESTIONS", 2)
+    with served(answers) as server, ThreadPoolExecutor(2) as visitors:
+        asked = [visitors.submit(ask, server, "predict", {"point": POINT}) for _ in range(2)]
+        for _ in asked:
+            assert held.begun.acquire(timeout=PATIENCE)
+        found = ask(server, "predict", {"point": POINT})
+        assert (found.status, found.headers["Retry-After"], found.headers["Connection"]) == (503, "1", "close")
+        assert request(server).status == 200
+        held.released.set()
+        assert [visitor.result().status for visitor in asked] == [200, 200]
+        assert ask(server, "predict", {"point": POINT}).status == 200
+
+
+def test_connections_that_ask_nothing_make_room_for_a_visitor(answers):
+    with served(answers) as server, ExitStack() as stack:
+        silent = [stack.enter_context(connected(server)) for _ in range(1200)]
+        assert ask(server, "predict", {"point": POINT}).status == 200
+        assert len(server._connections) <= MOST_CONNECTIONS
+        # Those that were quiet longest are closed, the last ones are not.
+        assert silent[0].recv(1) == b""
+        silent[-1].sendall(question(server, "predict", {"point": POINT}))
+        assert reply(silent[-1]).status == 200
+
+
+def test_a_connection_that_makes_room_while_it_is_answered_still_gets_its_answer(answers, held, monkeypatch):
+    monkeypatch.setattr(explorer_server, "MOST_CONNECTIONS", 3)
+    with served(answers) as server, ExitStack() as stack:
+        asking = stack.enter_context(connected(server))
+        asking.sendall(question(server, "predict", {"point": POINT}))
+        assert held.begun.acquire(timeout=PATIENCE)
+        # The first two fill the room; of those that follow each sends away the one that has been quiet longest.
+        silent = [stack.enter_context(connected(server)) for _ in range(5)]
+        assert silent[0].recv(1) == b""
+        held.released.set()
+        assert reply(asking).status == 200
+        assert asking.recv(1) == b""
+
+
+def test_where_no_descriptor_is_left_quiet_connections_make_room_too(answers, monkeypatch):
+    accept = socket.socket.accept
+    refused = threading.Event()
+
+    def accepts(listening: socket.socket) -> tuple[socket.socket, Any]:
+        if not refused.is_set():
+            refused.set()
+            raise OSError(24, os.strerror(24))
+        return accept(listening)
+
+    with served(answers) as server, ExitStack() as stack:
+        silent = stack.enter_context(connected(server))
+        until_known(server, 1)
+        monkeypatch.setattr(socket.socket, "accept", accepts)
+        assert request(server).status == 200
+        assert refused.is_set()
+        assert silent.recv(1) == b""
+
+
+def until_known(server: ExplorerServer, number: int) -> None:
+    """Wait until so many connections are accepted."""
+    until(lambda: len(server._connections) == number, f"{number} connections")

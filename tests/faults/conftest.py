@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from faults.harness import Course, Victims, finished
+from patience import until
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -35,21 +36,22 @@ def strace() -> str:
     found = shutil.which("strace")
     if found is None:
         pytest.skip("strace is not installed (Debian: apt install strace)")
-    sleeping = subprocess.Popen(["sleep", "60"])
+    sleeping = subprocess.Popen(["sleep", "3600"])
+    words = [found, "-qq", "-e", "trace=none", "-e", "inject=write:error=EIO:when=1", "-p", str(sleeping.pid)]
+    tracer = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     try:
-        tried = subprocess.run(
-            [found, "-qq", "-e", "trace=none", "-e", "inject=write:error=EIO:when=1", "-p", str(sleeping.pid)],
-            capture_output=True,
-            text=True,
-            timeout=1.0,
-            check=False,
+        watched = f"TracerPid:\t{tracer.pid}\n"
+        until(
+            lambda: tracer.poll() is not None or watched in Path(f"/proc/{sleeping.pid}/status").read_text(),
+            "strace to trace or to end",
         )
-        pytest.skip(f"strace may not trace here: {tried.stderr.strip()}")
-    except subprocess.TimeoutExpired:
-        return found  # it goes on watching: it may
+        if tracer.poll() is not None:
+            pytest.skip(f"strace may not trace here: {tracer.communicate()[1].strip()}")
+        return found
     finally:
-        sleeping.kill()
-        sleeping.wait()
+        for process in (tracer, sleeping):
+            process.kill()
+            process.communicate()
 
 
 # --- file systems ------------------------------------------------------------------------------------------------

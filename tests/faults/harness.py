@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from faults.victim import BUDGET, Inline, campaign, opened
+from patience import PATIENCE
 
 from activefail.campaign.loop import run
 from activefail.campaign.store import FolderStore
@@ -106,7 +107,8 @@ class Victims:
             stdout=subprocess.PIPE,
             text=True,
             cwd=folder,
-            env=os.environ | {"PYTHONPATH": path},
+            # Without the current folder among those that modules are looked for in: each victim changes it.
+            env=os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": "1"},
         )
         assert self.answer() == "ready"
 
@@ -134,7 +136,7 @@ class Victims:
         os.mkfifo(fifo)
         task = {"folder": str(run_folder), "log": str(log), "fifo": str(fifo), "place": place, "commits": commits}
         victim = Victim(self, int(self.answer(task | {"fault": fault})), log)
-        give_up = time.monotonic() + 120.0
+        give_up = time.monotonic() + PATIENCE
         while True:
             try:
                 victim.gate = os.open(fifo, os.O_WRONLY | os.O_NONBLOCK)
@@ -151,7 +153,7 @@ class Victims:
     def close(self) -> None:
         assert self.process.stdin is not None
         self.process.stdin.close()
-        self.process.wait(60)
+        self.process.wait(PATIENCE)
         assert self.process.stdout is not None
         self.process.stdout.close()
 
@@ -169,7 +171,7 @@ def traced(pid: int, *options: str) -> Iterator[None]:
                     pytest.fail(f"strace ended: {errors.read()}")
                 time.sleep(0.001)
             yield
-            strace.wait(60)
+            strace.wait(PATIENCE)
         finally:
             strace.kill()
             strace.wait()

@@ -7,7 +7,6 @@ import re
 import resource
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -393,12 +392,10 @@ def test_a_bad_cell_at_the_end_of_a_million_rows_is_refused_in_little_memory(tmp
         # The libraries alone take some 0.6 GB of addresses; a million rows as Python objects would take 1 GB more.
         resource.setrlimit(resource.RLIMIT_DATA, (500 * 2**20, 500 * 2**20))
 
-    began = time.monotonic()
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, preexec_fn=limited)
     assert done.returncode == 2, done.stderr
     assert f"in.csv: row {rows} (line {rows + 1}), column mu: must be a number, got 'rough'." in done.stderr
     assert os.listdir(tmp_path) == ["in.csv"]
-    assert time.monotonic() - began < 600.0
 
 
 # --- the command line --------------------------------------------------------------------------------------------

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from commandline import activefail, record
-from faults.harness import Course, Victims, few, finished
+from faults.harness import Course, Victim, Victims, few, finished
 from faults.test_kills import assert_nothing_lost, begun
-from faults.victim import COMMITS
+from faults.victim import COMMITS, COMPACT_AT
 
 from activefail.campaign.store import FolderStore
 
@@ -132,7 +132,27 @@ def test_a_clock_that_jumps_and_files_from_other_times_change_nothing(
     assert finished(folder) == uninterrupted
 
 
-@pytest.mark.parametrize("fault", [None, "without locks"])
+MEETINGS = {
+    # Whoever is second finds the lock taken, wherever the first one is; before the folder stands, too.
+    None: [
+        *((0, first, second) for first in ("link 1", "set 1") for second in ("", "creation 1")),
+        *((commits, first, "") for commits in range(COMMITS) for first in ("commit 1", "link 1", "state 1")),
+        *((commits, "compaction 1", "") for commits in range(COMPACT_AT)),
+    ],
+    # Without it the second one gets past the first, whose next batch finds its place taken.
+    "without locks": [
+        *((0, "link 1", second) for second in ("", "creation 1")),
+        (0, "set 1", ""),
+        *((commits, "commit 1", "") for commits in range(COMMITS)),
+        *((commits, "link 1", "commit 1") for commits in range(1, COMMITS)),
+        *((commits, "state 1", "") for commits in range(COMMITS - 1)),
+        *((commits, "compaction 1", "") for commits in range(COMPACT_AT)),
+    ],
+}
+"""How many batches there are before, where the first of two writers waits, and how far the second came before it."""
+
+
+@pytest.mark.parametrize("fault", MEETINGS)
 def test_two_processes_that_begin_or_go_on_with_a_campaign_at_once_are_one_writer_at_a_time(
     victims: Victims,
     uninterrupted: Course,
@@ -141,7 +161,37 @@ def test_two_processes_that_begin_or_go_on_with_a_campaign_at_once_are_one_write
     every_fault: bool,
     survived: Survived,
 ) -> None:
-    fenced = 0
+    for number, (commits, place, before) in enumerate(few(MEETINGS[fault], every_fault)):
+        folder = tmp_path / str(number)
+        if commits:
+            begun(folder, commits)
+        second = victims.start(folder, before, fault=fault)
+        first = victims.start(folder, place, fault=fault)
+        second.go_on()
+        code = second.end()
+        first.go_on()
+        codes = first.end(), code
+        if fault is None:
+            assert codes == (0, 1), (place, before, first.told, second.told)
+            refusal = second.told[-1]
+            assert "Another process is writing to" in refusal or "is not empty" in refusal, refusal
+        else:
+            assert codes == (1, 0), (place, before, first.told, second.told)
+            assert "error " in first.told[-1]
+        check_writers([first, second], folder, uninterrupted, fault)
+        survived()
+
+
+@pytest.mark.parametrize("fault", MEETINGS)
+def test_two_processes_that_run_side_by_side_on_a_campaign_lose_none_of_it(
+    victims: Victims,
+    uninterrupted: Course,
+    tmp_path: Path,
+    fault: str | None,
+    every_fault: bool,
+    survived: Survived,
+) -> None:
+    # Wherever they meet, or if one is done before the other begins.
     for number, commits in enumerate(few(list(range(COMMITS)) * 4, every_fault, 3)):
         folder = tmp_path / str(number)
         if commits:
@@ -150,23 +200,18 @@ def test_two_processes_that_begin_or_go_on_with_a_campaign_at_once_are_one_write
         for victim in both:
             victim.go_on()
         codes = [victim.end() for victim in both]
-        told = [line for victim in both for line in victim.acknowledged]
-        for victim, code in zip(both, codes, strict=True):
-            assert code in (0, 1), victim.told
-            if code:
-                fenced += 1
-                says = "Another process is writing to" if fault is None else "error "
-                assert says in victim.told[-1] or "is not empty" in victim.told[-1], victim.told[-1]
-        if fault is None:
-            # One after the other, where the first was done before the second began.
-            assert 0 in codes
-        # No batch was acknowledged to both.
-        batches = [line for line in told if line.startswith("commit")]
-        assert len(batches) == len(set(batches))
-        for victim in both:
-            assert_nothing_lost(victim, folder, uninterrupted, alone=fault is None)
+        assert set(codes) <= {0, 1}, [victim.told for victim in both]
+        assert 0 in codes or fault is not None
+        check_writers(both, folder, uninterrupted, fault)
         survived()
-    assert fenced
+
+
+def check_writers(both: list[Victim], folder: Path, uninterrupted: Course, fault: str | None) -> None:
+    """Assert that no batch was acknowledged to both of two writers, and that nothing is lost."""
+    batches = [line for victim in both for line in victim.acknowledged if line.startswith("commit")]
+    assert len(batches) == len(set(batches))
+    for victim in both:
+        assert_nothing_lost(victim, folder, uninterrupted, alone=fault is None)
 
 
 def test_a_state_or_a_set_of_another_version_is_refused_by_its_name(

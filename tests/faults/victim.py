@@ -177,6 +177,17 @@ def without_locks() -> None:
     store.FolderLock = lambda folder: Nothing()  # type: ignore[assignment,misc]
 
 
+def links_are_marked() -> None:
+    """Have each name that a file is published under be a place, "link"."""
+    real = os.link
+
+    def link(*arguments: Any) -> None:
+        with Telling.gate.marked("link"):
+            real(*arguments)
+
+    os.link = link  # type: ignore[assignment]
+
+
 def serve() -> None:
     """Obey until the input ends."""
     sys.stdout.write("ready\n")
@@ -189,6 +200,8 @@ def serve() -> None:
             answer = os.fork()
             if answer == 0:
                 Telling.gate = Gate(command["place"], command["fifo"])
+                if command["place"].startswith("link"):
+                    links_are_marked()
                 if not command["place"]:
                     Telling.gate.wait()
                 os._exit(work(Path(command["folder"]), Path(command["log"]), command["commits"], command["fault"]))

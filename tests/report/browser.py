@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import PATIENCE
 
 NO_BROWSER = next(
     (
@@ -49,7 +50,8 @@ def browser(width: int = 1280, height: int = 900) -> Iterator[Any]:
     service = webdriver.ChromeService(str(shutil.which("chromedriver")))
     driver = webdriver.Chrome(options, service)
     try:
-        driver.set_page_load_timeout(120)
+        driver.set_page_load_timeout(PATIENCE)
+        driver.set_script_timeout(PATIENCE)
         yield driver
     finally:
         driver.quit()

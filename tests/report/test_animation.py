@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 from PIL import Image
 
 from activefail.bearing import Bearing, Pulse, Response, simulate_one
@@ -46,7 +47,7 @@ def test_an_mp4_has_its_frames_and_its_size(failure, tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     path = save_animation(failure, str(tmp_path / "bearing.MP4"), fps=10.0, slow_motion=1.0)
     raw = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    seen = subprocess.run(raw, capture_output=True, check=True, timeout=60)
+    seen = subprocess.run(raw, capture_output=True, check=True, timeout=PATIENCE)
     size = re.search(rb"Video: h264.* (\d+)x(\d+)", seen.stderr)
     assert size is not None
     width, height = int(size[1]), int(size[2])

@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from patience import PATIENCE
 
 from activefail.bearing import Bearing, Pulse, Response, Tolerance, simulate_one
 from activefail.bearing.contact import gap
@@ -275,4 +276,4 @@ def test_matplotlib_is_imported_by_the_pictures_alone_and_pyplot_by_nothing():
         "import activefail.report.motion, activefail.report.animation\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=PATIENCE)
