@@ -22,6 +22,7 @@ from activefail.bearing import TABLE_1
 from activefail.bearing.design import LARGEST
 from activefail.campaign.config import CampaignSettings
 from activefail.expressions import FUNCTIONS, parsed_name
+from activefail.visible import visible
 
 Survived = Callable[[], None]
 
@@ -110,9 +111,11 @@ values = st.one_of(
 
 
 def dotted(path: tuple[str, ...]) -> str:
-    """The path of a key as TOML writes it."""
-    return ".".join(
-        name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False) for name in path
+    """The path of a key as TOML writes it, what is no letter shown as an escape."""
+    return visible(
+        ".".join(
+            name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False) for name in path
+        )
     )
 
 
