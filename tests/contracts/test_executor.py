@@ -220,7 +220,7 @@ EXECUTORS: dict[str, Callable[[], AsynchronousExecutor]] = {
 def scheduler() -> Iterator[str]:
     """A Dask cluster of two workers."""
     distributed = pytest.importorskip("distributed", reason="Dask is an optional extra")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         yield cluster.scheduler_address
 
 
