@@ -29,6 +29,7 @@ from activefail.campaign.loop import Observer
 from activefail.campaign.loop import run as run_loop
 from activefail.campaign.store import FolderStore
 from activefail.cli import app
+from activefail.cli.common import stop_on_signals
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
 
@@ -841,6 +842,22 @@ def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
         f"stopped; batches that were recorded are safe. Go on with: activefail resume {tmp_path / 'run'}"
     )
     assert record(tmp_path / "run") == []
+
+
+@pytest.mark.faults
+def test_a_second_signal_in_the_middle_of_one_of_python_s_locks_is_an_interrupt_like_any_other() -> None:
+    def struck(times: int) -> None:
+        try:
+            for _ in range(times):
+                signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            pass
+        # As `Semaphore.acquire` ends, which a thread pool calls for each of its tasks.
+        raise RuntimeError("release unlocked lock")
+
+    for times, expected in ((2, KeyboardInterrupt), (1, RuntimeError), (0, RuntimeError)):
+        with pytest.raises(expected), stop_on_signals():
+            struck(times)
 
 
 @pytest.mark.faults

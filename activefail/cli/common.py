@@ -124,11 +124,12 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
 @contextmanager
 def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Callable[[], bool]]:
     """The first Ctrl-C or SIGTERM asks for a stop and says what is done before it, the second stops at once."""
-    asked = False
+    asked = at_once = False
 
     def ask(number: int, frame: object) -> None:
-        nonlocal asked
+        nonlocal asked, at_once
         if asked:
+            at_once = True
             raise KeyboardInterrupt
         asked = True
         print(f"\n{stopping}; once more to stop now", file=sys.stderr)
@@ -136,6 +137,11 @@ def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Cal
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield lambda: asked
+    except Exception as broken:
+        # An interrupt in the middle of one of Python's own locks comes out as that lock's complaint.
+        if at_once:
+            raise KeyboardInterrupt from broken
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
