@@ -11,12 +11,15 @@ from typing import IO, Any, Literal
 from activefail.errors import InputError
 
 TEMPORARY = ".tmp-"
-"""Prefix of a file that is being written; whoever holds the lock of a run folder may remove it there."""
+"""Prefix of a file of a record that is being written; whoever holds the lock of its run folder may remove it."""
+
+_NEW = ".new-"
+"""Prefix of any other file that is being written, which may be in a run folder, too, and has no lock."""
 
 
-def temporary_beside(path: Path) -> Path:
+def temporary_beside(path: Path, prefix: str = TEMPORARY) -> Path:
     """A new name in the folder of a path, short: the path's own name may be as long as names can be."""
-    return path.with_name(f"{TEMPORARY}{secrets.token_hex(8)}")
+    return path.with_name(f"{prefix}{secrets.token_hex(8)}")
 
 
 @contextmanager
@@ -28,7 +31,7 @@ def replacing(path: Path, mode: Literal["x", "xb"] = "x") -> Iterator[IO[Any]]:
     Raises:
         OSError: if it cannot be written.
     """
-    temporary = temporary_beside(path)
+    temporary = temporary_beside(path, _NEW)
     try:
         encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
         with open(temporary, mode, encoding=encoding, newline=newline) as file:

@@ -300,13 +300,15 @@ def propose_shared(
     searching = SEARCH_SHARE if unseen is not None else 0.0
     learned = (1.0 - exploration) * (1.0 - searching)
     shares = [exploration, (1.0 - exploration) * searching, *(learned * share for share in boundaries.values())]
-    explored, searched, *counts = apportion(shares, first, q)
     one_sided = [unseen is not None and _is_one_sided(classifier.latent(outcome)) for outcome in boundaries]
-    searched += sum(count for count, of_one_side in zip(counts, one_sided, strict=True) if of_one_side)
+    searches = np.array([False, True, *one_sided])
+    before, now = np.array(apportion(shares, 0, first)), np.array(apportion(shares, first, q))
+    explored, searched, counts = int(now[0]), int(now[searches].sum()), now[2:].tolist()
     chosen = space.latin_hypercube(explored, rng) if explored else np.empty((0, space.dimension))
     if unseen is not None and searched:
         in_flight = [unseen.known, chosen] if pending is None else [unseen.known, pending, chosen]
-        chosen = np.concatenate([chosen, search(space, np.concatenate(in_flight), first, searched, rng)])
+        number = int(before[searches].sum())
+        chosen = np.concatenate([chosen, search(space, np.concatenate(in_flight), number, searched, rng)])
     for outcome, count, of_one_side in zip(boundaries, counts, one_sided, strict=True):
         if count and not of_one_side:
             known = chosen if pending is None else np.concatenate([pending, chosen])

@@ -5,11 +5,15 @@ says all: the designs in flight, those that were asked for and have no answer ye
 again where a campaign was interrupted. How many are in flight is a setting of the campaign, not the number of workers.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.campaign.campaign import Campaign, initial_designs, next_batch
+from activefail.campaign.image import DamagedError
 from activefail.campaign.learning import (
     classifier_state,
     failed_designs,
@@ -75,17 +79,36 @@ def resumed(campaign: Campaign, store: Store) -> Course:
     """Where a record stands: from what was saved, and from the commits that came after it."""
     batches = store.batches
     course, begin = Course(None, -1, initial_designs(campaign)[: campaign.settings.sampling.batch]), 0
-    saved = store.latest_state()
-    if saved is not None and batches and saved[0] <= batches[-1].iteration and _FLIGHT in saved[1]:
-        classifier, iteration = restore(campaign, store, batches[-1].iteration)
-        if classifier is not None:
-            course = Course(classifier, iteration, saved[1][_FLIGHT])
-            begin = 1 + max(place for place, batch in enumerate(batches) if batch.iteration == iteration)
+
+    def check(iteration: int, state: Mapping[str, NDArray[Any]]) -> None:
+        _check_flight(campaign, batches, iteration, state[_FLIGHT])
+
+    if batches and (saved := restore(campaign, store, batches[-1].iteration, check)) is not None:
+        iteration, state, classifier = saved
+        course = Course(classifier, iteration, state[_FLIGHT])
+        begin = 1 + max(place for place, batch in enumerate(batches) if batch.iteration == iteration)
     for end in range(begin + 1, len(batches) + 1):
         course = course.after(campaign, batches[:end])
     if begin < len(batches):
         course.save(store)
     return course
+
+
+def _check_flight(campaign: Campaign, batches: tuple[Batch, ...], iteration: int, flight: NDArray[np.generic]) -> None:
+    """Check that a saved state's designs in flight could have been asked for, and have no answer yet.
+
+    Raises:
+        DamagedError: if they could not.
+    """
+    shape = (campaign.settings.sampling.batch, campaign.space.dimension)
+    if flight.dtype != np.float64 or flight.shape != shape:
+        raise DamagedError(f"holds designs in flight of type {flight.dtype} and shape {flight.shape}, expected {shape}")
+    designs = flight.astype(np.float64)
+    if not campaign.space.contains(designs).all():  # NaN lies nowhere
+        raise DamagedError("holds designs in flight outside of the design space")
+    answered = {row.tobytes() for batch in batches if batch.iteration <= iteration for row in batch.designs}
+    if any(row.tobytes() in answered for row in designs):
+        raise DamagedError("holds designs in flight that were answered before")
 
 
 def _without(flight: Array, answered: Array) -> Array:

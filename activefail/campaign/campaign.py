@@ -105,6 +105,7 @@ class Campaign:
                     tuple(named.margins),
                     named.retries,
                     named.keep,
+                    named.largest_file,
                 )
             case _:
                 simulator = DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration())

@@ -137,11 +137,13 @@ class CommandSimulator(OwnSimulator):
         command: with the values of the variables in braces.
         retries: how often it is run again where it fails.
         keep: whether the folders of the simulations that it answered are kept.
+        largest_file: that the program may write [bytes].
     """
 
     command: str = Field(min_length=1)
     retries: int = Field(0, ge=0, le=100)
     keep: bool = True
+    largest_file: int = Field(10_000_000_000, ge=1_000_000, le=10**15)
 
 
 class Sampling(_Section):

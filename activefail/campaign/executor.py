@@ -26,7 +26,7 @@ from activefail.campaign.simulator import (
     unanswered,
 )
 from activefail.campaign.workers import Guards
-from activefail.errors import ActivefailError, SimulationError, place_of, reason_of
+from activefail.errors import ActivefailError, place_of
 from activefail.space import Array
 from activefail.visible import visible
 
@@ -173,10 +173,7 @@ class ProcessExecutor(_LocalExecutor):
         self._guards = Guards(answer, time_limit)
 
     def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
-        try:
-            return self._guards.of_this_thread().answer(simulator, X)
-        except OSError as error:
-            raise SimulationError(f"A worker process cannot be started: {reason_of(error)}.") from error
+        return self._guards.of_this_thread().answer(simulator, X)
 
     def _rows(self, n: int) -> int:
         return 1

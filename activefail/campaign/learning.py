@@ -1,5 +1,6 @@
 """What a campaign has learned: trained from its record, saved beside it, and found again after an interruption."""
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -195,17 +196,34 @@ def _predicting(latent: Latent) -> Latent:
     return latent
 
 
-def restore(campaign: Campaign, store: Store, through: int) -> tuple[Classifier | None, int]:
-    """The newest saved classifier of at most iteration `through`, and its iteration; (None, -1) when there is none."""
+Saved = tuple[int, dict[str, NDArray[Any]], Classifier]
+"""A saved state: its iteration, its arrays, and the classifier in it."""
+
+
+def restore(
+    campaign: Campaign,
+    store: Store,
+    through: int,
+    check: Callable[[int, Mapping[str, NDArray[Any]]], None] = lambda iteration, state: None,
+) -> Saved | None:
+    """The newest saved state of at most iteration `through`; None when there is none.
+
+    Args:
+        campaign: that it belongs to.
+        store: that holds it.
+        through: the last iteration that is known.
+        check: raises DamagedError where a state lacks something else that it must hold.
+    """
     while (saved := store.latest_state()) is not None and saved[0] <= through:
         iteration, state = saved
         try:
-            return classifier_from_state(campaign, state, *training_rows(store.batches, iteration)), iteration
+            check(iteration, state)
+            return iteration, state, classifier_from_state(campaign, state, *training_rows(store.batches, iteration))
         except KeyError:  # saved by a version that kept less: learned again from the record
             break
         except DamagedError as error:
             store.reject_state(iteration, str(error))
-    return None, -1
+    return None
 
 
 def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:
@@ -217,7 +235,8 @@ def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classif
         write: whether to save what was learned here.
     """
     last = store.batches[-1].iteration
-    classifier, iteration = restore(campaign, store, last)
+    saved = restore(campaign, store, last)
+    iteration, classifier = (-1, None) if saved is None else (saved[0], saved[2])
     for following in range(iteration + 1, last + 1):
         classifier = learn(campaign, store.batches, following, classifier)
         if write:

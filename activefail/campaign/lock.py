@@ -16,8 +16,8 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 class FolderLock:
     """The lock of a run folder, held until `release`; the kernel releases it when the process dies, however it dies.
 
-    That the file exists means nothing. So no kill leaves a folder locked, and a folder may move between file systems
-    with and without locks.
+    The existence of the file means nothing; only the kernel's lock counts. So no kill leaves a folder locked, and a
+    folder may move between file systems with and without locks.
 
     Attributes:
         held: False where the file system has no locks. Two writers then fence each other by `link` alone.

@@ -119,7 +119,7 @@ def _check_numerical_failures(done: int, failures: int, limit: float, first_faul
 
 
 def _told(first_fault: str) -> str:
-    return f" The first that was given up: {first_fault}" if first_fault else ""
+    return f" Why the first abandoned simulation failed: {first_fault}" if first_fault else ""
 
 
 def run(

@@ -4,12 +4,15 @@ import hashlib
 import json
 import os
 import re
+import resource
 import shlex
 import shutil
+import signal
 import string
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -129,6 +132,7 @@ class CommandSimulator:
         outcomes, margins: what it may answer.
         retries: how often it is run again where its exit code is not 0 or it leaves no answer.
         keep: whether the folders of the simulations that it answered are kept.
+        largest_file: that it may write [bytes]; one that writes more is ended.
     """
 
     space: DesignSpace
@@ -139,6 +143,7 @@ class CommandSimulator:
     margins: tuple[str, ...]
     retries: int = 0
     keep: bool = True
+    largest_file: int = 10_000_000_000
 
     causes = ("",)
     releases_gil = False
@@ -216,14 +221,18 @@ class CommandSimulator:
         began = time.perf_counter()
         with (folder / "stdout.txt").open("wb") as stdout, (folder / "stderr.txt").open("wb") as stderr:
             # The worker's supervisor ends it with the worker.
-            done = subprocess.run(
-                self.arguments(design, out), cwd=folder, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr
-            )
+            with _largest_file(self.largest_file):
+                program = subprocess.Popen(
+                    self.arguments(design, out), cwd=folder, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr
+                )
+            code = program.wait()
         seconds = time.perf_counter() - began
-        if done.returncode != 0:
+        if code == -signal.SIGXFSZ:
+            raise RuntimeError(f"a file in {folder} would exceed simulator.largest_file, {self.largest_file} bytes")
+        if code != 0:
             # Of UTF-8, where a character has four bytes at the most.
             last = end_of(folder / "stderr.txt", 4 * _TOLD).decode(errors="replace").strip()[-_TOLD:]
-            raise RuntimeError(f"exit code {done.returncode}; {folder}{os.sep}stderr.txt ends: {last!r}")
+            raise RuntimeError(f"exit code {code}; {folder}{os.sep}stderr.txt ends: {last!r}")
         try:
             # The program's own link, as to a file of its results, is followed.
             written = read_regular(out, LARGEST_ANSWER, follow=True)
@@ -238,9 +247,21 @@ class CommandSimulator:
         return _read_answer(said, self.outcomes, self.margins, seconds)
 
 
+@contextmanager
+def _largest_file(size: int) -> Iterator[None]:
+    """Processes that are started within can write no larger files [bytes]; this one can again afterwards."""
+    before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    lower = size if before == resource.RLIM_INFINITY else min(size, before)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (lower, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
+
+
 def _digits(form: str) -> list[str]:
     """The numbers in a format: its width and its precision, and perhaps a digit that it fills with."""
-    return re.findall(r"[0-9]+", form)
+    return re.findall(r"\d+", form)  # of any script, as Python reads them
 
 
 class _Number(float):

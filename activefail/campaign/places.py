@@ -66,8 +66,8 @@ _NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 def _linked(path: Path) -> StoreError:
     return StoreError(
-        f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it by what "
-        f"it points to, or remove it."
+        f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it with "
+        f"the file it points to, or remove it."
     )
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from activefail.campaign.campaign import Campaign
 from activefail.campaign.executor import Executor
 from activefail.campaign.record import Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
 from activefail.errors import SimulationError
 from activefail.space import Array
 
@@ -17,11 +17,24 @@ _PART = 500
 
 
 def simulated_outcomes(
-    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array, stop: Callable[[], bool] = lambda: False
+    campaign: Campaign,
+    store: Store,
+    executor: Executor,
+    name: str,
+    X: Array,
+    stop: Callable[[], bool] = lambda: False,
+    twin: str = "",
 ) -> NDArray[np.int8] | None:
     """Outcomes, (n,), of the designs of a set, (n, d), simulated once and then read; -1 without an answer.
 
     The set is kept in parts, so that an interruption loses one part at most. None when it was asked to stop.
+
+    Args:
+        campaign, store, executor: that the set belongs to, is kept in, and is simulated by.
+        name: of the set.
+        X: its designs.
+        stop: whether to stop before the next part.
+        twin: name of a set that may hold the same designs; these are copied and not simulated again.
 
     Raises:
         SimulationError: if none of a part's simulations gives an answer: a fault of the simulator's. The part is not
@@ -30,19 +43,30 @@ def simulated_outcomes(
     outcomes = [np.empty(0, dtype=np.int8)]
     for part, first in enumerate(range(0, len(X), _PART)):
         rows, key = X[first : first + _PART], f"{name}-{part}"
-        saved = store.read_set(key)
-        if saved is None or not np.array_equal(saved[0], rows):
+        saved = _same(store.read_set(key), rows)
+        if saved is None and twin and (saved := _same(store.read_set(f"{twin}-{part}"), rows)) is not None:
+            store.write_set(key, *saved)
+        if saved is None:
             if stop():
                 return None
             saved = (rows, executor.run(campaign.simulator, rows))
             if (saved[1].outcome == NUMERICAL_FAILURE).all():
-                fault = f" The first that was given up: {executor.first_fault}" if executor.first_fault else ""
+                fault = (
+                    f" Why the first abandoned simulation failed: {executor.first_fault}"
+                    if executor.first_fault
+                    else ""
+                )
                 raise SimulationError(
                     f"None of the {len(rows)} simulations for {name} gave an answer; they are not kept.{fault}"
                 )
             store.write_set(key, *saved)
         outcomes.append(saved[1].outcome)
     return np.concatenate(outcomes)
+
+
+def _same(saved: tuple[Array, Results] | None, X: Array) -> tuple[Array, Results] | None:
+    """A set if it holds just these designs."""
+    return saved if saved is not None and np.array_equal(saved[0], X) else None
 
 
 def simulated_set(

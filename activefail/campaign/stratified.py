@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
 
 from activefail.space import Array
 
@@ -22,7 +21,8 @@ class StratifiedCount:
       Fay and Feuer (1997) assume for weighted counts. Clopper and Pearson's in every part would be valid as well, and
       wider by some tenths.
 
-    With a single part both are Clopper and Pearson's exact bounds.
+    With a single part both are Clopper and Pearson's exact bounds. The lower bound can fall a little as a part gets its
+    first hit, since the beta distribution then spreads over the volume of one more part.
 
     Attributes:
         volumes: V, (k,) of the parts, as shares of the space.
@@ -79,6 +79,9 @@ def _quantile(mean: float, variance: float, scale: float, q: float) -> float:
     mean, variance = mean / scale, variance / scale**2
     if variance <= 0.0 or mean >= 1.0:
         return scale * mean
+    # Here: `activefail status` counts without the libraries of the learning.
+    from scipy.stats import beta
+
     total = mean * (1.0 - mean) / variance - 1.0
     return scale * float(beta.ppf(q, mean * total, (1.0 - mean) * total))
 

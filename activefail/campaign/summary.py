@@ -172,8 +172,9 @@ class Summary:
 
 def is_verified(folder: Path, summary: Summary) -> bool:
     """Whether a campaign was verified after its last batch as its rule asks: it may have ended by the rule there."""
-    name = f"verification-{summary.iteration}-{summary.plan.stop_simulations}-0.h5"
-    return (folder / "sets" / name).is_file()
+    which = f"{summary.iteration}-{summary.plan.stop_simulations}-0.h5"
+    # An older program called a rule's looks as it called what a user verified.
+    return any((folder / "sets" / f"{kind}-{which}").is_file() for kind in ("look", "verification"))
 
 
 def read_summary(folder: Path) -> Summary | None:

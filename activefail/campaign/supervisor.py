@@ -126,10 +126,13 @@ def _end(worker: int, alive: bool) -> None:
 def _children() -> set[int]:
     """The processes whose parent this one is, where the system says so."""
     found: set[int] = set()
-    with suppress(OSError, ValueError):
-        for task in os.listdir("/proc/self/task"):
-            with open(f"/proc/self/task/{task}/children") as file:
-                found |= set(map(int, file.read().split()))
+    # Of all processes: not every kernel lists those of one.
+    with suppress(OSError):
+        for process in filter(str.isdigit, os.listdir("/proc")):
+            with suppress(OSError, ValueError, IndexError), open(f"/proc/{process}/stat", "rb") as file:
+                # After the name in brackets, which may hold anything: the state, and the parent.
+                if int(file.read().rpartition(b")")[2].split()[1]) == os.getpid():
+                    found.add(int(process))
     return found
 
 

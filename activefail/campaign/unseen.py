@@ -36,7 +36,7 @@ def unseen_warning(unseen: Sequence[str], simulations: int, initial: int) -> str
     bound = percent(largest_unseen_share(initial, CONFIDENCE))
     what = "Its probability" if len(unseen) == 1 else "The probability of each"
     return (
-        f"None of the {simulations} simulations ended in {names}. {what} over the design space may be as large as "
-        f"{bound}: that is all that {initial} initial designs without it show with {100 * CONFIDENCE:g} % "
-        f"confidence, and nothing smaller is verified. The classifier cannot know where {names} begins."
+        f"None of the campaign's {simulations} simulations ended in {names}. {what} over the design space may be as "
+        f"large as {bound}: {initial} initial designs without it show no more, with {100 * CONFIDENCE:g} % confidence. "
+        f"The classifier cannot know where {names} begins."
     )

@@ -2,14 +2,13 @@
 
 Fresh designs are simulated where they say most: the design space is divided by the classifier's own probability of
 being wrong, each part gets simulations in proportion to its volume times its spread (Neyman 1934), and the answers are
-weighted back to the design measure (`StratifiedCount`). The initial hypercube, each point left out in turn, adds what
-it knows for free.
+weighted back to the design measure (`StratifiedCount`). Only fresh simulations count: designs that the classifier has
+learned from say too little of what it has missed, even where each is left out in turn.
 """
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 
 from activefail.campaign.campaign import Campaign, stream
 from activefail.campaign.executor import Executor
-from activefail.campaign.learning import in_initial_design
 from activefail.campaign.record import Store
 from activefail.campaign.sets import simulated_outcomes
 from activefail.campaign.simulator import NUMERICAL_FAILURE
@@ -43,7 +41,7 @@ class ErrorEstimate:
         error: the share of the design space that was found misclassified.
         low, high: interval of the error; each end holds with half of what the confidence leaves.
         confidence: of the interval.
-        count: misclassified designs in the parts, those left out of the training among them.
+        count: misclassified designs in the parts.
         simulations: fresh ones behind it, which have an answer.
         wrong: of these misclassified.
         expected: error by the classifier's own probabilities alone.
@@ -163,32 +161,21 @@ def _whole(shares: Array) -> NDArray[np.intp]:
 
 
 def estimate_error(
-    plan: Verification,
-    beyond: NDArray[np.bool_],
-    answered: NDArray[np.bool_],
-    left_out: tuple[NDArray[np.intp], NDArray[np.bool_]],
-    confidence: float,
+    plan: Verification, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
 ) -> ErrorEstimate:
-    """The misclassified volume from fresh answers and from left-out points of the design measure.
-
-    Left-out points count in the surest part alone, which is large and in which fresh ones say least. Elsewhere they
-    would mislead: in a hypercube a point left out leaves a hole, and the classifier without it is worse than the one
-    that is judged.
+    """The misclassified volume from the answers to a plan.
 
     Args:
+        plan: of the fresh simulations.
         beyond: (n,) whether each planned design is beyond the boundary.
         answered: (n,) whether it has an answer at all.
-        left_out: part, (m,), and whether misclassified, (m,), of points that were each left out of the training.
         confidence: of the interval.
     """
     parts = len(EDGES) + 1
     wrong = (plan.predicted != beyond)[answered]
-    seen = np.bincount(plan.part[answered], minlength=parts)
-    failed = np.bincount(plan.part[answered], weights=wrong, minlength=parts)
-    surest = left_out[0] == 0
-    seen[0] += np.count_nonzero(surest)
-    failed[0] += np.count_nonzero(left_out[1][surest])
-    count = StratifiedCount(plan.volumes, seen.astype(np.float64), failed.astype(np.float64))
+    seen = np.bincount(plan.part[answered], minlength=parts).astype(np.float64)
+    hits = np.bincount(plan.part[answered], weights=wrong, minlength=parts).astype(np.float64)
+    count = StratifiedCount(plan.volumes, seen, hits)
     one_sided = 0.5 + confidence / 2
     return ErrorEstimate(
         count.estimate(plan.expected),
@@ -210,47 +197,33 @@ def expected_error(campaign: Campaign, classifier: Classifier) -> float:
     return float(probability_wrong(latent.moments(campaign.features(pool))).mean())
 
 
-def set_name(iteration: int, simulations: int) -> str:
-    """Name of the set with the fresh simulations of an iteration's verification."""
+def look_name(iteration: int, simulations: int) -> str:
+    """Name of the set with the fresh simulations of a stop rule's look."""
+    return f"look-{iteration}-{simulations}"
+
+
+def verification_name(iteration: int, simulations: int) -> str:
+    """Name of the set with the fresh simulations that a user asked for; they are the same designs."""
     return f"verification-{iteration}-{simulations}"
 
 
-def looks_before(store: Store, iteration: int, simulations: int) -> int:
-    """How often the error was verified, with so many simulations, at iterations before this one.
-
-    Also where a user verified it between: whoever looks, each look is one more chance to be wrong.
-    """
-    found = (re.fullmatch(rf"verification-(\d+)-{simulations}-0", name) for name in store.set_names())
+def looks_before(store: Store, iteration: int) -> int:
+    """How often a stop rule looked at iterations before this one."""
+    found = (re.fullmatch(r"look-(\d+)-\d+-0", name) for name in store.set_names())
     return sum(int(name[1]) < iteration for name in found if name)
 
 
-@dataclass(frozen=True)
-class _Look:
-    """What is known before a verification's fresh simulations: their plan, and the initial design's left-out points."""
+def planned(campaign: Campaign, classifier: Classifier, iteration: int, simulations: int) -> Verification:
+    """The plan of the fresh simulations that judge a campaign's classifier of an iteration."""
+    rng = stream(campaign.settings.seed, "verification", iteration)
+    latent = classifier.latents[campaign.severity - 1]
+    return plan_verification(latent, campaign.features, campaign.space, simulations, rng)
 
-    plan: Verification
-    left_out: tuple[NDArray[np.intp], NDArray[np.bool_]]
 
-    @classmethod
-    def at(cls, campaign: Campaign, store: Store, classifier: Classifier, iteration: int, simulations: int) -> Self:
-        """The look at a campaign's classifier of an iteration."""
-        latent = classifier.latents[campaign.severity - 1]
-        rng = stream(campaign.settings.seed, "verification", iteration)
-        plan = plan_verification(latent, campaign.features, campaign.space, simulations, rng)
-        initial = in_initial_design(store.batches)
-        left_out = leave_one_out(latent.trained)
-        wrong = (left_out.mean > 0.0) != (latent.trained.labels.numpy() > 0.0)
-        return cls(plan, (part_of(probability_wrong(left_out))[initial], wrong[initial]))
-
-    def estimate(self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float) -> ErrorEstimate:
-        return estimate_error(self.plan, beyond, answered, self.left_out, confidence)
-
-    def could_show(self, error: float, confidence: float) -> bool:
-        """Whether the error would be shown to be at most so much if half as many were wrong as it expects."""
-        counted = np.bincount(self.plan.part, minlength=len(EDGES) + 1).astype(np.float64)
-        nothing = np.zeros(len(self.plan.part), dtype=bool)
-        hits = self.estimate(self.plan.predicted, ~nothing, confidence).count
-        return replace(hits, hits=hits.hits + 0.5 * counted * self.plan.expected).upper(confidence) <= error
+def could_show(plan: Verification, error: float, confidence: float) -> bool:
+    """Whether a plan would show an error of at most so much if half as many were wrong as the classifier expects."""
+    counted = np.bincount(plan.part, minlength=len(EDGES) + 1).astype(np.float64)
+    return StratifiedCount(plan.volumes, counted, 0.5 * counted * plan.expected).upper(confidence) <= error
 
 
 def least_simulations(error: float, confidence: float) -> int:
@@ -274,11 +247,17 @@ def verify_by_rule(
     rule = campaign.settings.stop
     if rule is None or expected_error(campaign, classifier) > rule.error:
         return None, False
-    confidence = confidence_of_look(rule.confidence, 1 + looks_before(store, iteration, rule.simulations))
-    if not _Look.at(campaign, store, classifier, iteration, rule.simulations).could_show(rule.error, confidence):
+    confidence = confidence_of_look(rule.confidence, 1 + looks_before(store, iteration))
+    plan = planned(campaign, classifier, iteration, rule.simulations)
+    if not could_show(plan, rule.error, confidence):
         return None, False
-    error = verify(campaign, store, executor, classifier, iteration, rule.simulations, rule.confidence, stop)
-    return error, error is not None and error.is_at_most(rule.error, confidence)
+    name, twin = look_name(iteration, rule.simulations), verification_name(iteration, rule.simulations)
+    outcome = simulated_outcomes(campaign, store, executor, name, plan.designs, stop, twin)
+    if outcome is None:
+        return None, False
+    answered = outcome != NUMERICAL_FAILURE
+    error = estimate_error(plan, outcome >= campaign.severity, answered, rule.confidence)
+    return error, error.is_at_most(rule.error, confidence)
 
 
 def verify(
@@ -289,15 +268,13 @@ def verify(
     iteration: int,
     simulations: int,
     confidence: float,
-    stop: Callable[[], bool] = lambda: False,
-) -> ErrorEstimate | None:
-    """The misclassified volume of a campaign's classifier at an iteration, from fresh simulations kept beside it.
-
-    None when it was asked to stop.
-    """
-    look = _Look.at(campaign, store, classifier, iteration, simulations)
-    name = set_name(iteration, simulations)
-    outcome = simulated_outcomes(campaign, store, executor, name, look.plan.designs, stop)
-    if outcome is None:
-        return None
-    return look.estimate(outcome >= campaign.severity, outcome != NUMERICAL_FAILURE, confidence)
+) -> ErrorEstimate:
+    """The misclassified volume of a campaign's classifier at an iteration, from fresh simulations kept beside it."""
+    plan = planned(campaign, classifier, iteration, simulations)
+    names = look_name(iteration, simulations), verification_name(iteration, simulations)
+    known = set(store.set_names())
+    # What a stop rule has simulated is not simulated again.
+    name = next((name for name in names if f"{name}-0" in known), names[-1])
+    outcome = simulated_outcomes(campaign, store, executor, name, plan.designs)
+    assert outcome is not None  # it was not asked to stop
+    return estimate_error(plan, outcome >= campaign.severity, outcome != NUMERICAL_FAILURE, confidence)

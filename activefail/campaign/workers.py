@@ -46,7 +46,7 @@ from activefail.campaign.simulator import (
     unanswered,
 )
 from activefail.campaign.supervisor import STATUS
-from activefail.errors import ActivefailError, SimulationError
+from activefail.errors import ActivefailError, SimulationError, reason_of
 from activefail.space import Array
 
 TRIES = 2
@@ -124,7 +124,7 @@ class _Worker:
                     start_new_session=True,
                 )
         except OSError as error:
-            raise SimulationError(f"A worker process could not be started: {error.strerror or error}.") from None
+            raise SimulationError(f"A worker process cannot be started: {reason_of(error)}.") from None
         self._events = select.poll()
         for end in (self._connection, self._leash):
             self._events.register(end, select.POLLIN)

@@ -145,9 +145,8 @@ def _take_to_budget(
     if rule is not None and (least := least_simulations(rule.error, rule.confidence)) > rule.simulations:
         shown = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
         print(
-            f"warning: stop.simulations: {rule.simulations} with none of them wrong show an error of at most "
-            f"{percent(shown)} at the first look; to show {100 * rule.error:g} % takes about {least}, or a larger "
-            f"initial design",
+            f"warning: stop.simulations: {rule.simulations} can show an error of at most {percent(shown)} at the first "
+            f"look, if none of them is wrong; {100 * rule.error:g} % needs at least {least}",
             file=sys.stderr,
         )
     words = _WITHOUT_BATCHES if campaign.settings.sampling.asynchronous else _IN_BATCHES
@@ -159,7 +158,7 @@ def _take_to_budget(
         raise typer.Exit(INTERRUPTED) from None
     show_warnings(store)
     if executor.first_fault:
-        print(f"warning: a simulation was given up; the first: {executor.first_fault}", file=sys.stderr)
+        print(f"warning: a simulation was abandoned; why the first failed: {executor.first_fault}", file=sys.stderr)
     if not finished:
         print(f"stopped {words.in_order}. Go on with: {again}{extra}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
@@ -337,13 +336,12 @@ def verify(
         show_warnings(store)
         error = verify_classifier(campaign, store, executor, classifier, progress.iteration, simulations, confidence)
         summary = Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches)
-    assert error is not None  # it was not asked to stop
     boundary = campaign.settings.acquisition.main_boundary
     print(f"campaign   {progress.done} simulations, iteration {progress.iteration}")
     print(f"error      {_error_text(error)} of the design space on the wrong side of {boundary}")
     print(
         f"           {100 * confidence:g} % interval: {error.in_words}, {error.wrong} of them "
-        "misclassified, in parts of unequal weight; and the initial design, each point left out in turn"
+        "misclassified, in parts of unequal weight"
     )
     print(f"expected   {percent(error.expected, 2)} by the classifier's own probabilities, which have no interval")
     _show_unseen(summary)

@@ -300,8 +300,8 @@ class _NoSimulations:
 def _verified(
     campaign: Campaign, store: Store, folder: Path, classifier: Classifier, iteration: int
 ) -> ErrorEstimate | None:
-    """The error that `activefail verify` found for this very classifier, from its stored simulations."""
-    for size in _sizes(folder, rf"verification-{iteration}-(\d+)-0\.h5"):
+    """The error that `verify` or a stop rule found for this very classifier, from its stored simulations."""
+    for size in _sizes(folder, rf"(?:verification|look)-{iteration}-(\d+)-0\.h5"):
         try:
             return verify(campaign, store, _NoSimulations(), classifier, iteration, size, 0.9)
         except _NotSimulatedError:

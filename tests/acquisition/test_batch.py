@@ -6,6 +6,8 @@ from scipy.stats import norm
 
 from activefail.acquisition import batch
 from activefail.acquisition.batch import (
+    SEARCH_SHARE,
+    Search,
     apportion,
     expected_site_precision,
     fantasised,
@@ -361,3 +363,27 @@ def test_a_design_that_failed_is_not_proposed_again():
     spared = chosen(corners)
     assert len(spared) == 40
     assert not {row.tobytes() for row in corners} & spared
+
+
+@pytest.mark.parametrize("q", [1, 5, 10])
+@pytest.mark.parametrize("known_side", ["both", "one"])
+def test_designs_that_search_take_turns_in_their_widths_whatever_the_size_of_a_batch(
+    learned, monkeypatch, q, known_side
+):
+    numbers = []
+
+    def noted(space, known, first, count, rng):
+        numbers.extend(range(first, first + count))
+        return space.latin_hypercube(count, rng)
+
+    monkeypatch.setattr(batch, "search", noted)
+    X = SPACE.latin_hypercube(20, np.random.default_rng(0))
+    classifier = learned
+    if known_side == "one":
+        classifier = train(X, np.zeros(20, dtype=np.int8), ("out", "in"), feature_map("design", SPACE), "rbf")
+    for first in range(0, 40, q):
+        rng = np.random.default_rng(first)
+        designs = propose_shared(classifier, SPACE, entropy, {"in": 1.0}, 0.0, first, q, rng, unseen=Search(X, ("in",)))
+        assert designs.shape == (q, 2)
+    # One after the other, without a gap: the widths take turns by these numbers.
+    assert numbers == list(range(40 if known_side == "one" else round(40 * SEARCH_SHARE)))

@@ -28,8 +28,10 @@ from activefail.space import Array
 INITIAL, BUDGET, SIZE = 12, 30, 4
 
 
-def plan(simulator: Simulator | None = None, budget: int = BUDGET, batch: int = SIZE, more: str = "") -> Campaign:
-    return disc(simulator, initial=INITIAL, budget=budget, batch=batch, asynchronous=True, more=more)
+def plan(
+    simulator: Simulator | None = None, budget: int = BUDGET, batch: int = SIZE, more: str = "", seed: int = 1
+) -> Campaign:
+    return disc(simulator, seed, initial=INITIAL, budget=budget, batch=batch, asynchronous=True, more=more)
 
 
 class Arbitrary:
@@ -192,7 +194,7 @@ def test_numerical_failures_leave_the_flight_too() -> None:
 
 
 def test_a_design_that_failed_numerically_is_not_asked_for_again_nor_after_an_interruption() -> None:
-    campaign = plan(Brittle(), more="limits.numerical_failures = 1.0")
+    campaign = plan(Brittle(), more="limits.numerical_failures = 1.0", seed=3)
     store = take(campaign)
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET
@@ -263,8 +265,9 @@ def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> N
     assert INITIAL <= sum(map(len, store.batches)) < 200
 
 
-def test_interrupted_it_looks_at_its_error_when_it_would_have_without(tmp_path: Path) -> None:
-    # Always believed to be good enough: every look that is due is taken. The second one ends it.
+def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Every look that is due is taken, and none of them ends it.
+    monkeypatch.setattr("activefail.campaign.verification.could_show", lambda *_: True)
     campaign = plan(more="stop = { error = 0.49, confidence = 0.999999, simulations = 10, every = 3 }")
 
     def looks(stopped: int | None) -> list[tuple[int, bool]]:
@@ -394,3 +397,31 @@ def test_ctrl_c_says_what_becomes_of_the_simulations_in_flight(tmp_path: Path, s
         said = activefail("resume", folder, "--code", tmp_path, "--budget", str(len(asked)))
         assert said.code == 0, said.err
         assert {row["x"] for row in record(folder)} == begun() == asked
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda flight, answered: flight[:0],
+        lambda flight, answered: flight[:, :1],
+        lambda flight, answered: np.full_like(flight, np.nan),
+        lambda flight, answered: flight + 1e6,
+        lambda flight, answered: np.concatenate([flight[:-1], answered[-1:]]),
+        lambda flight, answered: flight.astype(np.int64),
+    ],
+    ids=["none", "one variable", "NaN", "outside", "answered", "whole numbers"],
+)
+def test_a_saved_flight_that_nobody_asked_for_is_skipped_with_its_classifier(spoil):
+    campaign = disc(asynchronous=True, budget=28)
+    expected, spoilt = MemoryStore(campaign.schema), MemoryStore(campaign.schema)
+    with ThreadExecutor(1) as executor:
+        run(campaign, expected, executor, 20)
+    for batch in expected.batches:
+        spoilt.commit(batch)
+    iteration, state = expected.latest_state()
+    answered = np.concatenate([batch.designs for batch in expected.batches])
+    spoilt.write_state(iteration, state | {"flight/designs": spoil(state["flight/designs"], answered)})
+    with one_thread():
+        course, wanted = resumed(campaign, spoilt), resumed(campaign, expected)
+    assert course.iteration == wanted.iteration
+    assert np.array_equal(course.flight, wanted.flight)

@@ -217,7 +217,7 @@ def test_a_campaign_with_numerical_failures_learns_what_it_would_without_those_r
 
 
 def test_a_design_that_failed_numerically_is_not_proposed_again_nor_after_an_interruption() -> None:
-    campaign = disc(Brittle(), more="limits.numerical_failures = 1.0")
+    campaign = disc(Brittle(), seed=3, more="limits.numerical_failures = 1.0")
     store = take(campaign)
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET

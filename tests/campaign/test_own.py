@@ -465,6 +465,30 @@ if float(sys.argv[1]) > 2:
 
 
 @pytest.mark.faults
+@pytest.mark.parametrize(
+    ("write", "says"),
+    [
+        ("open(sys.argv[-1], 'wb').write(bytes(3_000_000))", "File too large"),
+        (
+            "signal.signal(signal.SIGXFSZ, signal.SIG_DFL); os.execvp('head', ['head', '-c3000000', '/dev/zero'])",
+            "would exceed simulator.largest_file, 1000000 bytes",
+        ),
+    ],
+)
+def test_a_program_may_write_no_larger_files_than_it_is_allowed(tmp_path: Path, write: str, says: str) -> None:
+    source = f"""
+import signal
+if float(sys.argv[1]) > 3:
+    {write}
+{ANSWERS}"""
+    with ProcessExecutor(1) as executor:
+        results = executor.run(program(tmp_path, source, largest_file=1_000_000), X)
+        assert says in executor.first_fault
+    assert results.outcome.tolist() == [0, 1, -1]
+    assert max(path.stat().st_size for path in (tmp_path / "work").rglob("*")) == 1_000_000
+
+
+@pytest.mark.faults
 @pytest.mark.parametrize("session", [False, True])
 def test_a_program_that_hangs_is_ended_with_all_that_it_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: bool

@@ -30,6 +30,7 @@ from activefail.campaign.segment import Segment, chain_next, chain_start
 from activefail.campaign.simulator import Results
 from activefail.campaign.store import FolderStore
 from activefail.errors import BusyError, InputError, StoreError
+from activefail.files import replacing
 
 pytestmark = pytest.mark.faults
 
@@ -527,6 +528,16 @@ def test_a_gap_in_the_middle_is_refused_and_named(tmp_path: Path, how: str, writ
     assert after == before
     assert ("000000002-000000004.h5" in str(caught.value)) == (how == "damaged")
     assert "000000005-000000008.h5, 000000009-000000009.h5" in str(caught.value)
+
+
+def test_a_table_that_a_reader_writes_into_the_run_folder_outlives_a_writer_that_opens_it(tmp_path: Path) -> None:
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA):
+        pass
+    with replacing(tmp_path / "run" / "predicted.csv") as file:
+        file.write("half")
+        with FolderStore.open(tmp_path / "run", SCHEMA, write=True):
+            file.write(" and half")
+    assert (tmp_path / "run" / "predicted.csv").read_text() == "half and half"
 
 
 def test_a_segment_under_a_wrong_name_is_not_believed(tmp_path: Path) -> None:

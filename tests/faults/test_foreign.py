@@ -434,9 +434,9 @@ def test_arrays_of_any_kind_in_a_state_give_a_classifier_or_none(
     changes = data.draw(st.dictionaries(st.sampled_from([*keys, "inducing"]), numbers, min_size=1, max_size=3))
     rewritten(folder, lambda state: state.update({f"failure/{key}": array for key, array in changes.items()}))
     with open_campaign(folder, write=False, features=False) as (campaign, store):
-        classifier, _ = restore(campaign, store, store.batches[-1].iteration)
-        if classifier is not None:
-            probabilities = classifier.probabilities(np.random.default_rng(0).random((5, 2)))
+        saved = restore(campaign, store, store.batches[-1].iteration)
+        if saved is not None:
+            probabilities = saved[2].probabilities(np.random.default_rng(0).random((5, 2)))
             assert np.isfinite(probabilities).all()
     survived()
     shutil.rmtree(folder)
@@ -448,7 +448,18 @@ SPACE = DesignSpace((Parameter("y", 0.0, 1.0),))
 
 
 @pytest.mark.parametrize(
-    "form", ["9000000000000000f", "3000000000f", ".3000000000f", "101", ".101f", "0>1000000", ">00000000000000101.3f"]
+    "form",
+    [
+        "9000000000000000f",
+        "3000000000f",
+        ".3000000000f",
+        "101",
+        ".101f",
+        "٩٩٩٩٩٩٩f",
+        "９９９９９９９f",
+        "0>1000000",
+        ">00000000000000101.3f",
+    ],
 )
 def test_a_format_that_would_fill_the_memory_is_refused_before_it_is_used(received: Path, form: str) -> None:
     command = f"model {{y:{form}}} {{out}}"
