@@ -42,7 +42,7 @@ class Executor(Protocol):
 
     @property
     def first_fault(self) -> str:
-        """What befell the first simulation that was given up here, with its design; empty if none was."""
+        """Why the first simulation that was abandoned here failed, with its design; empty if none was."""
         ...
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:

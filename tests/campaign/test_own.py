@@ -838,7 +838,7 @@ def test_what_a_simulation_raised_is_told_of_a_campaign_that_went_on(mine: Path,
     said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
     assert said.code == 0
     assert "raised" in {row["cause"] for row in record(tmp_path / "run")}
-    assert "warning: a simulation was given up; the first: design" in said.err
+    assert "warning: a simulation was abandoned; why the first failed: design" in said.err
     assert "ValueError: diverged" in said.err
 
 
