@@ -1,5 +1,6 @@
 """The design space: named variables with ranges and units, and samples of it."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
@@ -158,8 +159,8 @@ class DesignSpace:
     def __post_init__(self) -> None:
         if not self.parameters:
             raise InputError("A design space needs at least one variable that is not fixed.")
-        for name in self.names:
-            if self.names.count(name) > 1 or name in self.fixed:
+        for name, times in Counter(self.names).items():
+            if times > 1 or name in self.fixed:
                 raise InputError(f"The variable {name!r} is defined twice.")
         for name, value in self.fixed.items():
             if not name.isidentifier():

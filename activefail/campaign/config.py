@@ -290,7 +290,7 @@ class Stop(_Section):
 
     error: float = Field(gt=0.0, lt=0.5)
     confidence: float = Field(0.9, ge=0.5, lt=1.0)
-    simulations: int = Field(200, ge=10, le=10_000)
+    simulations: int = Field(400, ge=10, le=10_000)
     every: int = Field(5, ge=1, le=1000)
 
 
@@ -469,12 +469,18 @@ def _rule(error: Any) -> str:
             return f"{path}: {message}, got {_shown(error['input'])}"
 
 
+_MOST_RULES = 50
+"""Broken rules that one message lists."""
+
+
 def _checked(values: dict[str, Any], source: str) -> "CampaignSettings":
     try:
         return CampaignSettings.model_validate(values)
     except ValidationError as invalid:
-        rules = "\n".join(f"  {visible(_rule(error))}" for error in invalid.errors())
-        raise InputError(f"{source}:\n{rules}") from None
+        errors = invalid.errors()
+        rules = [f"  {visible(_rule(error))}" for error in errors[:_MOST_RULES]]
+        more = [f"  and {len(errors) - _MOST_RULES} more"] if len(errors) > _MOST_RULES else []
+        raise InputError("\n".join([f"{source}:", *rules, *more])) from None
 
 
 def parse_settings(text: str, source: str) -> CampaignSettings:

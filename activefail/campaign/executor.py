@@ -26,7 +26,7 @@ from activefail.campaign.simulator import (
     unanswered,
 )
 from activefail.campaign.workers import Guards
-from activefail.errors import ActivefailError, place_of
+from activefail.errors import ActivefailError, SimulationError, place_of
 from activefail.space import Array
 from activefail.visible import visible
 
@@ -95,7 +95,7 @@ class _LocalExecutor:
             return unanswered(simulator, 0)
         rows = self._rows(n)
         try:
-            parts = [self._pool.submit(self._see_to, simulator, X[first : first + rows]) for first in range(0, n, rows)]
+            parts = [self._submitted(simulator, X[first : first + rows]) for first in range(0, n, rows)]
             for part in as_completed(parts):
                 done = len(part.result())
                 if progress is not None:
@@ -107,7 +107,7 @@ class _LocalExecutor:
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
         """Have a design, (d,), simulated (see Executor)."""
-        future = self._pool.submit(self._see_to, simulator, x[None])
+        future = self._submitted(simulator, x[None])
         future.add_done_callback(lambda done: self._come.put((ticket, done)))
 
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
@@ -122,6 +122,12 @@ class _LocalExecutor:
         except BaseException:
             self._stop()
             raise
+
+    def _submitted(self, simulator: Simulator, X: Array) -> Future[Results]:
+        try:
+            return self._pool.submit(self._see_to, simulator, X)
+        except RuntimeError as error:  # the system starts no more threads
+            raise SimulationError(f"A simulation cannot be started: {error}. Fewer --workers may do.") from None
 
     def _see_to(self, simulator: Simulator, X: Array) -> Results:
         results, fault = self._answer(simulator, X)

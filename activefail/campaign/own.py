@@ -22,7 +22,7 @@ import numpy as np
 from activefail.campaign.image import make_folder
 from activefail.campaign.plugin import SIMULATOR_KEY, load_function, look_beside
 from activefail.campaign.simulator import Results, UnusableAnswerError
-from activefail.errors import InputError
+from activefail.errors import ActivefailError, InputError
 from activefail.files import end_of, read_regular
 from activefail.space import Array, DesignSpace
 
@@ -96,7 +96,11 @@ class PythonSimulator:
         answers = []
         for design in designs_by_name(self.space, X):
             began = time.perf_counter()
-            said = function(design)
+            try:
+                said = function(design)
+            except ActivefailError as error:
+                # Raised in the user's code, it is no error of ours and costs this simulation alone.
+                raise RuntimeError(f"{type(error).__name__}: {error}").with_traceback(error.__traceback__) from None
             answers.append(_read_answer(said, self.outcomes, self.margins, time.perf_counter() - began))
         return Results.concatenate(answers)
 

@@ -11,7 +11,7 @@ from activefail.visible import visible
 SETTINGS = "campaign.toml"
 """The frozen copy of the settings."""
 
-LARGEST_SETTINGS = 10_000_000
+LARGEST_SETTINGS = 1_000_000
 """Bytes that a frozen copy may have: more than any design space needs, and no burden to read."""
 
 LOCK = ".lock"

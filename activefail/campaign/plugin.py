@@ -3,9 +3,10 @@
 import ast
 import hashlib
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -54,12 +55,15 @@ def load_function(
                 raise _NeverRunError(path)
             sources = _sources(path, code)
             look_beside(code, sources)
-            module, digest = _module_of(path, module_name), _digest(sources, code)
+            with _in_this_folder():
+                module = _module_of(path, module_name)
+            digest = _digest(sources, code)
         else:
             package = path.with_suffix("") / "__init__.py"
             sources = _sources(package, code)
             look_beside(code, sources)  # no more in the folder of another campaign
-            module = _module_elsewhere(module_name, never)
+            with _in_this_folder():
+                module = _module_elsewhere(module_name, never)
             source = Path(module.__file__) if module.__file__ else None
             if source == package:
                 digest = _digest(sources, code)
@@ -81,6 +85,21 @@ def load_function(
     if not callable(function):
         raise InputError(f"{key}: {module.__file__ or module_name} has no function {name!r}.")
     return function, digest
+
+
+@contextmanager
+def _in_this_folder() -> Iterator[None]:
+    """Code that is run within leaves the current folder as it was: relative paths of the user's start from there."""
+    try:
+        here = os.getcwd()
+    except OSError:  # it was removed
+        here = None
+    try:
+        yield
+    finally:
+        if here is not None:
+            with suppress(OSError):
+                os.chdir(here)
 
 
 # --- where a module is found -------------------------------------------------------------------------------------

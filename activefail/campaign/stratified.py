@@ -11,15 +11,15 @@ from activefail.space import Array
 class StratifiedCount:
     """Designs counted in parts of a design space, and how many of them were hits (misclassified, say).
 
-    The share of hits is θ = Σ V_k p_k. Its bounds hold with at least their confidence for any shares p_k, also where no
-    hit or few were seen; `benchmarks/verification.py` measures that. Each bound is a quantile of the beta
-    distribution with the mean and the variance of Σ V_k B_k, where B_k follows a beta distribution:
+    The share of hits is θ = Σ V_k p_k. `benchmarks/verification.py` measures how often its bounds hold, above all where
+    few hits or none were seen. Each bound is a quantile of the beta distribution with the mean and the variance of
+    Σ V_k B_k, where B_k follows a beta distribution:
 
     - lower bound: B_k ~ Beta(x_k, n_k − x_k + 1), as in the bound of Clopper and Pearson (1934) for each part;
     - upper bound: B_j ~ Beta(x_j + 1, n_j − x_j), Clopper and Pearson's, for one part j, and Jeffreys' Beta(x_k + ½,
       n_k − x_k + ½) for the others; of all parts the j with the largest quantile. One further hit in one part is what
-      Fay and Feuer (1997) assume for weighted counts. Clopper and Pearson's in every part would be valid as well, and
-      wider by some tenths.
+      Fay and Feuer (1997) assume for weighted counts. A part with hits alone has Clopper and Pearson's too, and so
+      have all parts for a confidence above 0.95, where Jeffreys' would hold too seldom.
 
     With a single part both are Clopper and Pearson's exact bounds. The lower bound can fall a little as a part gets its
     first hit, since the beta distribution then spreads over the volume of one more part.
@@ -28,11 +28,13 @@ class StratifiedCount:
         volumes: V, (k,) of the parts, as shares of the space.
         counted: n, (k,) designs counted in each part.
         hits: x, (k,) of these.
+        pool: random designs by which the volumes were measured, whose uncertainty then counts; 0 if they are exact.
     """
 
     volumes: Array
     counted: Array
     hits: Array
+    pool: int = 0
 
     @property
     def unseen_volume(self) -> float:
@@ -51,21 +53,28 @@ class StratifiedCount:
             return 0.0
         x, n, V = self.hits[seen], self.counted[seen], self.volumes[seen]
         mean, variance = _beta_moments(x, n - x + 1.0)
+        m, v = float(V @ mean), float(V**2 @ variance) + self._of_volumes(V, mean)
         # Not above the volume of the parts with hits, of which alone this speaks.
-        return _quantile(float(V @ mean), float(V**2 @ variance), float(V.sum()), 1.0 - confidence)
+        return _quantile(m, v, float(V.sum()), 1.0 - confidence)
 
     def upper(self, confidence: float) -> float:
         """The share is at most this, with one-sided confidence."""
         known = self.counted > 0
         x, n, V = self.hits[known], self.counted[known], self.volumes[known]
-        mean, variance = _beta_moments(x + 0.5, n - x + 0.5)
         mean_further, variance_further = _beta_moments(x + 1.0, n - x)
+        mean, variance = _beta_moments(x + 0.5, n - x + 0.5)
+        further = (x == n) | (confidence > 0.95)
+        mean, variance = np.where(further, mean_further, mean), np.where(further, variance_further, variance)
         bounds = []
         for j in range(len(V)):
             m = float(V @ mean + V[j] * (mean_further[j] - mean[j]))
-            v = float(V**2 @ variance + V[j] ** 2 * (variance_further[j] - variance[j]))
+            v = float(V**2 @ variance + V[j] ** 2 * (variance_further[j] - variance[j])) + self._of_volumes(V, mean)
             bounds.append(_quantile(m, v, float(V.sum()), confidence))
         return min(1.0, self.unseen_volume + max(bounds, default=0.0))
+
+    def _of_volumes(self, volumes: Array, shares: Array) -> float:
+        """The variance that comes from volumes measured by a pool: that of a multinomial sample."""
+        return float(volumes @ shares**2 - (volumes @ shares) ** 2) / self.pool if self.pool else 0.0
 
 
 def _beta_moments(a: Array, b: Array) -> tuple[Array, Array]:
@@ -86,9 +95,16 @@ def _quantile(mean: float, variance: float, scale: float, q: float) -> float:
     return scale * float(beta.ppf(q, mean * total, (1.0 - mean) * total))
 
 
-def largest_unseen_share(n: int, confidence: float = 0.9) -> float:
+def largest_unseen_share(n: int, confidence: float = 0.9, unanswered: int = 0) -> float:
     """The largest probability of an event that n independent draws without it leave, with one-sided confidence.
 
-    1 − (1 − confidence)^(1/n), the exact bound; 1 where nothing was drawn.
+    1 − (1 − confidence)^(1/n), the exact bound; 1 where nothing was drawn. Draws without an answer count as if each
+    might have been the event: Clopper and Pearson's bound.
     """
-    return 1.0 if n == 0 else float(-np.expm1(np.log1p(-confidence) / n))
+    if n == 0:
+        return 1.0
+    if unanswered == 0:
+        return float(-np.expm1(np.log1p(-confidence) / n))
+    from scipy.stats import beta
+
+    return float(beta.ppf(confidence, unanswered + 1, n))

@@ -155,7 +155,8 @@ class Summary:
         if self.initial.sum() < self.plan.initial:
             return ""
         unseen = unseen_outcomes(self.outcomes, self.counts)
-        return unseen_warning(unseen, int(self.counts[:-1].sum()), int(self.initial[:-1].sum()))
+        answered, unanswered = int(self.initial[:-1].sum()), int(self.initial[-1])
+        return unseen_warning(unseen, int(self.counts[:-1].sum()), answered, unanswered)
 
     @classmethod
     def of(cls, settings: str, outcomes: tuple[str, ...], batches: Sequence[Batch]) -> Self:

@@ -17,6 +17,9 @@ from typing import NoReturn
 STATUS = 4
 """Bytes in which a supervisor reports how its worker ended, as `os.waitpid` has it."""
 
+NO_PROCESS = 72
+"""Exit code that a supervisor reports for a worker which it could not start."""
+
 _LOOK = 1.0
 """Seconds between two looks at whether the main program is there: a copy of its end of the leash may survive it."""
 
@@ -48,7 +51,12 @@ def main(program: int, answers: int, leash: int) -> NoReturn:
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
     supervisor = os.getpid()
-    worker = os.fork()
+    try:
+        worker = os.fork()
+    except OSError:
+        with suppress(OSError):
+            os.write(leash, (NO_PROCESS << 8).to_bytes(STATUS, "little"))
+        os._exit(0)
     if worker == 0:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)

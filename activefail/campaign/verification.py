@@ -41,7 +41,7 @@ class ErrorEstimate:
         error: the share of the design space that was found misclassified.
         low, high: interval of the error; each end holds with half of what the confidence leaves.
         confidence: of the interval.
-        count: misclassified designs in the parts.
+        count: misclassified designs in the parts, those without an answer among them.
         simulations: fresh ones behind it, which have an answer.
         wrong: of these misclassified.
         expected: error by the classifier's own probabilities alone.
@@ -165,6 +165,9 @@ def estimate_error(
 ) -> ErrorEstimate:
     """The misclassified volume from the answers to a plan.
 
+    A design without an answer may be misclassified, and where one has none is no chance: for the upper end of the
+    interval all of them are, for the lower end none.
+
     Args:
         plan: of the fresh simulations.
         beyond: (n,) whether each planned design is beyond the boundary.
@@ -172,14 +175,18 @@ def estimate_error(
         confidence: of the interval.
     """
     parts = len(EDGES) + 1
-    wrong = (plan.predicted != beyond)[answered]
-    seen = np.bincount(plan.part[answered], minlength=parts).astype(np.float64)
-    hits = np.bincount(plan.part[answered], weights=wrong, minlength=parts).astype(np.float64)
-    count = StratifiedCount(plan.volumes, seen, hits)
+    wrong = (plan.predicted != beyond) & answered
+
+    def counted(designs: NDArray[np.bool_], hits: NDArray[np.bool_]) -> StratifiedCount:
+        seen, found = (np.bincount(plan.part[rows], minlength=parts).astype(np.float64) for rows in (designs, hits))
+        return StratifiedCount(plan.volumes, seen, found, POOL)
+
+    everything = np.ones(len(answered), dtype=bool)
+    count = counted(everything, wrong | ~answered)
     one_sided = 0.5 + confidence / 2
     return ErrorEstimate(
-        count.estimate(plan.expected),
-        count.lower(one_sided),
+        counted(answered, wrong).estimate(plan.expected),
+        counted(everything, wrong).lower(one_sided),
         count.upper(one_sided),
         confidence,
         count,
@@ -223,7 +230,7 @@ def planned(campaign: Campaign, classifier: Classifier, iteration: int, simulati
 def could_show(plan: Verification, error: float, confidence: float) -> bool:
     """Whether a plan would show an error of at most so much if half as many were wrong as the classifier expects."""
     counted = np.bincount(plan.part, minlength=len(EDGES) + 1).astype(np.float64)
-    return StratifiedCount(plan.volumes, counted, 0.5 * counted * plan.expected).upper(confidence) <= error
+    return StratifiedCount(plan.volumes, counted, 0.5 * counted * plan.expected, POOL).upper(confidence) <= error
 
 
 def least_simulations(error: float, confidence: float) -> int:

@@ -45,7 +45,7 @@ from activefail.campaign.simulator import (
     Simulator,
     unanswered,
 )
-from activefail.campaign.supervisor import STATUS
+from activefail.campaign.supervisor import NO_PROCESS, STATUS
 from activefail.errors import ActivefailError, SimulationError, reason_of
 from activefail.space import Array
 
@@ -111,6 +111,7 @@ class _Worker:
         self._secret = secrets.token_bytes(SECRET)
         self._process: int | None = None
         self._said_more = False
+        self._closed = False
         try:
             self._connection, theirs = socket.socketpair()
             self._leash, held = socket.socketpair()
@@ -193,7 +194,12 @@ class _Worker:
             elif ready:
                 raise self._death()
             elif left <= 0.0:
+                if self._closed:
+                    raise _LostError(WORKER_DIED, _ending(LOST))
                 raise _LostError(TIME_LIMIT, f"it took longer than {limit:g} s")
+            if self._closed:
+                # No answer can come any more; its supervisor, which says how it ended, may have been stopped.
+                deadline = min(deadline, time.monotonic() + _END_LIMIT)
 
     def _heard(self) -> bytes:
         """What has come, of the worker itself."""
@@ -202,7 +208,7 @@ class _Worker:
         except OSError:  # it ended with something unread
             data, sender = b"", None
         if not data:
-            # It is waited for: a worker without a connection ends as soon as it is to answer.
+            self._closed = True
             self._events.unregister(self._connection)
         elif sender is not None:
             if self._process is None:
@@ -294,6 +300,7 @@ class Guard:
             # The program of an isolated simulator has had a fresh process each time.
             settled = results.cause[0] in (RAISED, UNUSABLE_ANSWER) and (fresh or _is_isolated(simulator))
             if settled or len(reasons) == TRIES:
+                _check_output()
                 return results, f"design {X[0].tolist()}: {_in_words(reasons)}"
 
     def _ready(self, simulator: Simulator) -> _Worker:
@@ -332,6 +339,21 @@ class Guard:
         if self._worker is not None:
             self._worker.close()
             self._worker = None
+
+
+def _check_output() -> None:
+    """Check that what reads this program's output is still there.
+
+    Workers write to the same streams: a simulation that prints would fail for no fault of its own.
+
+    Raises:
+        BrokenPipeError: if it is not.
+    """
+    streams = select.poll()
+    for descriptor in (1, 2):
+        streams.register(descriptor, 0)
+    if any(event & (select.POLLERR | select.POLLHUP) for _, event in streams.poll(0)):
+        raise BrokenPipeError("the output pipe was closed")
 
 
 def _may_answer(worker: _Worker, simulator: Simulator) -> bool:
@@ -487,6 +509,8 @@ def _ending(code: int) -> str:
     how = f"exit code {code}"
     if code == LOST:
         how = "its connection was closed or replaced"
+    elif code == NO_PROCESS:
+        how = "no process could be started for it"
     elif code < 0:
         try:
             how = signal.Signals(-code).name

@@ -165,8 +165,9 @@ def _take_to_budget(
     progress = standing(campaign, store.batches, budget)
     if rule is not None and progress.done < budget:
         print(
-            f"good       enough after {progress.done} simulations: an error of at most {100 * rule.error:g} % is "
-            f"verified with {100 * rule.confidence:g} % confidence, over all looks"
+            f"good       enough after {progress.done} simulations: an error of at most {100 * rule.error:g} % at the "
+            f"{visible(campaign.settings.acquisition.main_boundary)} boundary is verified with "
+            f"{100 * rule.confidence:g} % confidence, over all looks"
         )
     _show_unseen(Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches))
     print(f"results    {visible(str(folder))}")
@@ -253,7 +254,7 @@ def status(folder: RunFolder) -> None:
     print(f"campaign   {visible(plan.description or folder.name)}")
     print(f"simulator  {plan.simulator}, {plan.variables} variables, seed {plan.seed}")
     sought = " and ".join(
-        f"the {name} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
+        f"the {name} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
         for name, share in plan.boundaries.items()
     )
     print(f"learner    {plan.kernel} on {plan.features} features, {plan.criterion} at {sought}")

@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,6 +28,7 @@ from activefail.report.quantities import words
 from activefail.space import Array
 from activefail.study.compare import Recall, Score, default_budgets, score
 from activefail.surrogate.classifier import Classifier, Moments, train
+from activefail.visible import visible
 
 CONFIDENCE = 0.95
 """Of every interval that the report and the explorer show of a probability."""
@@ -193,7 +195,7 @@ def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
                         name: Recall(int(row[f"recalled_{name}"]), int(row[f"test_{name}"]))
                         for name in (outcomes if known else ())
                     }
-                    scores.append(Score(**numbers, recall=recall))
+                    scores.append(_plausible(Score(**numbers, recall=recall)))
                     # An older program wrote how many were asked for, and not this.
                     unanswered = max(unanswered, int(row.get("test_unanswered") or 0))
                 except (KeyError, TypeError, ValueError) as bad:
@@ -209,6 +211,31 @@ def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
     if not scores:
         raise InputError(f"{path}: has no rows.")
     return scores, unanswered
+
+
+_MOST_DESIGNS = 1_000_000
+"""Designs and simulations that a score may be of."""
+
+
+def _plausible(score: Score) -> Score:
+    """A score that a comparison could have had.
+
+    Raises:
+        ValueError: saying what is wrong with it.
+    """
+    shares = (0.0, score.low, score.accuracy, score.high, 1.0)
+    if not all(one <= other for one, other in pairwise(shares)):
+        raise ValueError(f"`0 <= low <= accuracy <= high <= 1` must hold, got {shares[1:-1]}")
+    if not 0.0 <= score.outcome_accuracy <= 1.0 or not score.log_score <= 0.0:
+        raise ValueError(f"outcome_accuracy {score.outcome_accuracy} and log_score {score.log_score}")
+    if score.sampling not in ("active", "static"):
+        raise ValueError(f"sampling: must be active or static, got {visible(score.sampling)!r}")
+    recalled = [number for one in score.recall.values() for number in (one.found, one.of)]
+    if not all(0 <= n <= _MOST_DESIGNS for n in (score.simulations, score.test_designs, *recalled)):
+        raise ValueError(f"numbers of designs must lie in 0 to {_MOST_DESIGNS}")
+    if any(one.found > one.of for one in score.recall.values()):
+        raise ValueError("more designs were recalled than there are")
+    return score
 
 
 def read_parts(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None:

@@ -308,7 +308,7 @@ def _what_was_run(findings: Findings, done: int) -> list[tuple[str, str]]:
     plan = Plan.of(settings.text())
     sampling = settings.sampling
     sought = " and ".join(
-        f"the {words(name)} boundary" + (f" ({100 * share:.0f} %)" if share < 1.0 else "")
+        f"the {words(name)} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
         for name, share in settings.acquisition.boundaries.items()
     )
     return [

@@ -976,3 +976,50 @@ if os.path.exists({str(slow)!r}):
     said = activefail("resume", run, "--code", tmp_path)
     assert said.code == 0, said.err
     assert len(list((run / "simulations").iterdir())) == 24
+
+
+@pytest.mark.faults
+def test_a_module_that_changes_the_current_folder_does_not_move_the_run_folder(
+    mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (mine / "model.py").write_text(f"import os\nos.chdir(os.path.dirname(os.path.abspath(__file__)))\n{MODEL}")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert activefail("run", mine / "mine.toml", "--out", "run").code == 0
+    assert (tmp_path / "here" / "run" / "campaign.toml").is_file()
+    assert not (mine / "run").exists()
+
+
+@pytest.mark.faults
+def test_an_error_of_activefail_s_own_in_a_custom_simulator_costs_that_simulation_alone(
+    mine: Path, tmp_path: Path
+) -> None:
+    wrong = "T_b=4, mu=-1.0, D_tot=0.6, h_sl_ratio=0.6, h_rim_ratio=0.1, p=45, k=2e9"
+    raises = (
+        f"    if design['drift'] > 3.8:\n        import activefail\n        activefail.Bearing.from_table({wrong})\n"
+    )
+    (mine / "model.py").write_text(MODEL.replace("    severity", f"{raises}    severity"))
+    (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert said.code == 0
+    rows = record(tmp_path / "run")
+    assert {row["cause"] for row in rows if float(row["drift"]) > 3.8} == {"raised"}
+    assert all(row["cause"] == "" for row in rows if float(row["drift"]) <= 3.8)
+    assert "InputError: `mu > 0` must hold, got -1.0." in said.err
+
+
+@pytest.mark.faults
+def test_a_simulation_that_prints_to_a_reader_that_has_gone_is_not_recorded_as_failed(
+    mine: Path, tmp_path: Path
+) -> None:
+    (mine / "model.py").write_text(MODEL.replace("    severity", "    print('at work', flush=True)\n    severity"))
+    words = [sys.executable, "-m", "activefail.cli", "run", mine / "mine.toml", "--workers", "1", "--out"]
+    with subprocess.Popen([*words, tmp_path / "cut"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert b"Traceback" not in err
+    assert activefail("run", mine / "mine.toml", "--out", tmp_path / "whole", "--workers", "1").code == 0
+    assert activefail("resume", tmp_path / "cut", "--code", mine, "--workers", "1").code == 0
+    cut, whole = ([{**row, "seconds": ""} for row in record(tmp_path / name)] for name in ("cut", "whole"))
+    assert cut == whole

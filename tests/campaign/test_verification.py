@@ -83,7 +83,7 @@ def test_fresh_simulations_are_uniform_within_each_part_and_mostly_where_the_cla
     assert campaign.space.contains(plan.designs).all()
 
 
-def test_a_design_without_an_answer_counts_neither_as_right_nor_as_wrong():
+def test_designs_without_an_answer_may_all_be_wrong_or_none():
     part = np.repeat(np.arange(5), 10)
     plan = Verification(np.zeros((50, 1)), part, np.zeros(50, dtype=bool), np.full(5, 0.2), np.full(5, 0.1))
     answered = np.arange(50) % 2 == 0
@@ -91,6 +91,10 @@ def test_a_design_without_an_answer_counts_neither_as_right_nor_as_wrong():
     error = estimate_error(plan, beyond, answered, 0.9)
     assert (error.simulations, error.wrong, error.asked) == (25, 0, 50)
     assert error.in_words == "25 answered of 50 fresh simulations"
+    assert error.error == 0.0
+    assert error.low == 0.0
+    assert error.high > 0.5  # half of them may be wrong
+    assert not error.is_at_most(0.5, 0.9)
 
 
 def test_the_interval_covers_the_true_error_of_most_campaigns():

@@ -216,6 +216,35 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
     assert found.tables["scores"][2][-1] == "3.0 % (2 of 66; 0.4 to 10.5 %)"
 
 
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("recalled_failure", "70"),
+        ("recalled_failure", "-7"),
+        ("test_failure", str(10**30)),
+        ("simulations", "1" + 400 * "0"),
+        ("accuracy", "nan"),
+        ("low", "0.99"),
+        ("sampling", "<b>"),
+        ("log_score", "inf"),
+    ],
+)
+def test_scores_that_no_comparison_could_have_had_are_refused_by_row(tmp_path, column, value):
+    outcomes = ("no_impact", "impact", "failure")
+    recall = dict.fromkeys(outcomes, Recall(10, 20))
+    good = Score("active", 30, 0.9, 0.8, 0.95, 0.7, -0.4, 60, recall)
+    columns = [*Score.columns(), *Score.recall_columns(outcomes)]
+    path = tmp_path / "scores.csv"
+    with writing(path, columns) as write:
+        write([good.row()])
+    assert findings.read_scores(path, outcomes) == ([good], 0)
+    spoilt = [value if name == column else cell for name, cell in zip(columns, good.row(), strict=True)]
+    with writing(path, columns) as write:
+        write([spoilt])
+    with pytest.raises(InputError, match=r"scores\.csv: row 1"):
+        findings.read_scores(path, outcomes)
+
+
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
     with open_campaign(folder, write=False) as (campaign, store):
         classifier = current_classifier(campaign, store, write=False)
