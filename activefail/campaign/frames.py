@@ -43,7 +43,7 @@ _SENDER = struct.Struct("=3i")
 """What Linux says of the sender of a message: process, user, group."""
 
 _KERNEL_KNOWS = hasattr(socket, "SO_PASSCRED")
-"""Whether the kernel says which process sent a message, which the process itself cannot change (Linux)."""
+"""Whether the kernel says which process sent a message, which only a privileged process can forge (Linux)."""
 
 
 class BrokenFrameError(Exception):

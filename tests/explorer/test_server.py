@@ -3,6 +3,7 @@
 import http.client
 import json
 import os
+import resource
 import socket
 import threading
 from collections.abc import Iterator
@@ -307,6 +308,18 @@ def test_beyond_the_most_questions_at_once_one_is_refused_and_may_be_asked_again
         assert ask(server, "predict", {"point": POINT}).status == 200
 
 
+@pytest.fixture
+def many_descriptors():
+    """This process may open enough files for both ends of more than a thousand connections."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 4096:
+        pytest.skip("this process may open too few files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 4096), hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.usefixtures("many_descriptors")
 def test_connections_that_ask_nothing_make_room_for_a_visitor(answers):
     with served(answers) as server, ExitStack() as stack:
         silent = [stack.enter_context(connected(server)) for _ in range(1200)]
