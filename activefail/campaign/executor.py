@@ -160,6 +160,11 @@ class ThreadExecutor(_LocalExecutor):
     def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
         return answer(simulator, X)
 
+    def __exit__(self, *exception: object) -> None:
+        # A second Ctrl-C may have met one of the pool's own locks, so that a thread waits for ever: after an exception
+        # nobody waits for it, and those that simulate end by themselves.
+        self._pool.shutdown(wait=exception[0] is None, cancel_futures=True)
+
     def _rows(self, n: int) -> int:
         return max(1, min(_ROWS_A_CALL, n // (4 * self._workers)))
 

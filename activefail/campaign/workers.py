@@ -313,11 +313,15 @@ class Guard:
                 self._worker, self._simulator = _Worker(), None
             worker = self._worker
         if simulator is not self._simulator:
+            used = worker.answered > 0
             try:
                 worker.load(simulator, self._answer)
-            except ActivefailError:
+            except ActivefailError as error:
                 self._check_stopped()
                 self.close()
+                if used and isinstance(error, SimulationError):
+                    # A second answer to the last question may have come in between, or the process was spoilt.
+                    return self._ready(simulator)
                 raise
             self._check_stopped()
             self._simulator = simulator

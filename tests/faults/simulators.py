@@ -76,7 +76,7 @@ class Failing(Disc):
 
 # --- that come between a worker and its parent -------------------------------------------------------------------
 
-DESCRIPTORS = range(3, 65)
+DESCRIPTORS = range(3, 1024)
 """Those that a simulator has not opened itself, and a good many that it might have."""
 
 
