@@ -22,16 +22,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.config import CampaignSettings, parse_settings
-from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread, run
-from activefail.campaign.record import MemoryStore
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
+from activefail.campaign.settings import CampaignSettings, parse_settings
+from activefail.comparison.score import FreshSet, measures
+from activefail.estimate import Estimate
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.batch import MemoryStore
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
-from activefail.study.estimate import Estimate
-from activefail.study.score import FreshSet, measures
 
 FIRST_SEED = 5000
 

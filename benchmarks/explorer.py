@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.campaign.folder import open_campaign
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread
+from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.report.findings import glance
 

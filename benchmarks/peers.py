@@ -32,11 +32,11 @@ from activefail.acquisition.batch import POOL, propose
 from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
-from activefail.campaign.campaign import stream
+from activefail.campaign.assembly import stream
 from activefail.campaign.loop import one_thread
+from activefail.estimate import Estimate
 from activefail.features import FeatureMap, feature_map
 from activefail.space import Array
-from activefail.study.estimate import Estimate
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.fitting import fit
 

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.config import parse_settings
-from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.loop import Observer, Progress, run
-from activefail.campaign.simulator import Results
-from activefail.campaign.store import FolderStore
+from activefail.campaign.settings import parse_settings
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import Results
 from activefail.space import Array
 
 

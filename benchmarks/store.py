@@ -22,12 +22,12 @@ import numpy as np
 
 from activefail.bearing.design import TABLE_1
 from activefail.bearing.outcome import CAUSES, MARGINS, OUTCOMES
-from activefail.campaign import compaction
-from activefail.campaign.config import parse_settings
-from activefail.campaign.record import ACTIVE, SEED, Batch, Schema
-from activefail.campaign.segment import Segment, chain_start, encode_segment
-from activefail.campaign.simulator import Results
-from activefail.campaign.store import FolderStore
+from activefail.campaign.settings import parse_settings
+from activefail.record import compaction
+from activefail.record.batch import ACTIVE, SEED, Batch, Schema
+from activefail.record.run_folder import FolderStore
+from activefail.record.segment import Segment, chain_start, encode_segment
+from activefail.simulators.interface import Results
 
 SCHEMA = Schema(TABLE_1.names, OUTCOMES, CAUSES, MARGINS)
 SMALL, LARGE = 1_000, 1_000_000
@@ -111,7 +111,7 @@ def _children() -> float:
 
 OPENING = """
 import sys, time
-from activefail.campaign.store import FolderStore
+from activefail.record.run_folder import FolderStore
 began, used = time.perf_counter(), time.process_time()
 with FolderStore.open(sys.argv[1], write=False) as store:
     print(time.perf_counter() - began, time.process_time() - used, sum(len(batch) for batch in store.batches))

@@ -9,6 +9,8 @@ import hypothesis
 import pytest
 from patience import PATIENCE
 
+pytest_plugins = ("ran",)
+
 # A shell that runs the suite in the background has it ignore Ctrl-C, and all that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 from activefail import simulate_one
 from activefail.bearing import Bearing, Pulse, Response
 from activefail.bearing.dynamics import equilibrium, static_contact
-from activefail.campaign.plugin import load_function
+from activefail.simulators.user_code import load_function
 from activefail.space import Array
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"

@@ -21,15 +21,15 @@ from patience import PATIENCE, until
 
 from activefail import __version__
 from activefail.bearing import TABLE_1, simulate
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.config import read_settings
-from activefail.campaign.executor import ThreadExecutor
-from activefail.campaign.folder import open_campaign
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.loop import Observer
 from activefail.campaign.loop import run as run_loop
-from activefail.campaign.store import FolderStore
+from activefail.campaign.opening import open_campaign
+from activefail.campaign.settings import read_settings
 from activefail.cli import app
 from activefail.cli.common import stop_on_signals
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.run_folder import FolderStore
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
 
@@ -798,7 +798,7 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
     folder = tmp_path / "run"
     words = ("run", long[0], "--out", folder, "--workers", "2")
     # Five batches are done, of the sixth two simulations are.
-    with holding("activefail.campaign.dfp:DfpSimulator.run", *words, passing=27) as running:
+    with holding("activefail.simulators.bearing:DfpSimulator.run", *words, passing=27) as running:
         process = running.process
         running.wait(2)
         process.send_signal(number)
@@ -828,7 +828,7 @@ def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
         "sampling = { initial = 500, budget = 500, batch = 500 }\nbearing.tolerance = 1e-9\n"
     )
     words = ("run", tmp_path / "long.toml", "--out", tmp_path / "run", "--workers", "2")
-    with holding("activefail.campaign.dfp:DfpSimulator.run", *words) as running:
+    with holding("activefail.simulators.bearing:DfpSimulator.run", *words) as running:
         process = running.process
         running.wait(2)
         process.send_signal(first)
@@ -900,10 +900,10 @@ def test_a_ctrl_c_ends_every_command_without_a_traceback(
     def struck(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    for place in ("activefail.campaign.recovery.read_segments", "activefail.campaign.summary.read_summary"):
+    for place in ("activefail.record.recovery.read_segments", "activefail.campaign.summary.read_summary"):
         module, _, name = place.rpartition(".")
         monkeypatch.setattr(f"{module}.{name}", struck)
-    monkeypatch.setattr("activefail.campaign.store.read_segments", struck)
+    monkeypatch.setattr("activefail.record.run_folder.read_segments", struck)
     said = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
     assert said.code == 130
     assert said.err == "activefail: stopped; what was recorded is safe\n"
@@ -920,7 +920,7 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
         threading.Event().wait(PATIENCE)
         pytest.fail("nothing came")
 
-    monkeypatch.setattr("activefail.study.paper.run_study", compiling)
+    monkeypatch.setattr("activefail.paper.study.run_study", compiling)
     said = activefail("paper", "--out", tmp_path / "paper")
     assert (said.code, said.err) == (130, "stopped; nothing is kept of it. The same command begins anew.\n")
 
@@ -948,7 +948,7 @@ def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], N
 @pytest.mark.parametrize("place", ["simulated", "study_draw"])
 def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, place: str) -> None:
     words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
-    with holding(f"activefail.study.paper:{place}", *words) as running:
+    with holding(f"activefail.paper.study:{place}", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "stopped; nothing is kept of it. The same command begins anew."
@@ -958,7 +958,7 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
 @pytest.mark.faults
 def test_a_worker_process_that_is_killed_ends_the_reproduction_with_a_message(tmp_path: Path) -> None:
     words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
-    with holding("activefail.study.paper:study_draw", *words) as running:
+    with holding("activefail.paper.study:study_draw", *words) as running:
         process = running.process
         worker = running.wait()[0]
         assert worker != process.pid
@@ -975,7 +975,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 ) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
     words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.study.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
+    with holding("activefail.comparison.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
         wait_for(running.process.stderr, "campaigns and classifiers")
         err = struck_as_by_a_terminal(running.process, running.release)
     assert (
@@ -989,7 +989,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 @pytest.mark.faults
 def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_on(folder: Path) -> None:
     words = ("compare", folder, "--test", "10")
-    with holding("activefail.study.compare:train", *words) as running:
+    with holding("activefail.comparison.static:train", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
     assert err.splitlines()[-1] == "activefail: stopped; what was recorded is safe"
@@ -1000,7 +1000,7 @@ def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_
 def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n" + f"{ROW}\n" * 100)
     words = ("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    with holding("activefail.study.tables:simulate", *words) as running:
+    with holding("activefail.campaign.tables:simulate", *words) as running:
         process = running.process
         running.wait()
         assert len(os.listdir(tmp_path)) == 2

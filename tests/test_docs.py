@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from activefail.campaign.config import CampaignSettings
+from activefail.campaign.settings import CampaignSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])

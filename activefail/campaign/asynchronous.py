@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.campaign import Campaign, initial_designs, next_batch
-from activefail.campaign.image import DamagedError
+from activefail.campaign.assembly import Campaign, initial_designs, next_batch
 from activefail.campaign.learning import (
     classifier_state,
     failed_designs,
@@ -22,8 +21,9 @@ from activefail.campaign.learning import (
     restore,
     search_for_unseen,
 )
-from activefail.campaign.record import Batch, Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.record.batch import Batch, Store
+from activefail.record.hdf5 import DamagedError
+from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 

@@ -8,11 +8,11 @@ import torch
 from numpy.typing import NDArray
 
 from activefail.acquisition.batch import Search
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.image import DamagedError
-from activefail.campaign.record import SEED, Batch, Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.unseen import unseen_outcomes
+from activefail.record.batch import SEED, Batch, Store
+from activefail.record.hdf5 import DamagedError
+from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent, train
 from activefail.surrogate.covariance import Hyperparameters

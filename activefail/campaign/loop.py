@@ -10,9 +10,8 @@ import torch
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from activefail.campaign.assembly import Campaign, initial_designs, next_batch, stream
 from activefail.campaign.asynchronous import resumed
-from activefail.campaign.campaign import Campaign, initial_designs, next_batch, stream
-from activefail.campaign.executor import AsynchronousExecutor, Executor
 from activefail.campaign.learning import (
     accuracy,
     classifier_state,
@@ -23,12 +22,13 @@ from activefail.campaign.learning import (
     learn,
     search_for_unseen,
 )
-from activefail.campaign.record import ACTIVE, SEED, Batch, Store
-from activefail.campaign.sets import simulated_set
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, cause_name
+from activefail.campaign.stored_sets import simulated_set
 from activefail.campaign.unseen import unseen_outcomes
 from activefail.campaign.verification import ErrorEstimate, verify_by_rule
 from activefail.errors import SimulationError
+from activefail.execution.executor import AsynchronousExecutor, Executor
+from activefail.record.batch import ACTIVE, SEED, Batch, Store
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 

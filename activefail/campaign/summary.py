@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.boundaries import boundary_shares
-from activefail.campaign.places import LARGEST_SETTINGS, SETTINGS, refuse_links
-from activefail.campaign.record import ACTIVE, SEED, Batch
-from activefail.campaign.recovery import is_segment, plain_files
-from activefail.campaign.segment import Outline, chain_start, decode_outline
-from activefail.campaign.simulator import NUMERICAL_FAILURE
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.errors import StoreError
 from activefail.files import read_regular
+from activefail.record.batch import ACTIVE, SEED, Batch
+from activefail.record.layout import LARGEST_SETTINGS, SETTINGS, refuse_links
+from activefail.record.recovery import is_segment, plain_files
+from activefail.record.segment import Outline, chain_start, decode_outline
+from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.visible import visible
 
 

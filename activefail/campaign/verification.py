@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from activefail.campaign.campaign import Campaign, stream
-from activefail.campaign.executor import Executor
-from activefail.campaign.record import Store
-from activefail.campaign.sets import simulated_outcomes
-from activefail.campaign.simulator import NUMERICAL_FAILURE
+from activefail.campaign.assembly import Campaign, stream
+from activefail.campaign.stored_sets import simulated_outcomes
 from activefail.campaign.stratified import StratifiedCount
+from activefail.execution.executor import Executor
 from activefail.features import FeatureMap
+from activefail.record.batch import Store
+from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
 from activefail.surrogate.fitting import Fit

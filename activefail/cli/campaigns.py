@@ -30,12 +30,12 @@ from activefail.shares import interval_percent, percent
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.campaign.campaign import Campaign
-    from activefail.campaign.executor import AsynchronousExecutor
+    from activefail.campaign.assembly import Campaign
     from activefail.campaign.loop import Observer, Progress
-    from activefail.campaign.store import FolderStore
     from activefail.campaign.summary import Summary
     from activefail.campaign.verification import ErrorEstimate
+    from activefail.execution.executor import AsynchronousExecutor
+    from activefail.record.run_folder import FolderStore
 
 
 def run(
@@ -48,7 +48,7 @@ def run(
     scheduler: Scheduler = None,
 ) -> None:
     """Start a campaign in a new run folder and take it to its budget."""
-    from activefail.campaign.folder import create_run, read_campaign
+    from activefail.campaign.opening import create_run, read_campaign
 
     check_output("--out", out)
     code = campaign.absolute().parent
@@ -86,7 +86,7 @@ def resume(
     code: Code = None,
 ) -> None:
     """Go on with a campaign that was interrupted, or beyond its budget."""
-    from activefail.campaign.folder import open_campaign
+    from activefail.campaign.opening import open_campaign
 
     with open_campaign(folder, write=True, code=code) as (assembled, store):
         show_warnings(store)
@@ -275,7 +275,7 @@ def status(folder: RunFolder) -> None:
 
 def _opened_summary(folder: Path) -> "Summary":
     """The summary of a run folder whose record has to be opened for it, with what there is to warn of."""
-    from activefail.campaign.folder import open_campaign
+    from activefail.campaign.opening import open_campaign
     from activefail.campaign.summary import Summary
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
@@ -291,10 +291,10 @@ def predict(
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs with a campaign's classifier."""
-    from activefail.campaign.folder import open_campaign
     from activefail.campaign.learning import current_classifier
     from activefail.campaign.loop import one_thread
-    from activefail.study.tables import predict_table
+    from activefail.campaign.opening import open_campaign
+    from activefail.campaign.tables import predict_table
 
     check_output("--out", out)
     with open_campaign(folder, write=False, code=code) as (campaign, store), one_thread():
@@ -317,12 +317,12 @@ def verify(
     code: Code = None,
 ) -> None:
     """Estimate how much of the design space a campaign's classifier gets wrong, with an interval."""
-    from activefail.campaign.executor import local_executor
-    from activefail.campaign.folder import open_campaign
     from activefail.campaign.learning import current_classifier, initial_sets
     from activefail.campaign.loop import one_thread, standing
+    from activefail.campaign.opening import open_campaign
     from activefail.campaign.summary import Summary
     from activefail.campaign.verification import verify as verify_classifier
+    from activefail.execution.executor import local_executor
 
     with (
         open_campaign(folder, write=True, code=code) as (campaign, store),
@@ -358,8 +358,8 @@ def export(
     code: Code = None,
 ) -> None:
     """Write every simulation of a campaign to a table."""
-    from activefail.campaign.folder import open_campaign
-    from activefail.study.tables import export_table
+    from activefail.campaign.opening import open_campaign
+    from activefail.campaign.tables import export_table
 
     check_output("--csv", csv)
     with open_campaign(folder, write=False, code=code) as (campaign, store):

@@ -14,9 +14,9 @@ from activefail.errors import InputError
 from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
-    from activefail.campaign.campaign import Campaign
-    from activefail.campaign.executor import AsynchronousExecutor
-    from activefail.campaign.store import FolderStore
+    from activefail.campaign.assembly import Campaign
+    from activefail.execution.executor import AsynchronousExecutor
+    from activefail.record.run_folder import FolderStore
 
 INTERRUPTED = 130
 """The exit code of a program that a Ctrl-C ended, as shells have it."""
@@ -53,12 +53,12 @@ def make_executor(
         InputError: if the options do not go together, or the cluster cannot be reached.
     """
     if name == "local":
-        from activefail.campaign.executor import local_executor
+        from activefail.execution.executor import local_executor
 
         if scheduler is not None:
             raise InputError("--scheduler: is for --executor dask.")
         return local_executor(campaign.simulator, workers, campaign.time_limit)
-    from activefail.campaign.cluster import DaskExecutor
+    from activefail.execution.dask import DaskExecutor
 
     if scheduler is None:
         raise InputError("--scheduler: required for --executor dask.")
@@ -81,7 +81,7 @@ def check_output(option: str, path: Path | None) -> None:
     Raises:
         InputError: naming the option and the file.
     """
-    from activefail.campaign.places import link_in_run_folder, run_folder_owning
+    from activefail.record.layout import link_in_run_folder, run_folder_owning
 
     if path is None:
         return

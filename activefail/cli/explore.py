@@ -19,9 +19,9 @@ def explore(
     code: Code = None,
 ) -> None:
     """Serve an interactive page of what a campaign has learned, on this machine alone by default."""
-    from activefail.campaign.folder import open_campaign
     from activefail.campaign.learning import current_classifier
     from activefail.campaign.loop import one_thread
+    from activefail.campaign.opening import open_campaign
     from activefail.explorer.answers import Answers
     from activefail.explorer.server import ExplorerServer
     from activefail.report.findings import glance

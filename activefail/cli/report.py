@@ -19,10 +19,10 @@ def report(
     code: Code = None,
 ) -> None:
     """Write what a campaign has found as one HTML file that needs nothing else."""
-    from activefail.campaign.folder import open_campaign
     from activefail.campaign.learning import current_classifier
     from activefail.campaign.loop import one_thread
-    from activefail.campaign.places import REPORT
+    from activefail.campaign.opening import open_campaign
+    from activefail.record.layout import REPORT
     from activefail.report.findings import gather
     from activefail.report.page import render, write_report
 

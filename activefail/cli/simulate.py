@@ -117,13 +117,13 @@ def _simulate_one(
                 file=sys.stderr,
             )
     if plot is not None:
-        from activefail.report.motion import plot_response
+        from activefail.figures.motion import plot_response
 
         with writing_to(plot):
             plot_response(response).savefig(plot)
         print(f"plot       {visible(str(plot))}")
     if animate is not None:
-        from activefail.report.animation import save_animation
+        from activefail.figures.animation import save_animation
 
         with writing_to(animate):
             save_animation(response, animate)
@@ -159,7 +159,7 @@ def _print_response(response: "Response") -> None:
 
 
 def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:
-    from activefail.study.tables import simulate_table
+    from activefail.campaign.tables import simulate_table
 
     began = time.monotonic()
     with progress_bar("simulating") as begin:

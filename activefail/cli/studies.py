@@ -77,9 +77,9 @@ def compare(
 
 
 def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | None) -> None:
-    from activefail.campaign.executor import local_executor
-    from activefail.campaign.folder import open_campaign
-    from activefail.study.compare import compare as compare_samplings
+    from activefail.campaign.opening import open_campaign
+    from activefail.comparison.static import compare as compare_samplings
+    from activefail.execution.executor import local_executor
 
     with (
         open_campaign(folder, write=True, code=code) as (campaign, store),
@@ -104,11 +104,11 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
         recall = ", ".join(f"{name} {one.in_words}" for name, one in row.recall.items())
         print(f"{row.simulations:>11}  {row.sampling:<8}  {recall}")
 
-    from activefail.campaign.places import COMPARISON
+    from activefail.comparison.static import Score
+    from activefail.csv_table import writing
+    from activefail.figures.curves import plot_learning_curves
     from activefail.files import replacing
-    from activefail.report.curves import plot_learning_curves
-    from activefail.study.compare import Score
-    from activefail.table import writing
+    from activefail.record.layout import COMPARISON
 
     results = folder / COMPARISON
     with writing_to(results):
@@ -134,9 +134,9 @@ def _compare_seeds(
     jobs: int | None,
     out: Path,
 ) -> None:
-    from activefail.campaign.config import read_settings
+    from activefail.campaign.settings import read_settings
+    from activefail.comparison.seeds import OWN, Plan, compare_seeds
     from activefail.report.comparison import comparison_lines, write_comparison
-    from activefail.study.seeds import OWN, Plan, compare_seeds
 
     check_output("--out", out)
     settings = read_settings(file)
@@ -190,9 +190,9 @@ def paper(
     out: Annotated[Path, typer.Option(help="Folder for reproduction.md and its figures.")] = Path("runs/reproduction"),
 ) -> None:
     """Reproduce the paper: its tables and figures beside ours, with intervals."""
-    from activefail.report.claims import claims
+    from activefail.paper.claims import claims
+    from activefail.paper.study import run_study
     from activefail.report.reproduction import write_reproduction
-    from activefail.study.paper import run_study
 
     def stage(text: str) -> None:
         print(text, file=sys.stderr, flush=True)

@@ -14,14 +14,12 @@ from matplotlib.figure import Figure
 
 from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.simulation import Response
-from activefail.campaign.dfp import DfpSimulator
 from activefail.errors import InputError
-from activefail.report import quantities
-from activefail.report.contours import bar_of_contours, filled_contours
-from activefail.report.curves import plot_fragility
-from activefail.report.findings import Findings, Prediction, at_the_boundary, interval, predict, simulated
-from activefail.report.marks import outcome_colour
-from activefail.report.motion import (
+from activefail.figures import quantities
+from activefail.figures.contours import bar_of_contours, filled_contours
+from activefail.figures.curves import plot_fragility
+from activefail.figures.marks import outcome_colour
+from activefail.figures.motion import (
     Motion,
     describe_outcome,
     extent,
@@ -32,9 +30,11 @@ from activefail.report.motion import (
     slider_vertices,
     vertex_states,
 )
-from activefail.report.quantities import plain, words
-from activefail.report.style import styled
-from activefail.report.svg import inline
+from activefail.figures.quantities import plain, words
+from activefail.figures.style import styled
+from activefail.figures.svg import inline
+from activefail.report.findings import Findings, Prediction, at_the_boundary, interval, predict, simulated
+from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
 from activefail.visible import visible
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.report.curves import plot_sampling_curves
-from activefail.study.score import DISPLACEMENT, NEIGHBOURS
-from activefail.study.seeds import STATIC, Plan, Point, Score, curves, simulations_to_reach
-from activefail.table import writing
+from activefail.comparison.score import DISPLACEMENT, NEIGHBOURS
+from activefail.comparison.seeds import STATIC, Plan, Point, Score, curves, simulations_to_reach
+from activefail.csv_table import writing
+from activefail.figures.curves import plot_sampling_curves
 
 MEASURES = {
     "accuracy": "accuracy",

@@ -15,18 +15,18 @@ from scipy.special import ndtr
 
 from activefail.bearing.design import TABLE_1, Bearing, Pulse
 from activefail.bearing.simulation import Response, simulate_one
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.dfp import DfpSimulator
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import first_rows, in_initial_design, initial_sets
 from activefail.campaign.loop import standing
-from activefail.campaign.record import ACTIVE, Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
 from activefail.campaign.verification import ErrorEstimate, expected_error, leave_one_out, verify
+from activefail.comparison.static import Recall, Score, default_budgets, score
 from activefail.errors import InputError
+from activefail.figures.quantities import words
 from activefail.files import read_regular
-from activefail.report.quantities import words
+from activefail.record.batch import ACTIVE, Store
+from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
-from activefail.study.compare import Recall, Score, default_budgets, score
 from activefail.surrogate.classifier import Classifier, Moments, train
 from activefail.visible import visible
 

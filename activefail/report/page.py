@@ -14,29 +14,29 @@ from numpy.typing import NDArray
 
 from activefail import __version__
 from activefail.acquisition.criteria import bald
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.config import PythonFeatures, Sampling
-from activefail.campaign.dfp import DfpSimulator
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.loop import standing
 from activefail.campaign.provenance import provenance
-from activefail.campaign.record import Store
+from activefail.campaign.settings import PythonFeatures, Sampling
 from activefail.campaign.summary import Plan, Summary
+from activefail.comparison.static import Score
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
+from activefail.figures import quantities
+from activefail.figures.contours import coordinates, plot_outcome_planes
+from activefail.figures.curves import plot_learning_curves
+from activefail.figures.length_scales import LONG, length_scales, plot_length_scales
+from activefail.figures.motion import Motion, describe_outcome, plot_snapshots
+from activefail.figures.planes import PLANES, plot_reliability
+from activefail.figures.quantities import significant, words
+from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
+from activefail.figures.svg import inline
 from activefail.files import replacing, target_of
-from activefail.report import quantities
-from activefail.report.contours import coordinates, plot_outcome_planes
-from activefail.report.curves import plot_learning_curves
+from activefail.record.batch import Store
 from activefail.report.findings import Curve, Findings, at_the_boundary, predict, simulated
-from activefail.report.motion import Motion, describe_outcome, plot_snapshots
-from activefail.report.planes import PLANES, plot_reliability
-from activefail.report.quantities import significant, words
-from activefail.report.samples import MOST_SHOWN, plot_counts, plot_pairs
-from activefail.report.scales import LONG, length_scales, plot_length_scales
-from activefail.report.svg import inline
 from activefail.shares import interval_percent, percent
+from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Parameter
-from activefail.study.compare import Score
 from activefail.visible import quoted, visible
 
 MOST_PAIRED = 6

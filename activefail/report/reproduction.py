@@ -12,17 +12,17 @@ from scipy.stats import binomtest
 
 from activefail.bearing.design import GRAVITY, Model
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.estimate import Estimate, contains
 from activefail.features import PAPER_FEATURES
-from activefail.report import claims
-from activefail.report.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_with_shares, percent_of, span, with_mean
-from activefail.report.planes import PLANES, SLICE, plot_plane, plot_reliability
-from activefail.report.style import styled
+from activefail.figures.planes import PLANES, SLICE, plot_plane, plot_reliability
+from activefail.figures.style import styled
+from activefail.paper import claims, published
+from activefail.paper import study as paper
+from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_with_shares, percent_of, span, with_mean
+from activefail.paper.methods import LENGTH_SCALE
+from activefail.paper.published import Table2Row
+from activefail.paper.study import METHODS, Study, Variant
 from activefail.space import Array
-from activefail.study import paper, published
-from activefail.study.estimate import Estimate, contains
-from activefail.study.paper import METHODS, Study, Variant
-from activefail.study.published import Table2Row
-from activefail.surrogate.reference import LENGTH_SCALE
 
 TITLES = {
     "laplace": "Laplace",

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from activefail.bearing import Bearing, Pulse, simulate_one
 from activefail.bearing.design import GRAVITY
-from activefail.report.motion import plot_snapshots
+from activefail.figures.motion import plot_snapshots
 
 HERE = Path(__file__).parent
 

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
 
 if TYPE_CHECKING:
-    from activefail.campaign.campaign import Campaign
+    from activefail.campaign.assembly import Campaign
 
 LOW, HIGH = np.array([-2.0, 10.0]), np.array([3.0, 50.0])
 CENTRE, RADIUS = np.array([0.55, 0.4]), 0.32
@@ -90,8 +90,8 @@ def disc(
 ) -> "Campaign":
     """A campaign on the disc; `more` is TOML that the settings get besides."""
     # Here, not above: a worker process that is sent a disc starts without the learning and its libraries.
-    from activefail.campaign.campaign import Campaign
-    from activefail.campaign.config import parse_settings
+    from activefail.campaign.assembly import Campaign
+    from activefail.campaign.settings import parse_settings
 
     without_batches = str(asynchronous).lower()
     text = f"""

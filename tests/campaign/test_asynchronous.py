@@ -14,15 +14,15 @@ from campaign.stub import HIGH, LOW, Brittle, Disc, disc
 from commandline import activefail, record, started, wait_for
 from patience import PATIENCE, until
 
+from activefail.campaign.assembly import Campaign, initial_designs
 from activefail.campaign.asynchronous import Course, resumed
-from activefail.campaign.campaign import Campaign, initial_designs
-from activefail.campaign.executor import ProcessExecutor, ThreadExecutor
 from activefail.campaign.learning import classifier_state, current_classifier, in_initial_design, learn, training_rows
 from activefail.campaign.loop import Observer, Progress, one_thread, run
-from activefail.campaign.record import ACTIVE, SEED, MemoryStore, Store
-from activefail.campaign.simulator import Results, Simulator
-from activefail.campaign.store import FolderStore
 from activefail.errors import InputError, SimulationError
+from activefail.execution.executor import ProcessExecutor, ThreadExecutor
+from activefail.record.batch import ACTIVE, SEED, MemoryStore, Store
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 
 INITIAL, BUDGET, SIZE = 12, 30, 4

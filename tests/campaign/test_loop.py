@@ -14,16 +14,16 @@ from campaign.stub import Brittle, Counting, Disc, disc, distance
 from numpy.typing import NDArray
 from patience import PATIENCE
 
-from activefail.campaign.campaign import Campaign, initial_designs, stream
-from activefail.campaign.config import parse_settings
-from activefail.campaign.executor import ThreadExecutor
-from activefail.campaign.folder import open_campaign
+from activefail.campaign.assembly import Campaign, initial_designs, stream
 from activefail.campaign.learning import accuracy, current_classifier, training_rows
 from activefail.campaign.loop import Observer, Progress, one_thread, run, standing
-from activefail.campaign.record import ACTIVE, SEED, Batch, MemoryStore, Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, cause_name
-from activefail.campaign.store import FolderStore
+from activefail.campaign.opening import open_campaign
+from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.batch import ACTIVE, SEED, Batch, MemoryStore, Store
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Classifier, train

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from campaign.stub import Disc, disc
 
-from activefail.campaign import compaction
-from activefail.campaign.config import parse_settings
-from activefail.campaign.executor import ThreadExecutor
 from activefail.campaign.loop import run
-from activefail.campaign.record import SEED, Batch
-from activefail.campaign.store import FolderStore
+from activefail.campaign.settings import parse_settings
 from activefail.campaign.summary import Plan, Summary, read_summary
+from activefail.execution.executor import ThreadExecutor
+from activefail.record import compaction
+from activefail.record.batch import SEED, Batch
+from activefail.record.run_folder import FolderStore
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from commandline import activefail
 
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.config import parse_settings
-from activefail.campaign.executor import ThreadExecutor
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import search_for_unseen
 from activefail.campaign.loop import Observer, run
-from activefail.campaign.record import MemoryStore
-from activefail.campaign.simulator import Results
+from activefail.campaign.settings import parse_settings
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.batch import MemoryStore
+from activefail.simulators.interface import Results
 
 
 class FourBranch:

@@ -8,12 +8,9 @@ import torch
 from campaign.stub import HIGH, LOW, Counting, Disc, disc
 from scipy.stats import norm
 
-from activefail.campaign.config import parse_settings
-from activefail.campaign.executor import ThreadExecutor
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import Observer, one_thread, run, standing
-from activefail.campaign.record import MemoryStore
-from activefail.campaign.simulator import Results
+from activefail.campaign.settings import parse_settings
 from activefail.campaign.verification import (
     EDGES,
     Verification,
@@ -30,6 +27,9 @@ from activefail.campaign.verification import (
     verify_by_rule,
 )
 from activefail.errors import InputError
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.batch import MemoryStore
+from activefail.simulators.interface import Results
 from activefail.surrogate import fitting
 
 

@@ -18,17 +18,17 @@ from campaign.stub import HIGH, LOW, Disc
 from patience import Clock
 from threadpoolctl import threadpool_info
 
-from activefail.campaign.cluster import DaskExecutor
-from activefail.campaign.executor import (
+from activefail.errors import SimulationError
+from activefail.execution.dask import DaskExecutor
+from activefail.execution.executor import (
     AsynchronousExecutor,
     Executor,
     ProcessExecutor,
     ThreadExecutor,
     local_executor,
 )
-from activefail.campaign.record import Schema
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, cause_name
-from activefail.errors import SimulationError
+from activefail.record.batch import Schema
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array, DesignSpace, Parameter
 
 pytestmark = pytest.mark.faults
@@ -435,7 +435,7 @@ def test_what_a_hung_simulation_has_started_ends_with_it(tmp_path: Path, monkeyp
     X[1, 0] = 0.0
     # A minute passes whenever both processes are noted.
     clock = Clock(lambda: 60.0 * (len(os.listdir(tmp_path)) // 2))
-    monkeypatch.setattr("activefail.campaign.workers.time", clock)
+    monkeypatch.setattr("activefail.execution.processes.time", clock)
     with within(600), ProcessExecutor(1, time_limit=1.0) as executor:
         given_up(executor.run(Starting(folder=str(tmp_path)), X), X, [1], "time_limit")
     assert len(os.listdir(tmp_path)) == 4
@@ -447,7 +447,7 @@ def test_workers_end_with_the_process_that_leads_them_however_it_ends(tmp_path: 
     program = (
         "import numpy as np\n"
         "from contracts.test_executor import Noted\n"
-        "from activefail.campaign.executor import ProcessExecutor\n"
+        "from activefail.execution.executor import ProcessExecutor\n"
         "if __name__ == '__main__':\n"
         f"    ProcessExecutor(2).run(Noted(folder={str(tmp_path)!r}), np.zeros((2, 2)))\n"
     )

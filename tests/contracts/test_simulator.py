@@ -10,10 +10,10 @@ import pytest
 from campaign.stub import HIGH, LOW, Disc
 
 from activefail.bearing import TABLE_1, Model, Tolerance, simulate
-from activefail.campaign.dfp import DfpSimulator
-from activefail.campaign.record import Schema
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results, Simulator
 from activefail.errors import InputError
+from activefail.record.batch import Schema
+from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array, DesignSpace, Parameter
 
 PLANE = DesignSpace((Parameter("x", LOW[0], HIGH[0]), Parameter("y", LOW[1], HIGH[1])))

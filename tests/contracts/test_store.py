@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from activefail.campaign.record import ACTIVE, SEED, Batch, MemoryStore, Schema, Store
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Results
-from activefail.campaign.store import FolderStore
 from activefail.errors import InputError, StoreError
+from activefail.record.batch import ACTIVE, SEED, Batch, MemoryStore, Schema, Store
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 
 SCHEMA = Schema(("radius", "mu"), ("none", "impact", "failure"), ("", "uplift"), ("drift", "gap", "force"))
 

@@ -8,9 +8,9 @@ import pytest
 from patience import until
 from report.test_report import ran, settings
 
-from activefail.campaign.folder import open_campaign
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread
+from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
 from activefail.report.findings import Findings, glance

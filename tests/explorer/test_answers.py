@@ -13,15 +13,15 @@ from report.test_report import other, ran, settings
 from typer.testing import CliRunner
 
 from activefail.bearing import Bearing, Pulse, simulate_one
-from activefail.campaign.folder import open_campaign
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread
-from activefail.campaign.store import FolderStore
+from activefail.campaign.opening import open_campaign
 from activefail.cli.app import app
 from activefail.errors import InputError
 from activefail.explorer import answers as explorer_answers
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
+from activefail.record.run_folder import FolderStore
 from activefail.report.findings import glance, predict
 
 FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]

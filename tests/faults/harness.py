@@ -18,7 +18,7 @@ from faults.victim import BUDGET, Inline, campaign, opened
 from patience import PATIENCE
 
 from activefail.campaign.loop import run
-from activefail.campaign.store import FolderStore
+from activefail.record.run_folder import FolderStore
 
 TESTS = Path(__file__).parents[1]
 

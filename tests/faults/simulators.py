@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from campaign.stub import Disc
 
-from activefail.campaign.frames import Kind, pack_answer, sealed
-from activefail.campaign.simulator import Results
 from activefail.errors import SimulationError
+from activefail.execution.frames import Kind, pack_answer, sealed
+from activefail.simulators.interface import Results
 from activefail.space import Array
 
 

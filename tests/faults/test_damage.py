@@ -8,7 +8,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from campaign.test_store import (
+from commandline import activefail
+from faults.harness import Course, few, finished
+from faults.test_kills import begun
+from faults.victim import COMMITS
+from record.test_store import (
     SCHEMA,
     SETTINGS,
     batch,
@@ -27,20 +31,16 @@ from campaign.test_store import (
     virtual,
     written,
 )
-from commandline import activefail
-from faults.harness import Course, few, finished
-from faults.test_kills import begun
-from faults.victim import COMMITS
 
-from activefail.campaign import image
-from activefail.campaign.beside import decode_set, decode_state
-from activefail.campaign.campaign import Campaign, initial_designs
-from activefail.campaign.config import parse_settings
-from activefail.campaign.image import DamagedError
-from activefail.campaign.record import SEED, Batch
-from activefail.campaign.segment import decode_segment
-from activefail.campaign.store import FolderStore
+from activefail.campaign.assembly import Campaign, initial_designs
+from activefail.campaign.settings import parse_settings
 from activefail.errors import StoreError
+from activefail.record import hdf5 as image
+from activefail.record.attachments import decode_set, decode_state
+from activefail.record.batch import SEED, Batch
+from activefail.record.hdf5 import DamagedError
+from activefail.record.run_folder import FolderStore
+from activefail.record.segment import decode_segment
 
 Survived = Callable[[int], None]
 

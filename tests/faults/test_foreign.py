@@ -22,14 +22,14 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from activefail.campaign.beside import decode_state, encode_state
-from activefail.campaign.folder import open_campaign
 from activefail.campaign.learning import restore
-from activefail.campaign.own import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
-from activefail.campaign.record import SEED, Batch, Schema
-from activefail.campaign.simulator import Results, UnusableAnswerError
-from activefail.campaign.store import FolderStore
+from activefail.campaign.opening import open_campaign
 from activefail.errors import InputError, StoreError
+from activefail.record.attachments import decode_state, encode_state
+from activefail.record.batch import SEED, Batch, Schema
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.custom import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
+from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import DesignSpace, Parameter
 from activefail.visible import quoted, visible
 

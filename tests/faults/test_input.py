@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from activefail.bearing import TABLE_1
 from activefail.bearing.design import LARGEST
-from activefail.campaign.config import CampaignSettings
+from activefail.campaign.settings import CampaignSettings
 from activefail.expressions import FUNCTIONS, parsed_name
 from activefail.visible import visible
 

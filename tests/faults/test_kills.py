@@ -13,11 +13,11 @@ import pytest
 from faults.harness import Course, Victim, Victims, few, finished, traced
 from faults.victim import BUDGET, COMMITS, COMPACT_AT, Inline, campaign, opened
 
-from activefail.campaign import compaction
 from activefail.campaign.loop import Observer, run
-from activefail.campaign.recovery import QUARANTINE
-from activefail.campaign.store import FolderStore
 from activefail.files import TEMPORARY
+from activefail.record import compaction
+from activefail.record.recovery import QUARANTINE
+from activefail.record.run_folder import FolderStore
 
 Call = tuple[str, int]
 """A system call and how often it was made before, since the tracer was there."""

@@ -13,7 +13,7 @@ from faults.harness import Course, Victim, Victims, few, finished
 from faults.test_kills import assert_nothing_lost, begun
 from faults.victim import COMMITS, COMPACT_AT
 
-from activefail.campaign.store import FolderStore
+from activefail.record.run_folder import FolderStore
 
 Survived = Callable[[], None]
 Disk = Callable[[int], Path]
@@ -101,7 +101,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_simulated
     def simulated(*arguments: object) -> None:
         raise AssertionError("it simulates")
 
-    monkeypatch.setattr("activefail.campaign.dfp.DfpSimulator.run", simulated)
+    monkeypatch.setattr("activefail.simulators.bearing.DfpSimulator.run", simulated)
     for words in (
         ["resume", disk / "run", "--budget", "30"],
         ["run", tmp_path / "tiny.toml", "--out", disk / "new"],
@@ -220,8 +220,8 @@ def test_a_state_or_a_set_of_another_version_is_refused_by_its_name(
     for version, says in ((0, "schema version 0"), (2, "schema version 2")):
         folder = tmp_path / str(version)
         with monkeypatch.context() as patch:
-            patch.setattr("activefail.campaign.segment.SCHEMA_VERSION", version)
-            patch.setattr("activefail.campaign.beside.SCHEMA_VERSION", version)
+            patch.setattr("activefail.record.segment.SCHEMA_VERSION", version)
+            patch.setattr("activefail.record.attachments.SCHEMA_VERSION", version)
             begun(folder, 3)
         before = tree(folder)
         with pytest.raises(Exception, match=rf"segments/\S+\.h5 was written in {says} by activefail .* version 1\."):

@@ -20,11 +20,12 @@ import numpy as np
 import pytest
 from faults.harness import few
 
-from activefail.campaign import compaction, image, recovery
-from activefail.campaign import store as store_module
-from activefail.campaign.record import Batch, Schema
-from activefail.campaign.simulator import Results
-from activefail.campaign.store import FolderStore
+from activefail.record import compaction, recovery
+from activefail.record import hdf5 as image
+from activefail.record import run_folder as store_module
+from activefail.record.batch import Batch, Schema
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import Results
 
 SCHEMA = Schema(("x", "y"), ("safe", "broken"), ("", "crack"), ("distance",))
 SETTINGS = "seed = 1\n"
@@ -327,7 +328,7 @@ def test_every_folder_that_is_made_is_durable_in_the_one_above_it_before_anythin
     tmp_path: Path, strace: str
 ) -> None:
     program = (
-        "from activefail.campaign.record import Schema\nfrom activefail.campaign.store import FolderStore\n"
+        "from activefail.record.batch import Schema\nfrom activefail.record.run_folder import FolderStore\n"
         f"FolderStore.create('new/deep/run', 'seed = 1', Schema({SCHEMA.variables}, {SCHEMA.outcomes}, ('',), ()))\n"
     )
     trace = tmp_path / "trace"

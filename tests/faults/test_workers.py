@@ -18,13 +18,14 @@ from faults.harness import Course
 from faults.simulators import Failing, Leaving, Meddling, OnceAt, Remembering, Unusual
 from faults.victim import BUDGET, campaign
 
-from activefail.campaign import frames, workers
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.executor import ProcessExecutor
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.loop import run, standing
-from activefail.campaign.simulator import NUMERICAL_FAILURE, Simulator, cause_name
-from activefail.campaign.store import FolderStore
 from activefail.errors import SimulationError
+from activefail.execution import frames
+from activefail.execution import processes as workers
+from activefail.execution.executor import ProcessExecutor
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import NUMERICAL_FAILURE, Simulator, cause_name
 from activefail.space import Array
 
 
@@ -362,7 +363,7 @@ def test_what_a_simulation_has_started_ends_where_its_worker_is_renewed(tmp_path
 LEADING = """
 import numpy as np
 from faults.simulators import Leaving
-from activefail.campaign.executor import ProcessExecutor
+from activefail.execution.executor import ProcessExecutor
 ProcessExecutor(2).run(Leaving(then={then!r}, folder={folder!r}), np.zeros((2, 2)))
 """
 
@@ -392,7 +393,7 @@ def test_without_what_only_linux_has_answers_are_checked_and_groups_ended_all_th
 ) -> None:
     monkeypatch.setattr(frames, "_KERNEL_KNOWS", False)
     linux_has = "supervisor._prctl = lambda *_: None; supervisor._children = set"
-    program = f"import sys; sys.path[:] = sys.argv[4:]; from activefail.campaign import supervisor; {linux_has}; "
+    program = f"import sys; sys.path[:] = sys.argv[4:]; from activefail.execution import supervisor; {linux_has}; "
     monkeypatch.setattr(workers, "_PROGRAM", f"{program}supervisor.main(*map(int, sys.argv[1:4]))")
     X = at([3], 6)
     with within(600), ProcessExecutor(1) as executor:

@@ -23,13 +23,14 @@ from typing import Any
 from campaign.stub import Disc, disc
 from numpy.typing import NDArray
 
-from activefail.campaign import compaction, store
-from activefail.campaign.campaign import Campaign
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.loop import Observer, run
-from activefail.campaign.record import Batch
-from activefail.campaign.simulator import Results, Simulator
-from activefail.campaign.store import FolderStore
 from activefail.errors import ActivefailError
+from activefail.record import compaction
+from activefail.record import run_folder as store
+from activefail.record.batch import Batch
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 
 INITIAL, BUDGET, BATCH = 6, 12, 3

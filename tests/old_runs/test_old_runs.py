@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from commandline import activefail
 
-from activefail.campaign.folder import open_campaign
+from activefail.campaign.opening import open_campaign
 from activefail.campaign.provenance import provenance
 
 HERE = Path(__file__).parent

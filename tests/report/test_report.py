@@ -12,20 +12,21 @@ from campaign.stub import disc
 from matplotlib.figure import Figure
 
 from activefail.bearing.design import TABLE_1
-from activefail.campaign.campaign import Campaign
-from activefail.campaign.config import parse_settings
-from activefail.campaign.executor import ThreadExecutor
-from activefail.campaign.folder import create_run, open_campaign
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import Observer, one_thread, run
-from activefail.campaign.store import FolderStore
+from activefail.campaign.opening import create_run, open_campaign
+from activefail.campaign.settings import parse_settings
+from activefail.comparison.static import Recall, Score
+from activefail.csv_table import writing
 from activefail.errors import InputError
+from activefail.execution.executor import ThreadExecutor
 from activefail.features import paper_features
-from activefail.report import contours, findings, page, quantities, samples, svg
-from activefail.report.marks import outcome_colour
+from activefail.figures import contours, quantities, samples, svg
+from activefail.figures.marks import outcome_colour
+from activefail.record.run_folder import FolderStore
+from activefail.report import findings, page
 from activefail.space import Parameter
-from activefail.study.compare import Recall, Score
-from activefail.table import writing
 
 SECTIONS = (
     *("run", "outcomes", "learning", "samples", "boundaries"),

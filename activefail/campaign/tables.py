@@ -1,0 +1,143 @@
+"""Tables in and out: designs simulated, designs predicted, a campaign exported."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from activefail.bearing import outcome as o
+from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, Tolerance
+from activefail.bearing.simulation import simulate
+from activefail.campaign.assembly import Campaign, predicted_columns
+from activefail.csv_table import DesignTable, writing
+from activefail.errors import InputError
+from activefail.record.batch import SEED, Store
+from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier
+
+Advance = Callable[[int], None]
+
+
+def check_bearing(model: Model) -> Callable[[Array], str | None]:
+    """The rule that a design of Table 1's variables is a bearing that can be built, for `DesignTable.checked`."""
+
+    def check(design: Array) -> str | None:
+        for name, value in zip(TABLE_1.names, design.tolist(), strict=True):
+            if value <= 0.0:
+                return f"column {name}: `{name} > 0` must hold, got {value:g}"
+            if value > LARGEST:
+                return f"column {name}: `{name} <= {LARGEST:g}` must hold, got {value:g}"
+        try:
+            Bearing.from_row(design.tolist(), model.slider_diameter)
+            Pulse.from_table(*design[7:].tolist())
+        except InputError as impossible:
+            # Whatever else can be wrong is the shape that these make together.
+            return f"columns {', '.join(TABLE_1.names[:5])}: {impossible}".rstrip(".")
+        return None
+
+    return check
+
+
+def simulate_table(
+    source: Path,
+    target: Path,
+    model: Model,
+    tolerance: Tolerance,
+    begin: Callable[[int], Advance] = lambda _: lambda _: None,
+) -> dict[str, int]:
+    """Simulate every design of a CSV file and write it back with outcome, cause and margins; counts by outcome.
+
+    Args:
+        begin: called with the number of rows once they are checked; returns what is told of rows done.
+
+    Raises:
+        InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
+    """
+    added = ("outcome", "cause", *o.MARGINS)
+    table = DesignTable.checked(source, TABLE_1.names, added, check_bearing(model))
+    advance = begin(table.rows)
+    counts = dict.fromkeys((*o.OUTCOMES, "numerical_failure"), 0)
+    with writing(target, [*table.header, *added]) as write:
+        for texts, X in table.chunks():
+            answers = simulate(X, model, tolerance, progress=advance)
+            for name in answers.outcome.tolist():
+                counts[name] += 1
+            write(
+                [
+                    [*text, outcome, o.CAUSES[cause], *("" if np.isnan(m) else repr(m) for m in margins)]
+                    for text, outcome, cause, margins in zip(
+                        texts, answers.outcome.tolist(), answers.cause.tolist(), answers.margins.tolist(), strict=True
+                    )
+                ]
+            )
+    return counts
+
+
+def predict_table(
+    campaign: Campaign,
+    classifier: Classifier,
+    source: Path,
+    target: Path,
+    begin: Callable[[int], Advance] = lambda _: lambda _: None,
+) -> int:
+    """Write every design of a CSV file back with its outcome probabilities and the sought boundary's latent.
+
+    Returns:
+        How many designs lie outside the design space, where the classifier extrapolates.
+
+    Raises:
+        InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
+    """
+    space, boundary = campaign.space, campaign.settings.acquisition.main_boundary
+    added = predicted_columns(classifier.outcomes)
+
+    def check(design: Array) -> str | None:
+        with np.errstate(all="ignore"):
+            if np.isfinite(campaign.features(design[None])).all():
+                return None
+        for parameter, value in zip(space.parameters, design.tolist(), strict=True):
+            if parameter.low > 0.0 >= value:
+                return f"column {parameter.name}: `{parameter.name} > 0` must hold, got {value:g}"
+        return f"features: must be finite, which those of {design.tolist()} are not"
+
+    table = DesignTable.checked(source, space.names, added, check)
+    advance = begin(table.rows)
+    outside = 0
+    with writing(target, [*table.header, *added]) as write:
+        for texts, X in table.chunks():
+            outside += int(np.count_nonzero(~space.contains(X)))
+            latent = classifier.latent(boundary).moments(campaign.features(X))
+            answers = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
+            write([[*text, *map(repr, row)] for text, row in zip(texts, answers.tolist(), strict=True)])
+            advance(len(X))
+    return outside
+
+
+def export_table(campaign: Campaign, store: Store, target: Path) -> int:
+    """Write every simulation of a campaign as a row of a CSV file; how many there were."""
+    names = campaign.simulator.outcomes
+    header = ["id", "iteration", "origin", *campaign.space.names, "outcome", "cause", *campaign.simulator.margins]
+    number = 0
+    with writing(target, [*header, "seconds"]) as write:
+        for batch in store.batches:
+            answers = batch.results
+            for row in range(len(batch)):
+                label = int(answers.outcome[row])
+                margins = answers.margins[row].tolist()
+                write(
+                    [
+                        [
+                            number,
+                            batch.iteration,
+                            "seed" if batch.origin[row] == SEED else "active",
+                            *map(repr, batch.designs[row].tolist()),
+                            "numerical_failure" if label == NUMERICAL_FAILURE else names[label],
+                            cause_name(campaign.simulator.causes, int(answers.cause[row])),
+                            *("" if np.isnan(m) else repr(m) for m in margins),
+                            repr(float(answers.seconds[row])),
+                        ]
+                    ]
+                )
+                number += 1
+    return number

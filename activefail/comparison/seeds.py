@@ -1,0 +1,382 @@
+"""Samplings compared over seeds: campaigns by criterion and features, and static Latin hypercubes, on one test set.
+
+A comparison lives in a folder. Each arm, one campaign or one static design, is scored once and its scores are kept: a
+comparison that was interrupted goes on where it stopped.
+"""
+
+import json
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.assembly import Campaign, stream
+from activefail.campaign.learning import first_rows
+from activefail.campaign.loop import Observer, one_thread, run
+from activefail.campaign.opening import create_run, open_campaign
+from activefail.campaign.settings import CampaignSettings, parse_settings
+from activefail.campaign.stored_sets import simulated_outcomes
+from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
+from activefail.errors import InputError, SimulationError
+from activefail.estimate import Estimate
+from activefail.execution.executor import local_executor
+from activefail.execution.processes import begin_worker, starting_processes
+from activefail.files import replacing
+from activefail.record.layout import refuse_links
+from activefail.record.run_folder import check_empty
+from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.space import Array
+from activefail.surrogate.classifier import train
+
+STATIC = "static"
+"""The sampling of an arm that is a Latin hypercube."""
+
+OWN = "own"
+"""Features of an arm that are the campaign file's, a function of the user's."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way to spend simulations, with one seed.
+
+    Attributes:
+        features: what the classifier sees.
+        sampling: a criterion's name, or "static".
+        size: simulations.
+        seed: of the campaign, or of the Latin hypercube.
+    """
+
+    features: str
+    sampling: str
+    size: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Unique in a comparison, fit for a file."""
+        return f"{self.features}-{self.sampling}-{self.size}-seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is compared.
+
+    Attributes:
+        settings: of the campaign; its seed is the first of the seeds, its budget that of every campaign.
+        seeds: how many.
+        criteria, features: of the campaigns; every pair is one.
+        static: sizes of the static Latin hypercubes, one of its own for each.
+        test: fresh designs to judge by.
+        code: folder of the user's own code, which is run (see `Campaign.of`).
+    """
+
+    settings: CampaignSettings
+    seeds: int
+    criteria: tuple[str, ...]
+    features: tuple[str, ...]
+    static: tuple[int, ...]
+    test: int
+    code: Path | None = None
+
+    def arms(self) -> list[Arm]:
+        """All arms, seed after seed."""
+        first, budget = self.settings.seed, self.settings.sampling.budget
+        return [
+            Arm(features, sampling, size, seed)
+            for seed in range(first, first + self.seeds)
+            for features in self.features
+            for sampling, size in (
+                *((criterion, budget) for criterion in self.criteria),
+                *((STATIC, size) for size in self.static),
+            )
+        ]
+
+    def settings_of(self, arm: Arm) -> CampaignSettings:
+        """Settings of an arm's campaign, or of the one whose static design it is.
+
+        Raises:
+            InputError: if one of them breaks a rule.
+        """
+        changes: dict[str, Any] = {"seed": arm.seed, "validation.size": 0}
+        if arm.features != OWN:
+            changes["classifier.features"] = arm.features
+        if arm.sampling != STATIC:
+            changes["acquisition.criterion"] = arm.sampling
+        return self.settings.changed(changes)
+
+    def checkpoints(self) -> list[int]:
+        """Numbers of simulations at which a campaign is scored: initial, five steps, a fifth of the first."""
+        initial, budget = self.settings.sampling.initial, self.settings.sampling.budget
+        step = (budget - initial) / 5
+        return sorted({initial, *(round(initial + step * part) for part in (0.2, 1, 2, 3, 4, 5))})
+
+
+@dataclass(frozen=True)
+class Score:
+    """An arm's measures after some of its simulations."""
+
+    arm: Arm
+    simulations: int
+    measures: dict[str, float]
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What a worker process is told of one arm."""
+
+    arm: Arm
+    settings: str
+    checkpoints: tuple[int, ...]
+    folder: Path
+    test: FreshSet
+    static: tuple[Array, NDArray[np.int8]] | None
+    code: Path | None
+
+
+_stop: Event | None = None
+
+
+def _begin_worker(stop: Event) -> None:
+    global _stop
+    _stop = stop
+    begin_worker()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _stopping() -> bool:
+    return _stop is not None and _stop.is_set()
+
+
+def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, NDArray[np.int8]]]:
+    """Take an arm's campaign to its budget; what it had at each checkpoint. Nothing when asked to stop."""
+    folder = job.folder / "runs" / job.arm.name
+    if not (folder / "campaign.toml").exists():
+        create_run(folder, campaign).close()
+    with (
+        open_campaign(folder, write=True, code=job.code) as (recorded, store),
+        local_executor(recorded.simulator, 1, recorded.time_limit) as executor,
+    ):
+        if not run(recorded, store, executor, job.arm.size, Observer(stop=_stopping)):
+            return
+        for n in job.checkpoints:
+            yield (n, *first_rows(store.batches, n))
+
+
+def _score_arm(job: _Job) -> list[Score] | None:
+    """The scores of an arm, in a worker process; None when it was asked to stop before."""
+    campaign = Campaign.of(parse_settings(job.settings, job.arm.name), job.code)
+    with one_thread():
+        if job.static is None:
+            rows = _campaign_rows(job, campaign)
+        else:
+            rows = iter([(job.arm.size, *job.static)])
+        scores = []
+        for n, X, outcome in rows:
+            if _stopping():
+                return None
+            classifier = train(
+                X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel
+            )
+            scores.append(Score(job.arm, n, measures(classifier, campaign.severity, job.test)))
+    return scores or None
+
+
+def _write(path: Path, text: str) -> None:
+    """Under its final name only once it is whole."""
+    with replacing(path) as file:
+        file.write(text)
+
+
+def _saved(path: Path) -> list[Score] | None:
+    # A file that cannot be read is scored again.
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        return [
+            Score(
+                Arm(**row["arm"]),
+                row["simulations"],
+                {name: float("nan") if value is None else value for name, value in row["measures"].items()},
+            )
+            for row in rows
+        ]
+    return None
+
+
+def _text(scores: list[Score]) -> str:
+    """Scores as JSON, which has no number for what is not defined."""
+    rows = [asdict(score) for score in scores]
+    for row in rows:
+        row["measures"] = {name: None if np.isnan(value) else value for name, value in row["measures"].items()}
+    return json.dumps(rows, indent=1, allow_nan=False)
+
+
+def prepare(folder: Path, plan: Plan) -> None:
+    """Make the folder of a comparison, or check that it is one of the same campaign and test set.
+
+    Raises:
+        InputError: if it holds another comparison, or anything else.
+        StoreError: if a file or folder of it is a symbolic link.
+    """
+    frozen = plan.settings.text() + f"\n# fresh designs to judge by: {plan.test}\n"
+    path = folder / "comparison.toml"
+    refuse_links(folder, ("comparison.toml", "scores", "runs", "designs"))
+    if path.exists():
+        if path.read_text(encoding="utf-8") != frozen:
+            raise InputError(f"{folder}: holds the comparison of another campaign or test set; give another folder.")
+    else:
+        check_empty(folder, "comparison", "Choose another one.")
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(path, frozen)
+    for part in ("scores", "runs"):
+        (folder / part).mkdir(exist_ok=True)
+
+
+def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, Any]]:
+    """The test set and the static designs with their outcomes, simulated once and kept in the folder `designs`."""
+    campaign = Campaign.of(plan.settings.changed({"validation.size": 0}), plan.code, folder)
+    space, first = campaign.space, plan.settings.seed
+    designs = folder / "designs"
+    if not (designs / "campaign.toml").exists():
+        create_run(designs, campaign).close()
+    with (
+        open_campaign(designs, write=True, code=plan.code) as (_, store),
+        local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
+    ):
+
+        def outcomes(name: str, X: Array) -> NDArray[np.int8]:
+            found = simulated_outcomes(campaign, store, executor, name, X)
+            assert found is not None  # it was not asked to stop
+            return found
+
+        stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
+        X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
+        outcome = outcomes(f"test-{plan.test}", X)
+        moved = displaced(X, space, stream(first, "test", 1))
+        around = outcomes(f"around-{plan.test}", moved).reshape(len(X), -1)
+        answered = outcome != NUMERICAL_FAILURE
+        test = FreshSet(X[answered], outcome[answered], around[answered])
+        static = {}
+        for seed in range(first, first + plan.seeds):
+            for size in plan.static:
+                stage(f"simulating a static design of {size}, seed {seed}")
+                hypercube = space.latin_hypercube(size, stream(seed, "static", size))
+                found = outcomes(f"static-{size}-seed{seed}", hypercube)
+                static[seed, size] = hypercube[found != NUMERICAL_FAILURE], found[found != NUMERICAL_FAILURE]
+    arms = [arm for arm in plan.arms() if arm.sampling == STATIC]
+    return test, {arm: static[arm.seed, arm.size] for arm in arms}
+
+
+def compare_seeds(
+    plan: Plan,
+    folder: Path,
+    jobs: int,
+    stage: Callable[[str], None] = lambda _: None,
+    done: Callable[[int, int], None] = lambda _done, _all: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> list[Score] | None:
+    """Scores of all arms, `jobs` side by side; None when it was asked to stop, what was scored is kept.
+
+    Raises:
+        InputError: if the folder holds another comparison, or settings and features do not fit each other.
+        SimulationError: if a worker process dies.
+    """
+    arms = plan.arms()
+    settings = {arm: plan.settings_of(arm) for arm in arms}
+    for arm in {(arm.features, arm.sampling): arm for arm in arms}.values():
+        Campaign.of(settings[arm], plan.code)  # before anything is written: do the pieces fit?
+    prepare(folder, plan)
+    scores = {arm: _saved(folder / "scores" / f"{arm.name}.json") for arm in arms}
+    left = [arm for arm in arms if scores[arm] is None]
+    if left:
+        test, static = _simulated(plan, folder, stage)
+        stage("campaigns and classifiers")
+        context = multiprocessing.get_context("spawn")
+        with starting_processes():
+            asked = context.Event()
+            pool = ProcessPoolExecutor(jobs, context, _begin_worker, (asked,))
+        with pool:
+            with starting_processes():  # with which they start; the parent says when to stop
+                futures = {
+                    pool.submit(
+                        _score_arm,
+                        _Job(
+                            arm,
+                            settings[arm].text(),
+                            tuple(plan.checkpoints()),
+                            folder,
+                            test,
+                            static.get(arm),
+                            plan.code,
+                        ),
+                    ): arm
+                    for arm in left
+                }
+            pending = set(futures)
+            try:
+                while pending and not asked.is_set():
+                    finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        arm, found = futures[future], future.result()
+                        if found is not None:
+                            _write(folder / "scores" / f"{arm.name}.json", _text(found))
+                            scores[arm] = found
+                            done(sum(saved is not None for saved in scores.values()), len(arms))
+                    if stop():
+                        asked.set()
+            except BrokenProcessPool:
+                raise SimulationError(
+                    "A worker process died (killed, or out of memory); what was scored is kept."
+                ) from None
+            finally:
+                asked.set()
+                pool.shutdown(wait=True, cancel_futures=True)
+    if any(found is None for found in scores.values()):
+        return None
+    return [score for arm in arms for score in scores[arm] or []]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A measure of one sampling after some simulations, over the seeds."""
+
+    simulations: int
+    values: Array  # (seeds,)
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Mean and intervals; None of a single seed."""
+        return Estimate.over(self.values) if len(self.values) > 1 else None
+
+
+def curves(scores: list[Score], measure: str) -> dict[tuple[str, str], list[Point]]:
+    """Points in the order of simulations, by features and sampling."""
+    found: dict[tuple[str, str], dict[int, list[float]]] = {}
+    for score in scores:
+        by_size = found.setdefault((score.arm.features, score.arm.sampling), {})
+        by_size.setdefault(score.simulations, []).append(score.measures[measure])
+    return {
+        key: [Point(n, np.array(values)) for n, values in sorted(by_size.items())] for key, by_size in found.items()
+    }
+
+
+def simulations_to_reach(points: list[Point], level: float) -> float | None:
+    """Simulations at which a curve of medians first reaches a level, interpolated in their logarithm; None if never."""
+    n = np.array([point.simulations for point in points], dtype=float)
+    medians = np.array([np.median(point.values) for point in points])
+    reached = np.nonzero(medians >= level)[0]
+    if not len(reached):
+        return None
+    after = int(reached[0])
+    if after == 0:
+        return float(n[0])
+    share = (level - medians[after - 1]) / (medians[after] - medians[after - 1])
+    return float(np.exp(np.log(n[after - 1]) + share * np.log(n[after] / n[after - 1])))

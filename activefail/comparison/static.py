@@ -1,0 +1,188 @@
+"""A campaign against a static Latin hypercube of the same size, both judged on the same fresh designs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from activefail.campaign.assembly import Campaign, stream
+from activefail.campaign.learning import first_rows, initial_sets
+from activefail.campaign.loop import one_thread, standing
+from activefail.campaign.stored_sets import simulated_set
+from activefail.errors import InputError
+from activefail.execution.executor import Executor
+from activefail.record.batch import Store
+from activefail.shares import interval_percent, percent
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier, train
+
+TEST_SIZE = 2000
+
+
+@dataclass(frozen=True)
+class Recall:
+    """Of the test designs that end in an outcome, how many the classifier predicts to end in it.
+
+    Attributes:
+        found: predicted so.
+        of: designs with that outcome.
+    """
+
+    found: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        """found/of; NaN where the test set has no such design."""
+        return self.found / self.of if self.of else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Clopper and Pearson's 95 % interval, which holds for few designs too; 0 to 1 without any."""
+        if not self.of:
+            return 0.0, 1.0
+        found = binomtest(self.found, self.of).proportion_ci(method="exact")
+        return float(found.low), float(found.high)
+
+    @property
+    def in_words(self) -> str:
+        """Like "96.0 % (48 of 50; 86.3 to 99.5 %)"."""
+        if not self.of:
+            return "– (none in the test set)"
+        return f"{percent(self.share)} ({self.found} of {self.of}; {interval_percent(*self.interval, digits=1)})"
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good a classifier trained on `simulations` is on the test set.
+
+    Attributes:
+        sampling: "active" or "static".
+        accuracy: share of designs on the right side of the sought boundary.
+        low, high: Wilson's 95 % interval of it over test sets of this size; the two samplings share one test set.
+        outcome_accuracy: share of designs whose most probable outcome is the true one.
+        log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
+        test_designs: that it is judged on: those of the test set that have an answer.
+        recall: by outcome; empty in a table of an older program.
+    """
+
+    sampling: str
+    simulations: int
+    accuracy: float
+    low: float
+    high: float
+    outcome_accuracy: float
+    log_score: float
+    test_designs: int
+    recall: Mapping[str, Recall] = field(default_factory=dict)
+
+    @classmethod
+    def columns(cls) -> list[str]:
+        """Names of the fields that are one number each, for tables."""
+        return [one.name for one in fields(cls) if one.name != "recall"]
+
+    @staticmethod
+    def recall_columns(outcomes: Sequence[str]) -> list[str]:
+        """Names of the columns that hold the recall of each outcome."""
+        return [f"{part}_{name}" for name in outcomes for part in ("recalled", "test")]
+
+    def row(self) -> list[str | int | float]:
+        """The values of `columns` and then of `recall_columns`."""
+        counts = [number for one in self.recall.values() for number in (one.found, one.of)]
+        return [*(getattr(self, name) for name in self.columns()), *counts]
+
+
+def score(
+    sampling: str, classifier: Classifier, severity: int, simulations: int, X: Array, outcome: NDArray[np.int8]
+) -> Score:
+    """The score of a classifier on designs, (n, d), with known outcomes, (n,)."""
+    probabilities = classifier.probabilities(X)
+    latent = classifier.latents[severity - 1].moments(classifier.features(X))
+    beyond = outcome >= severity
+    right = (latent.mean > 0.0) == beyond
+    interval = binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson")
+    p = np.clip(np.where(beyond, latent.probability, 1.0 - latent.probability), 1e-12, None)
+    return Score(
+        sampling,
+        simulations,
+        float(right.mean()),
+        float(interval.low),
+        float(interval.high),
+        float(np.mean(np.argmax(probabilities, axis=1) == outcome)),
+        float(np.mean(np.log(p))),
+        len(X),
+        recalls(classifier.outcomes, np.argmax(probabilities, axis=1), outcome),
+    )
+
+
+def recalls(outcomes: Sequence[str], predicted: NDArray[np.intp], outcome: NDArray[np.int8]) -> dict[str, Recall]:
+    """The recall of each outcome, from the predicted and the true outcomes of designs, (n,)."""
+    return {
+        name: Recall(int(np.sum(predicted[outcome == code] == code)), int(np.sum(outcome == code)))
+        for code, name in enumerate(outcomes)
+    }
+
+
+def default_budgets(initial: int, done: int) -> list[int]:
+    """Six numbers of simulations from the initial design to what has been done."""
+    steps = np.linspace(initial, done, 6 if done > initial else 1)
+    return sorted({round(float(step)) for step in steps})
+
+
+def _answers(
+    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array
+) -> tuple[Array, NDArray[np.int8]]:
+    answers = simulated_set(campaign, store, executor, name, X)
+    assert answers is not None  # it was not asked to stop
+    return answers
+
+
+def compare(
+    campaign: Campaign,
+    store: Store,
+    executor: Executor,
+    budgets: list[int] | None = None,
+    test_size: int = TEST_SIZE,
+    stage: Callable[[str], None] = lambda _: None,
+) -> list[Score]:
+    """Scores of the campaign's first n simulations and of n static ones, for each n.
+
+    Both samplings are trained alike; each static hypercube is one of its own size. Test set and hypercubes are
+    simulated once and kept in the run folder.
+
+    Raises:
+        InputError: if a budget is below 2 or more than the campaign has done, or the campaign has done nothing yet.
+    """
+    seed = campaign.settings.seed
+    done = standing(campaign, store.batches, 0).done
+    if done < 2:
+        raise InputError("The campaign has no simulations to compare yet.")
+    initial = campaign.settings.sampling.initial * initial_sets(campaign, store.batches)
+    budgets = budgets or default_budgets(min(initial, done), done)
+    for n in budgets:
+        if not 2 <= n <= done:
+            raise InputError(f"budgets: must lie between 2 and the {done} simulations done, got {n}.")
+    kernel, severity = campaign.settings.classifier.kernel, campaign.severity
+    outcomes, features = campaign.simulator.outcomes, campaign.features
+
+    with one_thread():
+        stage(f"simulating {test_size} test designs")
+        test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
+        X_test, outcome_test = _answers(campaign, store, executor, f"test-{test_size}", test)
+        if unanswered := test_size - len(X_test):
+            stage(f"{unanswered} of {test_size} test designs gave no answer: judging by the other {len(X_test)}")
+        scores = []
+        for n in budgets:
+            stage(f"learning from {n} active simulations")
+            X, outcome = first_rows(store.batches, n)
+            classifier = train(X, outcome, outcomes, features, kernel)
+            scores.append(score("active", classifier, severity, n, X_test, outcome_test))
+        for n in budgets:
+            stage(f"simulating and learning from {n} static ones")
+            hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
+            X, outcome = _answers(campaign, store, executor, f"static-{n}", hypercube)
+            classifier = train(X, outcome, outcomes, features, kernel)
+            scores.append(score("static", classifier, severity, n, X_test, outcome_test))
+    return scores

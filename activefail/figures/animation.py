@@ -1,0 +1,245 @@
+"""A moving picture of one simulated bearing, as GIF or MP4."""
+
+import importlib.util
+import math
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+from PIL import Image
+
+from activefail.bearing import Response
+from activefail.bearing.design import GRAVITY
+from activefail.errors import ActivefailError, InputError
+from activefail.figures import style
+from activefail.figures.motion import (
+    LIMIT_LINE,
+    PLATE_LINES,
+    BearingDrawing,
+    Motion,
+    extent,
+    figure_legend,
+    mark_events,
+    seconds,
+    titled_figure,
+)
+
+Frame = NDArray[np.uint8]
+
+FORMATS = (".gif", ".mp4")
+"""Allowed endings of a file's name."""
+
+MOST_FRAMES = 750
+"""A longer film gets fewer frames per second; a GIF of so many stays under 6 MB and is written within 30 s."""
+
+PALETTE = ("white", style.BLACK, style.VERMILION, style.ORANGE, style.YELLOW, style.PURPLE, style.BLUE)
+"""Colours that a GIF keeps even where few dots have them."""
+
+HOLD = 1.0
+"""How long the last frame stands [s]."""
+
+WIDTH = 8.0
+"""Width of a frame at 100 dots per inch [inch]."""
+
+
+def save_animation(response: Response, path: str | Path, fps: float = 25.0, slow_motion: float | None = None) -> Path:
+    """Write a film of the bearing from a little before it moves to its failure or the end of the run.
+
+    Args:
+        response: of `activefail.bearing.simulate_one`.
+        path: ends in .gif or .mp4; MP4 needs ffmpeg.
+        fps: frames per second; fewer where there would be more than `MOST_FRAMES`.
+        slow_motion: seconds of film for a second of motion; chosen for a film of about ten seconds when None.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: if the ending of the path is another or its folder is missing, ffmpeg is not there for an MP4,
+            fps or slow_motion is not positive and finite, or the response holds no motion.
+        ActivefailError: if ffmpeg fails.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise InputError(f"The name of an animation must end in {' or '.join(FORMATS)}, got {str(path)!r}.")
+    if not path.parent.is_dir():
+        raise InputError(f"The folder {str(path.parent)!r} of the animation does not exist.")
+    for name, value in (("fps", fps), ("slow_motion", 1.0 if slow_motion is None else slow_motion)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"`{name} > 0` must hold for an animation, got {value}.")
+    ffmpeg = find_ffmpeg() if suffix == ".mp4" else ""
+
+    motion = Motion(response)
+    if slow_motion is None:
+        slow_motion = default_slow_motion(motion.end - motion.stirs)
+    film = (motion.end - motion.stirs) * slow_motion  # [s]
+    count = int(np.clip(round(fps * film) + 1, 12, MOST_FRAMES))
+    times = np.linspace(motion.stirs, motion.end, count)
+    interval = film / (count - 1)
+    frames = render(motion, times, slow_motion)
+    if suffix == ".gif":
+        _write_gif(path, frames, count, interval)
+    else:
+        _write_mp4(path, frames, interval, ffmpeg)
+    return path
+
+
+def default_slow_motion(duration: float) -> float:
+    """The slowest of a few round factors that keeps the film of so many seconds of motion within 12 s, 1 at least."""
+    return next((factor for factor in (10.0, 5.0, 2.0) if duration * factor <= 12.0), 1.0)
+
+
+def find_ffmpeg() -> str:
+    """The ffmpeg of the package imageio-ffmpeg, or the one on PATH.
+
+    Raises:
+        InputError: if there is neither.
+    """
+    if importlib.util.find_spec("imageio_ffmpeg") is not None:
+        try:
+            return str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
+        except RuntimeError:  # the package without its program
+            pass
+    found = shutil.which("ffmpeg")
+    if found is None:
+        raise InputError(
+            "An MP4 needs ffmpeg, which was not found: `pip install activefail[video]` brings it, or install ffmpeg "
+            "so that it is on PATH. A name that ends in .gif needs nothing more."
+        )
+    return found
+
+
+def render(motion: Motion, times: NDArray[np.float64], slow_motion: float) -> Iterator[Frame]:
+    """Frames at these times, (height, width, 3) each, height and width even."""
+    response = motion.response
+    low, high = extent(motion)
+    stage_height = np.clip(0.93 * WIDTH * (high[1] - low[1]) / (high[0] - low[0]), 1.5, 5.0)
+    # An even number of dots, which MP4's usual colour format needs.
+    height = round((stage_height + 3.25) * 50.0) / 50.0
+    with style.styled():
+        figure = titled_figure(response, WIDTH, height)
+        rows = figure.add_gridspec(2, 1, height_ratios=(stage_height + 0.6, 1.5))
+        stage = figure.add_subplot(rows[0])
+        drawing = BearingDrawing(stage, motion)
+        figure_legend(figure, stage, motion)
+        cells = rows[1].subgridspec(1, 3)
+        strips = [figure.add_subplot(cells[column]) for column in range(3)]
+        _plot_strips(strips, motion)
+        cursors = [strip.axvline(times[0], color=style.PURPLE, linewidth=1.4, zorder=6) for strip in strips]
+        for strip in strips:
+            strip.set_xlim(times[0], times[-1])
+        clock = stage.set_title(seconds(times[0]), loc="left", fontsize=11, family="DejaVu Sans Mono")
+        state = stage.set_title("at rest", loc="right", fontsize=10, fontweight="bold")
+        stage.set_title(_speed(slow_motion), loc="center", fontsize=8.5, color=style.GREY)
+        moving: list[Artist] = [*drawing.moving, *cursors, clock, state]
+        for artist in moving:
+            artist.set_animated(True)
+        canvas: Any = figure.canvas  # Agg's, as `titled_figure` makes it; its methods are not typed
+        canvas.draw()
+        background = canvas.copy_from_bbox(figure.bbox)
+    moving.sort(key=lambda artist: artist.get_zorder())
+    for time in times.tolist():
+        drawing.move_to(time)
+        for cursor in cursors:
+            cursor.set_xdata([time, time])
+        clock.set_text(seconds(time))
+        text, colour = _state(response, time)
+        state.set(text=text, color=colour)
+        canvas.restore_region(background)
+        for artist in moving:
+            figure.draw_artist(artist)
+        yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def _plot_strips(strips: Sequence[Axes], motion: Motion) -> None:
+    """Ground acceleration, displacement and uplift over time, small."""
+    ground, shift, uplift = strips
+    response = motion.response
+    t = motion.fine_times()
+    ground.plot(t, motion.ground(t) / GRAVITY, color=style.BLACK)
+    ground.set_title("Ground acceleration [g]")
+    capacity = response.bearing.displacement_capacity
+    shift.plot(t, motion.position(t)[:, 3], color=style.ORANGE)
+    shift.axhline(capacity, **LIMIT_LINE)
+    shift.axhline(-capacity, **LIMIT_LINE)
+    shift.set_title(r"Top plate [m], capacity $\pm D_{tot}$")
+    gaps = motion.contacts(t)[0]
+    for side, line in enumerate(PLATE_LINES):
+        uplift.plot(t, 1e3 * gaps[:, side], **line)
+    uplift.axhline(1e3 * response.bearing.rim_height, **LIMIT_LINE)
+    uplift.set_title("Uplift [mm]")
+    key: dict[str, Any] = {"bbox_to_anchor": (1.02, 0.97), "fontsize": 7, "columnspacing": 0.6, "handlelength": 1.4}
+    uplift.legend(uplift.get_lines()[:3], ("bottom", "top", "$h_{rim}$"), loc="lower right", ncols=3, **key)
+    for strip in strips:
+        mark_events(strip, response)
+        strip.set_xlabel("Time [s]")
+        strip.tick_params(labelsize=7.5)
+        strip.set_title(strip.get_title(loc="left"), fontsize=8.5)
+
+
+def _speed(slow_motion: float) -> str:
+    if slow_motion == 1.0:
+        return "real time"
+    return f"{slow_motion:g}× slow motion" if slow_motion > 1.0 else f"{1.0 / slow_motion:g}× fast motion"
+
+
+def _state(response: Response, time: float) -> tuple[str, str]:
+    """What has happened until now, in words and colour."""
+    touch, failure = response.margins["first_touch_time"], response.margins["failure_time"]
+    if time >= failure:
+        return f"FAILURE: {response.cause.replace('_', ' ')}", style.VERMILION
+    if time >= touch:
+        return "rim was touched", style.PURPLE
+    return "no impact", style.BLACK
+
+
+def _palette(frame: Image.Image) -> Image.Image:
+    """An image with the colours of a frame and of the style, of which a frame may show a few dots or none yet."""
+    sample = frame.copy()
+    for column, colour in enumerate(PALETTE):
+        sample.paste(colour, (60 * column, 0, 60 * column + 60, 60))
+    return sample.quantize(64, method=Image.Quantize.MEDIANCUT)
+
+
+def _write_gif(path: Path, frames: Iterator[Frame], count: int, interval: float) -> None:
+    # A GIF's clock ticks in hundredths of a second; rounding the sum keeps the speed.
+    ticks = np.diff(np.round(np.arange(count + 1) * interval * 100.0).astype(int))
+    durations = np.maximum(ticks, 2) * 10  # [ms]; browsers slow down what is shorter
+    durations[-1] = 1000.0 * HOLD
+    first = Image.fromarray(next(frames))
+    palette = _palette(first)
+    # One palette and no dithering, so that what stands still costs nothing.
+    images = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    first.quantize(palette=palette, dither=Image.Dither.NONE).save(
+        path, format="GIF", save_all=True, append_images=images, duration=durations.tolist(), loop=0, disposal=1
+    )
+
+
+def _write_mp4(path: Path, frames: Iterator[Frame], interval: float, ffmpeg: str) -> None:
+    frame = next(frames)
+    height, width, _ = frame.shape
+    command = [ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command += ["-r", f"{1.0 / interval:.6f}", "-i", "-", "-an", "-c:v", "libx264", "-crf", "20"]
+    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stderr is not None
+        try:
+            process.stdin.write(frame.tobytes())
+            for frame in frames:
+                process.stdin.write(frame.tobytes())
+            for _ in range(round(HOLD / interval)):
+                process.stdin.write(frame.tobytes())
+            process.stdin.close()
+        except BrokenPipeError:
+            pass  # ffmpeg gave up; it says why
+        complaint = process.stderr.read().decode(errors="replace").strip()
+    if process.returncode != 0:
+        raise ActivefailError(f"ffmpeg could not write {str(path)!r}: {complaint or 'it gave no reason'}.")

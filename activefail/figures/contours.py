@@ -1,0 +1,245 @@
+"""What a campaign's classifier says in planes: the paper's, where a campaign has its variables, else of variables."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from activefail.bearing.design import GRAVITY, TABLE_1
+from activefail.features import PAPER_FEATURES, paper_features
+from activefail.figures.marks import outcome_handles, scatter_outcomes
+from activefail.figures.planes import PLANES, SLICE, Plane
+from activefail.figures.quantities import Quantity, plain, quantity, variables, words
+from activefail.figures.style import GREY, styled
+from activefail.report.findings import Findings, Prediction, predict
+from activefail.space import Array
+
+GRID = 44
+"""Points along each side of a plane."""
+
+PROBABILITY_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
+_PROBABILITY, _UNCERTAINTY = ("cividis", 0.6), ("Purples", 0.9)
+"""Colours and opacity: marks must stand out from the one, and what is a little uncertain from what is not."""
+
+_NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
+"""How it looks where there is no design; white is where nothing is uncertain."""
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """What the axes of planes are, and what the classifier says at points of them.
+
+    Attributes:
+        quantities: one a column.
+        F: (n, m) of the simulated designs.
+        middle: (m,) where a coordinate is held that a plane does not vary.
+        predict: coordinates, (rows, m) -> prediction, and which rows are a design of the space at all, (rows,).
+        planes: those worth a look.
+        widths: half-widths of the slices at the values of a plane's third coordinate.
+    """
+
+    quantities: Sequence[Quantity]
+    F: Array
+    middle: Array
+    predict: Callable[[Array], tuple[Prediction, NDArray[np.bool_]]]
+    planes: Sequence[Plane]
+    widths: Callable[[Plane, float], float]
+
+
+LOGARITHMIC = (0, 1, 2, 5, 6, 7, 8)
+"""Columns of Table 1 in whose logarithms the paper's ratios are linear: T_b, mu, D_tot, p, k, T_p, A_p."""
+
+_RATIOS = (0, 1, 2, 5)
+EXPONENTS = np.array(
+    [
+        [0.0, 0.0, -1.0, 0.0, 0.0, 2.0, 1.0],
+        [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0],
+        [0.0, 0.0, 0.0, -1.0, 1.0, -1.0, -0.5],
+    ]
+)
+"""Of these in the ratios: a row for D_ratio, T_b/T_p, mu/A_p and k_norm."""
+
+_PULSE = np.log(GRAVITY / (2.0 * np.pi) ** 2)
+_CONSTANTS = np.array([_PULSE, 0.0, 0.0, -np.log(1e6) - 0.5 * _PULSE])
+
+
+def designs_with(F: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Designs with given paper features, (n, 6) -> (n, 9), near the middle of a box, and where it has one, (n,).
+
+    Six features leave three of nine variables free. In logarithms the four ratios are linear: alternating projections
+    between them and the box, from its middle, end in both where they meet.
+
+    Args:
+        F: the features, all positive.
+        low, high: (9,) the box, in Table 1's order and units.
+    """
+    columns = list(LOGARITHMIC)
+    lower, upper = np.log(low[columns]), np.log(high[columns])
+    half = 0.5 * (upper - lower)
+    # In units of the ranges, so that no variable gives way more than another.
+    A = EXPONENTS * half
+    inverse = np.linalg.pinv(A)
+    b = np.log(F[:, list(_RATIOS)]) - _CONSTANTS - EXPONENTS @ (0.5 * (lower + upper))
+    z = np.zeros((len(F), len(columns)))
+    for _ in range(150):
+        z = np.clip(z, -1.0, 1.0)
+        z += (b - z @ A.T) @ inverse.T
+    z = np.clip(z, -1.0, 1.0)
+    missed = np.abs(b - z @ A.T).max(axis=1)
+    X = np.empty((len(F), TABLE_1.dimension))
+    X[:, columns] = np.exp(0.5 * (lower + upper) + half * z)
+    X[:, 3], X[:, 4] = F[:, 3], F[:, 4]
+    inside = np.all((F[:, 3:5] >= low[3:5]) & (F[:, 3:5] <= high[3:5]), axis=1)
+    # A logarithm and back can leave the box by one rounding.
+    return np.clip(X, low, high), inside & (missed < 0.02)
+
+
+def coordinates(findings: Findings) -> Coordinates:
+    """The paper's planes for a campaign over its nine variables, else planes of the variables that matter most."""
+    space = findings.campaign.space
+    if set(TABLE_1.names) <= set(space.names) and np.all(space.low > 0.0) and space.dimension == TABLE_1.dimension:
+        return _paper_coordinates(findings)
+    return _variable_coordinates(findings)
+
+
+def _paper_coordinates(findings: Findings) -> Coordinates:
+    campaign = findings.campaign
+    space = campaign.space
+    columns = [space.names.index(name) for name in TABLE_1.names]
+    F = paper_features(findings.X[:, columns])
+
+    def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
+        table, reached = designs_with(rows, space.low[columns], space.high[columns])
+        X = np.empty_like(table)
+        X[:, columns] = table
+        return predict(campaign, findings.classifier, X), reached
+
+    return Coordinates(
+        [quantity(name) for name in PAPER_FEATURES],
+        F,
+        np.median(F, axis=0),
+        at,
+        PLANES,
+        lambda _, value: SLICE * value,
+    )
+
+
+def _variable_coordinates(findings: Findings) -> Coordinates:
+    campaign = findings.campaign
+    space = campaign.space
+    # The shortest length scales where the classifier sees the variables themselves; of other features no value can be
+    # set alone, so that planes are of the variables on which the prediction hangs most.
+    if campaign.features.names == space.names:
+        latent = findings.classifier.latents[campaign.severity - 1]
+        order = np.argsort(latent.trained.hyperparameters.log_lengthscale.numpy())
+    else:
+        order = np.argsort(-findings.influence, kind="stable")
+    middle = 0.5 * (space.low + space.high)
+    first = [int(column) for column in order[:3]]
+
+    def plane(x: int, y: int, third: int) -> Plane:
+        low, high = space.low[third], space.high[third]
+        values = [float(low + share * (high - low)) for share in (0.2, 0.5, 0.8)]
+        return Plane("plane", x, y, third, (values[0], values[1], values[2]), (0.0, 0.0, 0.0))
+
+    planes: list[Plane] = []
+    if len(first) == 2:
+        planes = [Plane("plane", first[0], first[1], -1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+    elif len(first) > 2:
+        a, b, c = first
+        planes = [plane(a, b, c), plane(a, c, b), plane(b, c, a)]
+
+    def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
+        return predict(campaign, findings.classifier, rows), np.ones(len(rows), dtype=bool)
+
+    width = 0.15 * (space.high - space.low)
+    return Coordinates(variables(campaign), findings.X, middle, at, planes, lambda plane, _: float(width[plane.third]))
+
+
+def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool = False) -> ScalarMappable:
+    """Shades and lines of a probability, or shades of an uncertainty, both between 0 and 1; blank where NaN."""
+    colours, opacity = _UNCERTAINTY if uncertainty else _PROBABILITY
+    Z = np.ma.masked_invalid(Z)
+    # The shades as a picture: their outlines would be most of a page.
+    shades = axes.contourf(x, y, Z, levels=np.linspace(0.0, 1.0, 11), cmap=colours, alpha=opacity)
+    shades.set_rasterized(True)
+    if Z.mask.any():
+        # From the last points that are designs on: the two touch.
+        nowhere = axes.contourf(x, y, np.ma.getmaskarray(Z).astype(float), levels=[1e-6, 2.0], colors="none")
+        nowhere.set(**_NOWHERE, linewidth=0.0)
+    if not uncertainty and Z.count() and Z.min() < max(PROBABILITY_LEVELS) and Z.max() > min(PROBABILITY_LEVELS):
+        axes.contour(x, y, Z, levels=PROBABILITY_LEVELS, colors=GREY, linewidths=[0.6, 0.6, 1.7, 0.6, 0.6])
+    return ScalarMappable(shades.norm, shades.cmap)
+
+
+def bar_of_contours(
+    figure: Figure, axes: Axes | Sequence[Axes], shades: ScalarMappable, title: str, uncertainty: bool = False
+) -> None:
+    """The bar beside filled contours of what the title says."""
+    opacity = (_UNCERTAINTY if uncertainty else _PROBABILITY)[1]
+    bar = figure.colorbar(shades, ax=axes, ticks=np.linspace(0.0, 1.0, 6), pad=0.01, alpha=opacity)
+    bar.set_label("width of the 95 % interval [–]" if uncertainty else f"{title} [–]")
+
+
+def _limits(column: Array, whole: bool) -> tuple[float, float]:
+    """A column's range, or where nine tenths of it are: the ratios' long tails would leave the boundary in a corner."""
+    low, high = np.quantile(column, [0.0, 1.0 if whole else 0.9])
+    return float(low), float(high) if high > low else float(low) + 1.0
+
+
+def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Figure:
+    """Probabilities of all outcomes but the least severe, and the uncertainty, at values of a third feature."""
+    campaign = findings.campaign
+    outcomes = campaign.simulator.outcomes
+    F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
+    whole = c.planes is not PLANES
+    x_limits, y_limits = _limits(F[:, plane.x], whole), _limits(F[:, plane.y], whole)
+    inside = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])
+    x, y = np.meshgrid(np.linspace(*x_limits, GRID), np.linspace(*y_limits, GRID))
+    values = plane.values if plane.third >= 0 else plane.values[:1]
+    names = [plain(words(name)) for name in outcomes[1:]]
+    titles = [f"P({name})" for name in names] + [f"uncertainty of P({plain(findings.beyond)})"]
+    with styled():
+        figure = Figure(figsize=(10.0 if len(values) > 1 else 5.4, 0.9 + 2.75 * len(titles)), layout="constrained")
+        grid = figure.subplots(len(titles), len(values), squeeze=False, sharex=True, sharey=True)
+        blank = False
+        for column, third in enumerate(values):
+            rows = np.tile(c.middle, (x.size, 1))
+            rows[:, plane.x], rows[:, plane.y] = x.ravel(), y.ravel()
+            shown = inside
+            if plane.third >= 0:
+                rows[:, plane.third] = third
+                shown = inside & (np.abs(F[:, plane.third] - third) <= c.widths(plane, third))
+            found, there = c.predict(rows)
+            blank = blank or not there.all()
+            layers = [*found.probabilities.T[1:], found.high - found.low]
+            for row, layer in enumerate(layers):
+                panel = grid[row, column]
+                last = row == len(layers) - 1
+                Z = np.where(there, layer, np.nan).reshape(x.shape)
+                shades = filled_contours(panel, x, y, Z, uncertainty=last)
+                scatter_outcomes(panel, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 14.0)
+                panel.set(xlim=x_limits, ylim=y_limits)
+                if column == 0:
+                    panel.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}")
+                if last:
+                    panel.set_xlabel(c.quantities[plane.x].axis)
+                if row == 0 and plane.third >= 0:
+                    width = c.widths(plane, third)
+                    panel.set_title(f"{c.quantities[plane.third].symbol} = {third:.3g} ± {width:.2g}")
+                if column == len(values) - 1:
+                    bar_of_contours(figure, grid[row], shades, titles[row], uncertainty=last)
+        handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
+        handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
+        if blank:
+            handles.append(Patch(facecolor="white", **_NOWHERE, linewidth=0.6, label="no such design in the space"))
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles) if len(values) > 1 else 2)
+    return figure

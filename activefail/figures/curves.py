@@ -1,0 +1,104 @@
+"""Learning curves: accuracy against simulations, active beside static."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from activefail.comparison.seeds import STATIC, Point
+from activefail.comparison.static import Score
+from activefail.figures.quantities import Quantity
+from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, YELLOW, styled
+from activefail.space import Array
+
+
+def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int) -> Figure:
+    """Accuracy with its 95 % interval against the number of simulations, one line for each sampling there is."""
+    with styled():
+        figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+        axes = figure.add_subplot()
+        looks = {"active": (BLUE, "o", "-"), "static": (VERMILION, "s", "--")}
+        names = {"active": "active sampling", "static": "static Latin hypercube"}
+        for sampling, (colour, marker, line) in looks.items():
+            rows = [score for score in scores if score.sampling == sampling]
+            if not rows:
+                continue
+            n = np.array([row.simulations for row in rows])
+            mean, low, high = (np.array([getattr(row, key) for row in rows]) for key in ("accuracy", "low", "high"))
+            axes.fill_between(n, 100.0 * low, 100.0 * high, color=colour, alpha=0.15, linewidth=0.0)
+            axes.plot(n, 100.0 * mean, color=colour, marker=marker, linestyle=line, label=names[sampling])
+        axes.set_xlabel("simulations trained on")
+        axes.set_ylabel(f"accuracy for {boundary} on fresh designs [%]")
+        shared = "one set, shared by both" if len({score.sampling for score in scores}) > 1 else "one set"
+        axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs ({shared})", fontsize=9)
+        figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK, YELLOW)
+_MARKERS = "osD^vP*X"
+
+
+def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str, title: str) -> Figure:
+    """A measure against simulations over seeds, one line for each pair of features and sampling.
+
+    Args:
+        curves: of `activefail.comparison.seeds.curves`; campaigns are solid lines, static designs dashed ones.
+        label: of the measure, with its unit.
+        title: says what the bands and lines are.
+    """
+    with styled():
+        figure = Figure(figsize=(7.6, 5.0), layout="constrained")
+        axes = figure.add_subplot()
+        features = list(dict.fromkeys(key[0] for key in curves))
+        samplings = list(dict.fromkeys(key[1] for key in curves))
+        for (feature, sampling), points in curves.items():
+            colour = _COLOURS[features.index(feature) % len(_COLOURS)]
+            marker = _MARKERS[samplings.index(sampling) % len(_MARKERS)]
+            n = np.array([point.simulations for point in points])
+            values = np.array([point.values for point in points])
+            axes.fill_between(n, values.min(axis=1), values.max(axis=1), color=colour, alpha=0.12, linewidth=0.0)
+            line = "--" if sampling == STATIC else "-"
+            name = f"{'static Latin hypercube' if sampling == STATIC else sampling}, {feature} features"
+            axes.plot(n, np.median(values, axis=1), color=colour, marker=marker, linestyle=line, label=name)
+        axes.set_xscale("log")
+        static = {point.simulations for key, points in curves.items() if key[1] == STATIC for point in points}
+        ends = {points[place].simulations for points in curves.values() for place in (0, -1)}
+        ticks = sorted(static | ends)
+        axes.set_xticks(ticks, [str(tick) for tick in ticks], rotation=45)
+        axes.minorticks_off()
+        axes.set_xlabel("simulations trained on")
+        axes.set_ylabel(label)
+        axes.set_title(title, fontsize=9)
+        axes.legend(loc="best")
+    return figure
+
+
+def plot_fragility(
+    values: Array,
+    probability: Array,
+    low: Array,
+    high: Array,
+    along: Quantity,
+    beyond: str,
+    current: float,
+    colour: str,
+) -> Figure:
+    """A probability with its interval against one variable, (n,) each, all others kept, and where the current point is.
+
+    Args:
+        along: the variable.
+        beyond: what the probability is of, as mathtext.
+        current: the point's value of the variable.
+        colour: of the curve.
+    """
+    with styled():
+        figure = Figure(figsize=(4.0, 3.2), layout="constrained")
+        axes = figure.add_subplot()
+        axes.fill_between(values, low, high, color=colour, alpha=0.2, linewidth=0.0, label="95 % interval")
+        axes.plot(values, probability, color=colour, linewidth=1.8, label=f"P({beyond})")
+        axes.axvline(current, color=BLACK, linestyle=":", label="this point")
+        axes.axhline(0.5, color=GREY, linewidth=0.8, linestyle="--")
+        axes.set(xlabel=along.axis, ylabel=f"P({beyond}) [–]", xlim=(values[0], values[-1]), ylim=(-0.02, 1.02))
+        figure.legend(loc="outside upper center", ncols=3)
+    return figure

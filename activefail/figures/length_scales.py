@@ -1,0 +1,51 @@
+"""Length scales of a classifier: over what change of a feature its answer may turn."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from activefail.figures.marks import outcome_colour, outcome_marker
+from activefail.figures.quantities import Quantity, plain, words
+from activefail.figures.style import GREY, LIGHT_GREY, styled
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier
+
+LONG = 4.0
+"""Length scale [standard deviations over the space] beyond which a feature hardly matters: longer than its range."""
+
+
+def length_scales(classifier: Classifier) -> Array:
+    """Length scales in standard deviations of each feature over the design space, (boundaries, m)."""
+    return np.stack([np.exp(latent.trained.hyperparameters.log_lengthscale.numpy()) for latent in classifier.latents])
+
+
+def plot_length_scales(scales: Array, quantities: Sequence[Quantity], outcomes: Sequence[str]) -> Figure:
+    """Length scale of each feature, (boundaries, m), a marker for each boundary, the shortest of the last on top."""
+    order = np.argsort(scales[-1])
+    with styled():
+        figure = Figure(figsize=(7.6, 1.3 + 0.3 * len(quantities)), layout="constrained")
+        axes = figure.add_subplot()
+        end = max(2.0 * float(scales.max()), 2.0 * LONG)
+        axes.axvspan(LONG, end, color=LIGHT_GREY, alpha=0.5, label="hardly matters")
+        for severity, row in enumerate(scales, start=1):
+            axes.plot(
+                row[order],
+                range(len(order)),
+                linestyle="",
+                marker=outcome_marker(outcomes, severity),
+                color=outcome_colour(outcomes, severity),
+                markersize=7,
+                label=f"{plain(words(outcomes[severity]))} boundary",
+            )
+        for place, column in enumerate(order):
+            axes.plot(
+                [scales[:, column].min(), scales[:, column].max()], [place, place], color=GREY, linewidth=0.8, zorder=1
+            )
+        axes.set_yticks(range(len(order)), [quantities[column].symbol for column in order])
+        axes.set_xscale("log")
+        axes.set_xlim(0.5 * float(scales.min()), end)
+        axes.set_xlabel("length scale [standard deviations of the feature over the design space]")
+        axes.invert_yaxis()
+        figure.legend(loc="outside upper left", ncols=len(scales) + 1)
+    return figure

@@ -1,0 +1,633 @@
+"""Pictures of one simulated bearing: its response over time, and the bodies themselves, to scale, at an instant.
+
+All lengths are in the frame of the bottom plate, as in `activefail.bearing`; forces and gaps come from its kernels.
+Importing this module imports matplotlib; figures are free of pyplot, so nothing stays behind and any thread may draw.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Polygon
+from numba import njit
+from scipy.interpolate import CubicHermiteSpline
+
+from activefail.bearing import Bearing, Response
+from activefail.bearing.contact import gap, meets_rim, vertex_force
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.dynamics import System, lever, seen_by_plate, speed_seen_by_plate, system
+from activefail.bearing.pulse import ground_acceleration
+from activefail.errors import InputError
+from activefail.figures import style
+from activefail.space import Array
+
+LONGEST_STEP = 0.01
+"""Longer steps of a history are divided for smooth lines [s]."""
+
+ARC_POINTS = 41
+"""Points of the polygon along a spherical surface; the chords are within 0.1 mm of the arc."""
+
+PLATE_THICKNESS = 0.15
+"""Thickness of the drawn plates under their apex / D_sl; the model's plates have none."""
+
+RIM_WIDTH = 0.12
+"""Width of the drawn rims / D_sl; the model's rims are walls."""
+
+
+# ---------------------------------------------------------------------------------------------------- the motion
+
+
+@njit(cache=True, error_model="numpy")
+def _watch(system, q, v, gaps, rims):
+    """Confinement gap [m] and normal rim force [N] along a motion.
+
+    q, v: (n, 5); gaps, rims: (n, 2), written; column 0 the bottom plate, column 1 the top plate.
+    """
+    for row in range(len(q)):
+        for side in range(2):
+            plate = system.bottom if side == 0 else system.top
+            least, on_rim = math.inf, 0.0
+            for vertex in (2 * side, 2 * side + 1):
+                r_x, r_z = lever(system, vertex, q[row, 2])
+                u, w = seen_by_plate(vertex, r_x, r_z, q[row])
+                du, dw = speed_seen_by_plate(vertex, r_x, r_z, v[row])
+                least = min(least, gap(u, w, plate))
+                on_rim += vertex_force(u, w, du, dw, plate).rim
+            gaps[row, side] = least
+            rims[row, side] = on_rim
+
+
+class Motion:
+    """A response as a continuous motion: cubic Hermite through the accepted steps, of q with v and of v with a.
+
+    Raises:
+        InputError: if the response has fewer than two steps, which a simulation that gave up at once has.
+    """
+
+    def __init__(self, response: Response) -> None:
+        if len(response.t) < 2:
+            raise InputError(
+                f"There is no motion to draw: the simulation ended at its start ({response.outcome}, {response.cause})."
+            )
+        # A last step may be cut to almost nothing, over which the spline's coefficients overflow.
+        keep = np.append(np.diff(response.t) > 1e-9, True)
+        self.response = response
+        self.system: System = system(response.bearing, response.pulse, response.model)
+        self.steps: Array = response.t[keep]
+        self._q = CubicHermiteSpline(self.steps, response.q[keep], response.v[keep])
+        self._v = CubicHermiteSpline(self.steps, response.v[keep], response.a[keep])
+
+    @property
+    def start(self) -> float:
+        """Time of the first step [s]."""
+        return float(self.steps[0])
+
+    @property
+    def end(self) -> float:
+        """Time of the last step [s]; the failure's, where there is one."""
+        return float(self.steps[-1])
+
+    @property
+    def stirs(self) -> float:
+        """A little before the top plate first moves by a hundredth of the capacity [s]; the start if it never does."""
+        moved = np.abs(self.response.q[:, 3]) > 0.01 * self.response.bearing.displacement_capacity
+        if not moved.any():
+            return self.start
+        first = float(self.response.t[moved.argmax()])
+        return max(self.start, first - max(0.1, 0.05 * (self.end - first)))
+
+    def position(self, t: Array | float) -> Array:
+        """Coordinates at times t of shape S [s], shape S x 5; beyond its ends the motion stands still."""
+        q: Array = self._q(np.clip(t, self.start, self.end))
+        return q
+
+    def velocity(self, t: Array | float) -> Array:
+        """Velocities at times t of shape S [s], shape S x 5."""
+        v: Array = self._v(np.clip(t, self.start, self.end))
+        return v
+
+    def fine_times(self) -> Array:
+        """The accepted steps, those longer than `LONGEST_STEP` divided evenly."""
+        parts = np.maximum(np.ceil(np.diff(self.steps) / LONGEST_STEP).astype(np.int64), 1)
+        first, length = np.repeat(self.steps[:-1], parts), np.repeat(np.diff(self.steps) / parts, parts)
+        within = np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)
+        return np.append(first + within * length, self.end)
+
+    def ground(self, t: Array) -> Array:
+        """Ground acceleration at times t, shape (n,) [m/s²]."""
+        pulse = self.response.pulse
+        return np.array([ground_acceleration(instant, pulse.amplitude, pulse.period) for instant in t.tolist()])
+
+    def contacts(self, t: Array) -> tuple[Array, Array]:
+        """Confinement gaps [m] and rim forces [N] at times t, shape (n,): two arrays (n, 2), bottom and top plate."""
+        gaps, rims = np.empty((len(t), 2)), np.empty((len(t), 2))
+        _watch(self.system, self.position(t), self.velocity(t), gaps, rims)
+        return gaps, rims
+
+    def force_ratio(self, t: Array) -> Array:
+        """Horizontal force of the slider on the top plate / M g, (ẍ_t + ü_g)/g, at times t, shape (n,) [-].
+
+        Linear between the accepted steps: the force of stiff contacts at an interpolated position would be noise.
+        """
+        accepted = (self.response.a[:, 3] + self.ground(self.response.t)) / GRAVITY
+        return np.interp(t, self.response.t, accepted)
+
+
+# ---------------------------------------------------------------------------------------------------- words
+
+
+def describe_outcome(response: Response) -> str:
+    """What happened, in a sentence."""
+    margins = response.margins
+    cause = response.cause.replace("_", " ")
+    match response.outcome:
+        case "no_impact":
+            peak = margins["peak_displacement_ratio"]
+            return f"No impact: peak displacement {peak:.2f} of the capacity"
+        case "impact":
+            return (
+                f"Rim impact without failure: first touch at {seconds(margins['first_touch_time'])} "
+                f"with {margins['first_touch_velocity']:.2f} m/s"
+            )
+        case "failure":
+            after = margins["failure_time"] - margins["first_touch_time"]
+            return f"Failure by {cause} at {seconds(margins['failure_time'])}, {after:.2f} s after the first rim touch"
+        case _:
+            return f"Numerical failure ({cause}): no statement about the bearing"
+
+
+def describe_design(response: Response) -> str:
+    """The bearing and the pulse in one line, with units, as mathtext."""
+    bearing, pulse = response.bearing, response.pulse
+    period = 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
+    exponent = math.floor(math.log10(bearing.stiffness))
+    return "   ".join(
+        (
+            rf"$T_b$ {period:.2f} s",
+            rf"$\mu$ {bearing.mu:.3f}",
+            rf"$D_{{tot}}$ {bearing.displacement_capacity:.3f} m",
+            rf"$D_{{sl}}$ {bearing.slider_diameter:.3f} m",
+            rf"$h_{{sl}}$ {bearing.slider_height:.3f} m",
+            rf"$h_{{rim}}$ {1e3 * bearing.rim_height:.0f} mm",
+            rf"$p$ {bearing.pressure / 1e6:.1f} MPa",
+            rf"$k$ {bearing.stiffness / 10.0**exponent:.2f}$\cdot 10^{{{exponent}}}$ N/m$^{{1.5}}$",
+            rf"$T_p$ {pulse.period:.2f} s",
+            rf"$A_p$ {minus(f'{pulse.amplitude / GRAVITY:.3f}')} g",
+        )
+    )
+
+
+def minus(number: str) -> str:
+    """A number with a typographical minus."""
+    return number.replace("-", "−")
+
+
+def seconds(time: float) -> str:
+    """A time of the motion, as it stands in a text."""
+    return minus(f"t = {time:.3f} s")
+
+
+def instants(response: Response) -> dict[str, float]:
+    """Four moments worth a look, by name, in the order of time [s]."""
+    motion, margins = Motion(response), response.margins
+    chosen = {"at rest": motion.start}
+    touch = margins["first_touch_time"]
+    t = motion.fine_times()
+    x_t = motion.position(t)[:, 3]
+    if response.outcome == "failure":
+        chosen["first rim touch"] = touch
+        chosen["half-way to failure"] = 0.5 * (touch + margins["failure_time"])
+        chosen["failure"] = margins["failure_time"]
+    elif math.isfinite(touch):
+        gaps = motion.contacts(t)[0].max(axis=1)
+        chosen["first rim touch"] = touch
+        if gaps.max() > 0.0:
+            chosen["largest uplift"] = float(t[gaps.argmax()])
+        else:
+            chosen["largest displacement"] = float(t[np.abs(x_t).argmax()])
+        chosen["end of the run"] = motion.end
+    else:
+        chosen["furthest to the left"] = float(t[x_t.argmin()])
+        chosen["furthest to the right"] = float(t[x_t.argmax()])
+        chosen["end of the run"] = motion.end
+    return dict(sorted(chosen.items(), key=lambda item: item[1]))
+
+
+# ---------------------------------------------------------------------------------------------------- over time
+
+
+def plot_response(response: Response) -> Figure:
+    """Displacement, ground acceleration, uplift, tilt and rim force over time, and the hysteresis loop.
+
+    Raises:
+        InputError: if the response holds no motion.
+    """
+    motion = Motion(response)
+    t = motion.fine_times()
+    q = motion.position(t)
+    gaps, rims = motion.contacts(t)
+    with style.styled():
+        figure = titled_figure(response, width=10.5, height=8.4)
+        (shift, ground), (uplift, tilt), (rim, loop) = figure.subplots(3, 2)
+        _plot_displacement(shift, motion, t, q)
+        _plot_ground(ground, motion, t)
+        _plot_uplift(uplift, motion, t, gaps)
+        _plot_tilt(tilt, motion, t, q)
+        _plot_rim_force(rim, t, rims / (motion.system.plate_mass * GRAVITY))
+        for panel in (shift, ground, uplift, tilt, rim):
+            mark_events(panel, response)
+            panel.set_xlim(motion.start, motion.end + 0.01 * (motion.end - motion.start))
+            panel.set_xlabel("Time from the pulse's centre [s]")
+        _zoom_on_failure(response, (uplift, tilt, rim))
+        _legend_above(ground)
+        _plot_loop(loop, motion, t, q)
+    return figure
+
+
+def plot_histories(response: Response, width: float = 5.2) -> Figure:
+    """Displacement, ground acceleration, uplift and tilt from when anything moves, one above the other.
+
+    Its four axes have the same axis of time and the same place from left to right.
+
+    Args:
+        response: with its motion.
+        width: of the figure [inch].
+
+    Raises:
+        InputError: if the response holds no motion.
+    """
+    motion = Motion(response)
+    t = motion.fine_times()
+    q = motion.position(t)
+    with style.styled():
+        figure = Figure(figsize=(width, 6.6), layout="constrained")
+        shift, ground, uplift, tilt = panels = figure.subplots(4, 1, sharex=True)
+        _plot_displacement(shift, motion, t, q)
+        _plot_ground(ground, motion, t)
+        _plot_uplift(uplift, motion, t, motion.contacts(t)[0])
+        _plot_tilt(tilt, motion, t, q)
+        labels = ("Displacement [m]", "Ground [g]", "Gap [mm]", "Tilt [°]")
+        for panel, label in zip(panels, labels, strict=True):
+            mark_events(panel, response)
+            # Short words on the axes say what is drawn: a narrow figure has no room beside the legend.
+            panel.set(title="", ylabel=label)
+        _legend_above(ground)
+        tilt.set_xlim(motion.stirs, motion.end + 0.01 * (motion.end - motion.stirs))
+        tilt.set_xlabel("Time from the pulse's centre [s]")
+        figure.align_ylabels()
+    return figure
+
+
+PLATE_LINES: tuple[dict[str, Any], ...] = (
+    {"label": "bottom plate", "color": style.BLUE, "linestyle": "-"},
+    {"label": "top plate", "color": style.ORANGE, "linestyle": (0, (4, 1.5))},
+)
+"""How a curve that belongs to a plate looks."""
+
+LIMIT_LINE: dict[str, Any] = {"color": style.GREY, "linestyle": "--", "linewidth": 1.0}
+"""How a limit looks."""
+
+
+def titled_figure(response: Response, width: float, height: float) -> Figure:
+    """An empty figure of this size [inch] under the outcome and a line on the design."""
+    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - 0.58 / height)))
+    FigureCanvasAgg(figure)
+    colour = {"failure": style.VERMILION, "numerical_failure": style.GREY}.get(response.outcome, style.BLACK)
+    lines = (
+        (0.19, describe_outcome(response), min(12.0, 1.3 * width)),
+        (0.44, describe_design(response), min(8.5, width)),
+    )
+    looks: tuple[dict[str, Any], ...] = ({"weight": "bold", "color": colour}, {})
+    for (down, text, size), look in zip(lines, looks, strict=True):
+        figure.text(0.5, 1.0 - down / height, text, ha="center", va="center", fontsize=size, **look)
+    return figure
+
+
+def mark_events(axes: Axes, response: Response) -> None:
+    """Lines at the first rim touch and at the failure, where the response has them, on axes over time."""
+    touch, failure = response.margins["first_touch_time"], response.margins["failure_time"]
+    if math.isfinite(touch):
+        axes.axvline(touch, color=style.PURPLE, linestyle=":", linewidth=1.5, label="first rim touch")
+    if math.isfinite(failure):
+        axes.axvline(failure, color=style.VERMILION, linewidth=1.2, label="failure")
+
+
+def _zoom_on_failure(response: Response, panels: Sequence[Axes]) -> None:
+    """Show the last moments only, where a failure follows its first rim touch quickly, and say so."""
+    lasted = response.margins["failure_time"] - response.margins["first_touch_time"]
+    if not lasted < 0.2 * (response.t[-1] - response.t[0]):
+        return
+    for panel in panels:
+        panel.set_xlim(response.margins["first_touch_time"] - 0.5 * lasted, response.t[-1] + 0.02 * lasted)
+        panel.set_title(f"{panel.get_title(loc='left')} (last {1.5 * lasted:.2f} s)")
+
+
+def _legend_above(axes: Axes) -> None:
+    """A legend beside the panel's title, where it hides no curve."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.98), ncols=4, columnspacing=1.0, handlelength=1.8)
+
+
+def _plot_displacement(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
+    capacity = motion.response.bearing.displacement_capacity
+    axes.plot(t, q[:, 3], color=style.ORANGE, label="top plate $x_t$")
+    axes.plot(t, q[:, 0], color=style.BLACK, linewidth=1.0, label="slider $x_s$")
+    axes.axhline(capacity, **LIMIT_LINE, label=r"capacity $\pm D_{tot}$")
+    axes.axhline(-capacity, **LIMIT_LINE)
+    axes.set(title="Displacement", ylabel="Displacement [m]")
+    _legend_above(axes)
+
+
+def _plot_ground(axes: Axes, motion: Motion, t: Array) -> None:
+    axes.plot(t, motion.ground(t) / GRAVITY, color=style.BLACK)
+    axes.set(title="Ground motion", ylabel="Ground acceleration [g]")
+
+
+def _plot_uplift(axes: Axes, motion: Motion, t: Array, gaps: Array) -> None:
+    for side, line in enumerate(PLATE_LINES):
+        axes.plot(t, 1e3 * gaps[:, side], **line)
+    axes.axhline(1e3 * motion.response.bearing.rim_height, **LIMIT_LINE, label="rim height $h_{rim}$")
+    axes.axhline(0.0, color=style.BLACK, linewidth=0.6)
+    axes.set(title="Uplift", ylabel="Confinement gap [mm]\n(< 0: contact compressed)")
+    _legend_above(axes)
+
+
+def _plot_tilt(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
+    limit = math.degrees(math.atan2(motion.system.half_width, motion.system.half_height))
+    axes.plot(t, np.degrees(q[:, 2]), color=style.BLACK)
+    axes.axhline(limit, **LIMIT_LINE, label="overturning limit")
+    axes.axhline(-limit, **LIMIT_LINE)
+    axes.set(title="Tilt of the slider", ylabel="Tilt, counter-clockwise [°]")
+    _legend_above(axes)
+
+
+def _plot_rim_force(axes: Axes, t: Array, ratios: Array) -> None:
+    for side, line in enumerate(PLATE_LINES):
+        axes.plot(t, ratios[:, side], **line)
+    axes.set(title="Force on the rim", ylabel="Rim force / $Mg$ [-]")
+    axes.set_ylim(0.0, max(1.08 * float(ratios.max()), 0.1))
+    if not ratios.any():
+        axes.text(0.5, 0.5, "no rim was touched", transform=axes.transAxes, ha="center", color=style.GREY)
+    _legend_above(axes)
+
+
+def _plot_loop(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
+    """The force that the bearing opposes to its displacement, hence the minus: a loop rises to the right."""
+    response = motion.response
+    force = -motion.force_ratio(t)
+    axes.plot(q[:, 3], force, color=style.BLUE, linewidth=1.0)
+    capacity = response.bearing.displacement_capacity
+    axes.axvline(capacity, **LIMIT_LINE, label=r"capacity $\pm D_{tot}$")
+    axes.axvline(-capacity, **LIMIT_LINE)
+    axes.set(title="Hysteresis loop", xlabel="Displacement of the top plate $x_t$ [m]")
+    axes.set_ylabel(r"Force $-M(\ddot{x}_t + \ddot{u}_g)/Mg$ [-]")
+    # Impacts are many times what sliding transfers; the axis is the loop's.
+    touch = response.margins["first_touch_time"]
+    shown = 2.0 * float(np.abs(force[t < touch]).max()) if math.isfinite(touch) else math.inf
+    peak = float(force[np.abs(force).argmax()])
+    if abs(peak) > shown:
+        axes.set_ylim(-shown, shown)
+        axes.set_title(f"Hysteresis loop (impacts cut off, peak {minus(f'{peak:.1f}')})")
+    _legend_above(axes)
+
+
+# ---------------------------------------------------------------------------------------------------- the bodies
+
+
+def slider_outline(bearing: Bearing) -> Array:
+    """Outline of the slider about its centre, shape (2 ARC_POINTS, 2) [m].
+
+    Bottom arc from left to right, then top arc from right to left: rows 0, ARC_POINTS − 1, ARC_POINTS and −1 are its
+    vertices at the bottom left, bottom right, top right and top left; the ends are spheres of radius R through them.
+    """
+    half_width, half_height = bearing.slider_diameter / 2.0, bearing.slider_height / 2.0
+    x = np.linspace(-half_width, half_width, ARC_POINTS)
+    bulge = np.sqrt(bearing.radius**2 - x**2) - math.sqrt(bearing.radius**2 - half_width**2)
+    bottom = np.column_stack((x, -half_height - bulge))
+    return np.vstack((bottom, -bottom))
+
+
+def plate_outline(bearing: Bearing) -> Array:
+    """Outline of a plate, shape (ARC_POINTS + 6, 2): u from its dish's axis, w from its apex towards the slider [m]."""
+    half_dish = bearing.dish_diameter / 2.0
+    u = np.linspace(-half_dish, half_dish, ARC_POINTS)
+    w = bearing.radius - np.sqrt(bearing.radius**2 - u**2)
+    top, back = w[-1] + bearing.rim_height, -PLATE_THICKNESS * bearing.slider_diameter
+    outer = half_dish + RIM_WIDTH * bearing.slider_diameter
+    left = [(-outer, back), (-outer, top), (-half_dish, top)]
+    right = [(half_dish, top), (outer, top), (outer, back)]
+    return np.vstack((left, np.column_stack((u, w)), right))
+
+
+def rim_outlines(bearing: Bearing) -> tuple[Array, Array]:
+    """Outlines of a plate's left and right rim, shape (4, 2), in the coordinates of `plate_outline`."""
+    half_dish = bearing.dish_diameter / 2.0
+    edge = bearing.radius - math.sqrt(bearing.radius**2 - half_dish**2)
+    outer, top = half_dish + RIM_WIDTH * bearing.slider_diameter, edge + bearing.rim_height
+    right = np.array([(half_dish, edge), (outer, edge), (outer, top), (half_dish, top)])
+    return right * (-1.0, 1.0), right
+
+
+def on_slider(outline: Array, q: Array) -> Array:
+    """An outline about the slider's centre, shape (n, 2), in the frame of the bottom plate."""
+    cosine, sine = math.cos(q[2]), math.sin(q[2])
+    turned: Array = outline @ np.array(((cosine, sine), (-sine, cosine)))
+    return turned + q[:2]
+
+
+def on_top_plate(outline: Array, q: Array) -> Array:
+    """An outline in a plate's coordinates, shape (n, 2), as the top plate's in the frame of the bottom plate."""
+    return outline * (1.0, -1.0) + q[3:]
+
+
+def slider_vertices(motion: Motion, q: Array) -> Array:
+    """The slider's vertices in the frame of the bottom plate, shape (4, 2): bottom left, right, top left, right [m]."""
+    return np.array([q[:2] + lever(motion.system, vertex, q[2]) for vertex in range(4)])
+
+
+BEARS, ON_RIM, OVER_RIM, LIFTED = range(4)
+"""What a vertex does: bear on the dish alone, press against the rim, have escaped over it, or be off both."""
+
+VERTEX_MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markeredgecolor": style.BLACK, "zorder": 5}
+VERTEX_MARKS: tuple[dict[str, Any], ...] = (
+    {"label": "bears on the dish", "marker": "o", "markerfacecolor": style.BLACK},
+    {"label": "presses on the rim", "marker": "s", "markerfacecolor": style.VERMILION},
+    {"label": "escaped over the rim", "marker": "D", "markerfacecolor": style.YELLOW},
+    {"label": "lifted off", "marker": "o", "markerfacecolor": "white"},
+)
+
+
+def vertex_states(motion: Motion, q: Array) -> list[int]:
+    """What each of the four vertices does: `BEARS`, `ON_RIM`, `OVER_RIM` or `LIFTED`."""
+    states = []
+    for vertex in range(4):
+        plate = motion.system.bottom if vertex < 2 else motion.system.top
+        u, w = seen_by_plate(vertex, *lever(motion.system, vertex, q[2]), q)
+        if meets_rim(u, w, plate):
+            states.append(ON_RIM)
+        elif abs(u) >= plate.rim_distance and w >= plate.rim_top:
+            states.append(OVER_RIM)
+        else:
+            states.append(LIFTED if gap(u, w, plate) > 0.0 else BEARS)
+    return states
+
+
+def plates_overlap(motion: Motion, q: Array) -> bool:
+    """Whether the drawn plates run into each other, which the model, that knows only slider and plates, lets them."""
+    bearing = motion.response.bearing
+    lower = plate_outline(bearing)[1:-1]
+    upper = on_top_plate(lower, q)
+    left, right = max(lower[0, 0], upper[0, 0]), min(lower[-1, 0], upper[-1, 0])
+    if left >= right:
+        return False
+    x = np.linspace(left, right, 400)
+    return bool(np.any(np.interp(x, *lower.T) > np.interp(x, *upper.T)))
+
+
+def extent(motion: Motion) -> tuple[Array, Array]:
+    """Lower left and upper right corner of what a drawing shows of a whole motion, with a margin, shape (2,) each."""
+    bearing = motion.response.bearing
+    plate, body = plate_outline(bearing), slider_outline(bearing)
+    q = motion.position(motion.fine_times())
+    bodies = [plate]
+    # Where a coordinate is outermost, so are the polygons, closely enough for the margin to cover the rest.
+    for row in {int(pick) for column in q.T for pick in (column.argmin(), column.argmax())}:
+        bodies += [on_top_plate(plate, q[row]), on_slider(body, q[row])]
+    points = np.vstack(bodies)
+    margin = 0.12 * bearing.slider_diameter
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    # Room for the arrow of the ground's acceleration and its name.
+    low[1] -= 0.45 * bearing.slider_diameter
+    return low, high
+
+
+class BearingDrawing:
+    """The bodies of one bearing on matplotlib axes, to scale, in the frame of the bottom plate; movable in time.
+
+    Attributes:
+        slider: the slider's polygon, its vertices in the order of `slider_outline`.
+        moving: every artist that `move_to` changes.
+    """
+
+    def __init__(self, axes: Axes, motion: Motion) -> None:
+        self.motion = motion
+        bearing = motion.response.bearing
+        self._plate, self._rims, self._body = plate_outline(bearing), rim_outlines(bearing), slider_outline(bearing)
+        steel: dict[str, Any] = {"facecolor": style.LIGHT_GREY, "edgecolor": style.GREY, "linewidth": 0.9}
+        ring: dict[str, Any] = {"facecolor": style.GREY, "edgecolor": style.GREY, "linewidth": 0.9}
+        axes.add_patch(Polygon(self._plate, **steel, zorder=2))
+        for outline in self._rims:
+            axes.add_patch(Polygon(outline, **ring, zorder=2.1))
+        # The upper bodies let the lower ones shine through where springs are compressed.
+        self._top = Polygon(self._plate, **steel, alpha=0.8, zorder=3)
+        self._top_rims = [Polygon(outline, **ring, alpha=0.8, zorder=3.1) for outline in self._rims]
+        self.slider = Polygon(
+            self._body, facecolor=style.SKY_BLUE, edgecolor=style.BLUE, linewidth=1.0, alpha=0.9, zorder=4
+        )
+        self._arrow = Polygon([(0.0, 0.0)] * 3, facecolor=style.PURPLE, edgecolor="none", zorder=3)
+        for patch in (self._top, *self._top_rims, self.slider, self._arrow):
+            axes.add_patch(patch)
+        (self._axis,) = axes.plot([], [], color=style.BLUE, linewidth=0.8, linestyle="-.", zorder=4.1)
+        self._marks = [axes.plot([], [], **VERTEX_MARK, **mark)[0] for mark in VERTEX_MARKS]
+        self.moving: list[Artist] = [self._top, *self._top_rims, self.slider, self._axis, *self._marks, self._arrow]
+        low, high = extent(motion)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        axes.set(xlabel="x [m]", ylabel="z [m]")
+        axes.grid(False)
+        below = self._arrow_height - 0.1 * bearing.slider_diameter
+        axes.text(0.0, below, "ground acceleration", fontsize=8, ha="center", va="top")
+
+    @property
+    def _arrow_height(self) -> float:
+        return -(PLATE_THICKNESS + 0.2) * self.motion.response.bearing.slider_diameter
+
+    def move_to(self, time: float) -> None:
+        """Show the state at this time [s]; before the motion its start, after it its end."""
+        q = self.motion.position(time)
+        self._top.set_xy(on_top_plate(self._plate, q))
+        for patch, outline in zip(self._top_rims, self._rims, strict=True):
+            patch.set_xy(on_top_plate(outline, q))
+        self.slider.set_xy(on_slider(self._body, q))
+        half = 0.5 * self.motion.response.bearing.slider_height
+        self._axis.set_data(*on_slider(np.array([(0.0, -half), (0.0, half)]), q).T)
+        vertices, states = slider_vertices(self.motion, q), np.array(vertex_states(self.motion, q))
+        for state, mark in enumerate(self._marks):
+            mark.set_data(*vertices[states == state].T)
+        self._arrow.set_xy(self._arrow_outline(time))
+
+    def _arrow_outline(self, time: float) -> Array:
+        """An arrow under the bottom plate along the ground acceleration, its length in proportion, shape (7, 2)."""
+        bearing, pulse = self.motion.response.bearing, self.motion.response.pulse
+        share = float(self.motion.ground(np.array([time]))[0]) / max(abs(pulse.amplitude), 1e-12)
+        length, half = 0.4 * bearing.dish_diameter * share, 0.03 * bearing.slider_diameter
+        neck = length - math.copysign(min(abs(length), 5.0 * half), length)
+        x = np.array((0.0, neck, neck, length, neck, neck, 0.0))
+        z = np.array((1.0, 1.0, 2.5, 0.0, -2.5, -1.0, -1.0)) * half
+        return np.column_stack((x, z + self._arrow_height))
+
+
+def draw_bearing(axes: Axes, response: Response, time: float) -> BearingDrawing:
+    """Draw the bearing to scale at a time [s] of its motion; the answer's `move_to` shows another.
+
+    Raises:
+        InputError: if the response holds no motion.
+    """
+    drawing = BearingDrawing(axes, Motion(response))
+    drawing.move_to(time)
+    return drawing
+
+
+def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, float] | None = None) -> Figure:
+    """The bearing at a few instants [s], which may be named; those of `instants` when None.
+
+    Raises:
+        InputError: if the response holds no motion, or no time or one that is not finite is given.
+    """
+    chosen: Sequence[tuple[str, float]]
+    if times is None:
+        chosen = list(instants(response).items())
+    elif isinstance(times, Mapping):
+        chosen = list(times.items())
+    else:
+        chosen = [("", time) for time in times]
+    if not chosen or not all(math.isfinite(time) for _, time in chosen):
+        raise InputError(f"Snapshots need one finite time or more, got {[time for _, time in chosen]}.")
+    motion = Motion(response)
+    columns = min(len(chosen), 2)
+    rows = math.ceil(len(chosen) / columns)
+    with style.styled():
+        low, high = extent(motion)
+        panel_height = 4.8 * (2.0 / columns) * (high[1] - low[1]) / (high[0] - low[0]) + 0.35
+        figure = titled_figure(response, width=10.5, height=1.75 + panel_height * rows)
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for panel, (name, time) in zip(panels.flat, chosen, strict=False):
+            drawing = BearingDrawing(panel, motion)
+            drawing.move_to(time)
+            panel.set_title(f"{name}, {seconds(time)}".removeprefix(", "))
+            panel.label_outer()
+        for panel in panels.flat[len(chosen) :]:
+            panel.set_axis_off()
+        figure_legend(figure, panels[0, 0], motion)
+    return figure
+
+
+def figure_legend(figure: Figure, axes: Axes, motion: Motion) -> None:
+    """The marks of the vertices on these axes, explained at the foot of the figure under a note on the drawing."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=len(labels), title=footnote(motion), title_fontsize=8
+    )
+
+
+def footnote(motion: Motion) -> str:
+    """What a reader of the drawn bodies should know."""
+    text = "To scale, in the frame of the bottom plate; bodies overlap where a contact spring is compressed"
+    if any(plates_overlap(motion, q) for q in motion.position(motion.fine_times()[::10])):
+        text += ",\nand plate overlaps plate because the model lets only slider and plate meet"
+    return text

@@ -1,0 +1,161 @@
+"""What axes and tables call the variables and features of a campaign: symbol, unit and meaning."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from activefail.campaign.assembly import Campaign
+from activefail.simulators.bearing import DfpSimulator
+from activefail.visible import visible
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A variable or feature as people read it.
+
+    Attributes:
+        name: as in campaign files and tables.
+        symbol: as mathtext, for figures.
+        text: as plain text with `_` before a subscript, for pages.
+        unit: empty for a pure number.
+        meaning: a few words; empty when nobody said.
+    """
+
+    name: str
+    symbol: str
+    text: str
+    unit: str = ""
+    meaning: str = ""
+
+    @property
+    def axis(self) -> str:
+        """The symbol with its unit, for an axis; a pure number says so."""
+        return f"{self.symbol} [{plain(self.unit)}]" if self.unit else f"{self.symbol} [–]"
+
+
+def plain(text: str) -> str:
+    """A user's text that matplotlib must not take for mathtext."""
+    return text.replace("$", r"\$")
+
+
+_RAISED = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _typeset(unit: str) -> str:
+    """A unit with its powers raised: m/s^2 as m/s², N/m^1.5 as N/m¹·⁵."""
+    return re.sub(r"\^(-?\d+(?:\.\d+)?)", lambda power: power[1].translate(_RAISED), visible(unit))
+
+
+_KNOWN = {
+    known.name: known
+    for known in (
+        Quantity("T_b", "$T_b$", "T_b", "s", "period of the bearing"),
+        Quantity("mu", r"$\mu$", "μ", "", "friction coefficient"),
+        Quantity("D_tot", "$D_{tot}$", "D_tot", "m", "displacement capacity"),
+        Quantity("h_sl_ratio", "$h_{sl}/D_{sl}$", "h_sl/D_sl", "", "slider height over its diameter"),
+        Quantity("h_rim_ratio", "$h_{rim}/D_{sl}$", "h_rim/D_sl", "", "rim height over the slider's diameter"),
+        Quantity("p", "$p$", "p", "MPa", "pressure on the slider"),
+        Quantity("k", "$k$", "k", "N/m¹·⁵", "stiffness of the contacts"),
+        Quantity("T_p", "$T_p$", "T_p", "s", "period of the pulse"),
+        Quantity("A_p", "$A_p$", "A_p", "g", "amplitude of the pulse"),
+        Quantity("D_ratio", "$D_{ratio}$", "D_ratio", "", "displacement of the pulse over the capacity"),
+        Quantity("T_b/T_p", "$T_b/T_p$", "T_b/T_p", "", "period of the bearing over that of the pulse"),
+        Quantity("mu/A_p", r"$\mu/A_p$", "μ/A_p", "", "friction over the amplitude of the pulse"),
+        Quantity("h_sl/D_sl", "$h_{sl}/D_{sl}$", "h_sl/D_sl", "", "slider height over its diameter"),
+        Quantity("h_rim/D_sl", "$h_{rim}/D_{sl}$", "h_rim/D_sl", "", "rim height over the slider's diameter"),
+        Quantity("k_norm", "$k_{norm}$", "k_norm", "", "contact stiffness over pressure and pulse displacement"),
+        Quantity("v*", "$v*$", "v*", "", "sliding block: speed at the rim over the speed that lifts over it"),
+        Quantity("a*", "$a*$", "a*", "", "sliding block: push of the ground at the stop, outwards, over g"),
+        Quantity("m*", "$m*$", "m*", "", "reduced collision: how far it goes towards failure"),
+    )
+}
+
+
+def quantity(name: str, unit: str | None = None) -> Quantity:
+    """What is known of a variable or feature; a user's own keeps its name and unit."""
+    known, unit = _KNOWN.get(name), _typeset(unit or "")
+    if known is None:
+        return Quantity(name, plain(visible(name)), visible(name), unit)
+    if unit not in ("", known.unit):
+        return Quantity(name, known.symbol, known.text, unit, known.meaning)
+    return known
+
+
+_GREEK = {
+    "alpha": "α",
+    "beta": "β",
+    "gamma": "γ",
+    "delta": "δ",
+    "epsilon": "ε",
+    "zeta": "ζ",
+    "eta": "η",
+    "theta": "θ",
+    "kappa": "κ",
+    "mu": "μ",
+    "nu": "ν",
+    "xi": "ξ",
+    "rho": "ρ",
+    "sigma": "σ",
+    "tau": "τ",
+    "phi": "φ",
+    "psi": "ψ",
+    "omega": "ω",
+}
+_SYMBOL = re.compile(rf"(?P<stem>[A-Za-z]|{'|'.join(_GREEK)})(_(?P<below>[A-Za-z0-9]+))?")
+
+
+def own_quantity(name: str, unit: str = "") -> Quantity:
+    """A variable or feature of which nothing but the name is known: the bearing's `p` may be another's probability.
+
+    A letter, Latin or Greek, perhaps with a subscript, is set as a symbol.
+    """
+    letters, unit = _SYMBOL.fullmatch(name), _typeset(unit)
+    if letters is None:
+        # No subscripts: in `storey_height` there is none.
+        return Quantity(name, plain(visible(name)), visible(name).replace("_", " "), unit)
+    stem, below = letters["stem"], letters["below"]
+    symbol = f"\\{stem}" if stem in _GREEK else stem
+    text = _GREEK.get(stem, stem)
+    if below is not None:
+        symbol, text = f"{symbol}_{{{below}}}", f"{text}_{below}"
+    return Quantity(name, f"${symbol}$", text, unit)
+
+
+def _of_simulator(campaign: Campaign, names: Iterable[str]) -> list[Quantity]:
+    """Variables and fixed quantities of a campaign's simulator; what they mean is known of the bearing's alone."""
+    known = quantity if isinstance(campaign.simulator, DfpSimulator) else own_quantity
+    return [known(name, campaign.settings.space[name].unit) for name in names]
+
+
+def variables(campaign: Campaign) -> list[Quantity]:
+    """The variables of a campaign, in its order."""
+    return _of_simulator(campaign, campaign.space.names)
+
+
+def fixed(campaign: Campaign) -> list[Quantity]:
+    """The quantities that are the same for every design of a campaign."""
+    return _of_simulator(campaign, campaign.space.fixed)
+
+
+def features(campaign: Campaign) -> list[Quantity]:
+    """The features of a campaign's classifier, in its order; those of a user's own have their names alone."""
+    told = {variable.name: variable for variable in variables(campaign)}
+    known = quantity if isinstance(campaign.settings.classifier.features, str) else own_quantity
+    return [told.get(name) or known(name) for name in campaign.features.names]
+
+
+def words(name: str) -> str:
+    """An outcome's or cause's name as words."""
+    return name.replace("_", " ")
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """A number for a table: a few significant digits, a power of ten only where it is very large or small."""
+    if value == 0.0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        places = max(0, digits - 1 - int(f"{abs(value):e}".split("e")[1]))
+        return f"{value:.{places}f}".replace("-", "−")
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    raised = str(int(exponent)).translate(_RAISED)
+    return f"{mantissa.replace('-', '−')}·10{raised}"

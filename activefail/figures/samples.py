@@ -1,0 +1,163 @@
+"""Where a campaign's simulations went: counts of outcomes, and its designs in pairs of features."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter
+from numpy.typing import NDArray
+
+from activefail.figures.marks import outcome_colour, outcome_handles, scatter_outcomes
+from activefail.figures.quantities import Quantity, plain, words
+from activefail.figures.style import BLACK, GREY, styled
+from activefail.space import Array
+
+MOST_SHOWN = 500
+"""Designs of a kind in a panel of pairs at the most: more would hide each other, and no page could carry them."""
+
+_HATCHES = ("", "//", "xx", "..", "\\\\", "oo", "++")
+
+
+def plot_counts(counts: dict[str, NDArray[np.int64]], outcomes: Sequence[str]) -> Figure:
+    """Shares of the outcomes in groups of simulations, as bars with their numbers.
+
+    Args:
+        counts: (number of outcomes,) by the group's title; groups without a simulation are left out.
+        outcomes: names, least severe first.
+    """
+    shown = {title: numbers for title, numbers in counts.items() if numbers.sum()}
+    with styled():
+        figure = Figure(figsize=(7.6, 1.1 + 0.5 * len(shown)), layout="constrained")
+        axes = figure.add_subplot()
+        for place, numbers in enumerate(shown.values()):
+            left = 0.0
+            for index in range(len(outcomes)):
+                share = 100.0 * numbers[index] / numbers.sum()
+                axes.barh(
+                    place,
+                    share,
+                    left=left,
+                    color=outcome_colour(outcomes, index),
+                    edgecolor="white",
+                    hatch=_HATCHES[index % len(_HATCHES)],
+                )
+                if share > 4.0:
+                    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.2}
+                    axes.text(left + share / 2, place, str(numbers[index]), ha="center", va="center", bbox=box)
+                left += share
+        axes.set_yticks(range(len(shown)), [f"{title} ({counts[title].sum()})" for title in shown])
+        axes.set(xlabel="share of the simulations [%]", xlim=(0, 100))
+        axes.invert_yaxis()
+        axes.grid(axis="y", visible=False)
+        handles = [
+            Patch(
+                facecolor=outcome_colour(outcomes, index),
+                edgecolor="white",
+                hatch=_HATCHES[index % len(_HATCHES)],
+                label=plain(words(name)),
+            )
+            for index, name in enumerate(outcomes)
+        ]
+        figure.legend(handles=handles, loc="outside upper left", ncols=len(outcomes))
+    return figure
+
+
+def plot_pairs(
+    F: Array,
+    outcome: NDArray[np.int8],
+    chosen: NDArray[np.bool_],
+    quantities: Sequence[Quantity],
+    logarithmic: Sequence[bool],
+    outcomes: Sequence[str],
+) -> Figure:
+    """Designs in every pair of features: the seed design below the diagonal, the chosen designs above it.
+
+    Of more than `MOST_SHOWN` of a kind as many are shown, evenly picked; what is on the diagonal is of all.
+
+    Args:
+        F: (n, m) features before scaling, one quantity a column.
+        outcome: (n,) index into the outcomes.
+        chosen: (n,) by the learner.
+        quantities: (m,) of the columns.
+        logarithmic: (m,) whether an axis is.
+        outcomes: names, least severe first.
+    """
+    m = len(quantities)
+    inch = {1: 3.6, 2: 3.0, 3: 2.5}.get(m, 1.6)
+    below, above = (_picked(np.flatnonzero(rows)) for rows in (~chosen, chosen))
+    with styled():
+        figure = Figure(figsize=(max(4.6, inch * m + 0.5), inch * m + 0.9), layout="constrained")
+        grid = figure.subplots(m, m, squeeze=False)
+        for row in range(m):
+            for column in range(m):
+                axes = grid[row, column]
+                if row == column:
+                    _histogram(axes, F[:, row], chosen, logarithmic[row])
+                else:
+                    shown = above if column > row else below
+                    scatter_outcomes(axes, F[shown, column], F[shown, row], outcome[shown], outcomes, 9.0)
+                    axes.set_yscale("log" if logarithmic[row] else "linear")
+                    axes.set_ylim(*_limits(F[:, row], logarithmic[row]))
+                axes.set_xscale("log" if logarithmic[column] else "linear")
+                axes.set_xlim(*_limits(F[:, column], logarithmic[column]))
+                # Over less than a decade matplotlib would name the ticks between, too.
+                for axis, is_log in (
+                    (axes.xaxis, logarithmic[column]),
+                    (axes.yaxis, row != column and logarithmic[row]),
+                ):
+                    if is_log:
+                        axis.set_minor_formatter(NullFormatter())
+                axes.tick_params(labelsize=7.5)
+                if row == m - 1:
+                    axes.set_xlabel(quantities[column].axis)
+                else:
+                    axes.tick_params(labelbottom=False)
+                if row == 0 and column == m - 1 and m > 1:
+                    # The first panel of this row has another scale: how many designs.
+                    axes.yaxis.set_label_position("right")
+                    axes.tick_params(labelleft=False, labelright=True)
+                    axes.set_ylabel(quantities[row].axis)
+                elif column == 0 and row > 0:
+                    axes.set_ylabel(quantities[row].axis)
+                else:
+                    axes.tick_params(labelleft=False)
+                if row == column:
+                    axes.tick_params(left=False, which="both")
+                    axes.grid(axis="y", visible=False)
+                    axes.set_title("share of designs", fontsize=8)
+        diagonal = [
+            Line2D([], [], color=GREY, linestyle="--", label="seed (below the diagonal)"),
+            Line2D([], [], color=BLACK, label="chosen (above)"),
+        ]
+        figure.legend(
+            handles=[*outcome_handles(outcomes), *diagonal], loc="outside upper center", ncols=3 if m < 3 else 6
+        )
+    return figure
+
+
+def _picked(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most `MOST_SHOWN` of these rows, evenly spaced."""
+    return rows[np.linspace(0, len(rows) - 1, MOST_SHOWN).astype(np.int64)] if len(rows) > MOST_SHOWN else rows
+
+
+def _limits(column: Array, logarithmic: bool) -> tuple[float, float]:
+    low, high = float(column.min()), float(column.max())
+    if logarithmic:
+        margin = (high / low) ** 0.04 if high > low else 1.1
+        return low / margin, high * margin
+    margin = 0.04 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _histogram(axes: Axes, column: Array, chosen: NDArray[np.bool_], logarithmic: bool) -> None:
+    """Densities of one feature over the seed and the chosen designs, as steps."""
+    low, high = _limits(column, logarithmic)
+    edges = np.geomspace(low, high, 15) if logarithmic else np.linspace(low, high, 15)
+    for rows, colour, line in ((~chosen, GREY, "--"), (chosen, BLACK, "-")):
+        if rows.any():
+            share = np.histogram(column[rows], edges)[0] / rows.sum()
+            axes.stairs(share, edges, linewidth=1.1, color=colour, linestyle=line)
+    axes.set_ylim(bottom=0.0)

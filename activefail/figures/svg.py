@@ -1,0 +1,82 @@
+"""Figures as SVG inside a page: no reference off it, no name that another figure of the page has, and small."""
+
+import io
+import re
+
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from activefail.figures.style import styled
+
+_NO_METADATA: dict[str, None] = {"Date": None, "Creator": None, "Format": None, "Type": None}
+_LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
+_MARKS = re.compile(r"(?:<use [^>]*/>\s*){4,}")
+
+
+def _shorter(number: re.Match[str]) -> str:
+    value = float(number[0])
+    return f"{value:.{1 if abs(value) >= 10.0 else 2}f}".rstrip("0").rstrip(".")
+
+
+def _as_markers(text: str, name: str) -> str:
+    """Runs of marks that look alike as one path with a marker at each vertex: a tenth of the bytes."""
+    markers: dict[tuple[str, str], str] = {}
+
+    def path(run: re.Match[str]) -> str:
+        marks = re.findall(r'<use href="(#[^"]*)" x="([^"]*)" y="([^"]*)" (style="[^"]*")\s*/>', run[0])
+        looks = {(href, style) for href, _, _, style in marks}
+        if len(looks) != 1 or len(marks) != run[0].count("<use "):
+            return run[0]
+        look = looks.pop()
+        found = ""
+        if look not in markers:
+            markers[look] = f"{name}-mark{len(markers)}"
+            found = (
+                f'<marker id="{markers[look]}" overflow="visible" markerUnits="userSpaceOnUse">'
+                f'<use href="{look[0]}" {look[1]}/></marker>'
+            )
+        places = "L".join(f"{x} {y}" for _, x, y, _ in marks)
+        at = " ".join(f'marker-{where}="url(#{markers[look]})"' for where in ("start", "mid", "end"))
+        return f'{found}<path d="M{places}" fill="none" {at}/>\n'
+
+    return _MARKS.sub(path, text)
+
+
+def inline(figure: Figure, name: str, alternative: str) -> Markup:
+    """A figure as an `<svg>` element that scales to its place.
+
+    Args:
+        figure: to draw.
+        name: goes before every id in it, which must be the page's only ones; letters, digits and hyphens.
+        alternative: what someone hears who does not see it.
+    """
+    buffer = io.StringIO()
+    with styled():
+        figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    # matplotlib's rule for all elements would reach out of the figure; the page states it for its figures alone.
+    text = re.sub(r'<style type="text/css">\*\{[^}]*\}</style>\s*', "", text)
+    text = text.replace("xlink:href", "href")
+    ids = dict.fromkeys(re.findall(r'\bid="([^"]*)"', text))
+    short = {old: f"{name}-{number:x}" for number, old in enumerate(ids)}
+    seen: set[str] = set()
+
+    def renamed(match: re.Match[str]) -> str:
+        place, old = match.groups()
+        if place != 'id="' or old not in seen:
+            seen.update([old] if place == 'id="' else [])
+            return f"{place}{short[old]}"
+        # matplotlib names by content: what is there twice is the same, and one of the two is enough to refer to.
+        return f"{place}{short[old]}-{match.start():x}"
+
+    text = re.sub(r'(\bid="|href="#|url\(#)([^")]*)', renamed, text)
+    text = re.sub(r'\b(?:d|x|y)="[^"]*"', lambda match: _LONG_NUMBER.sub(_shorter, match[0]), text)
+    text = _as_markers(re.sub(r"\n\s*", "\n", text), name)
+    width, height = figure.get_size_inches()
+    opening = Markup('<svg role="img" aria-label="{}" viewBox="0 0 {} {}" xmlns="{}">').format(
+        alternative, f"{72 * width:g}", f"{72 * height:g}", "http://www.w3.org/2000/svg"
+    )
+    return opening + Markup(text[text.index(">") + 1 :])

@@ -1,0 +1,275 @@
+"""The paper's own methods (its sections 3.1 and 3.2): logistic regression, and GP classification as GPML does it."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, linprog, minimize
+from scipy.special import expit, ndtri
+from statsmodels.discrete.discrete_model import Logit
+
+from activefail.errors import InputError
+from activefail.paper import gpml
+from activefail.paper.gpml import Hyperparameters, Posterior, Sites
+from activefail.space import Array
+from activefail.surrogate.classifier import Moments
+
+Labels = NDArray[np.bool_]
+Method = Literal["laplace", "expectation propagation"]
+
+_SIGNAL_VARIANCE = (1e-4, 1e4)
+"""Searched signal variances. Where the classes can be told apart nothing else stops the search: the wider the latent,
+the more the likelihood is a step, and the evidence tends to a constant. At a latent sd of 100 expectation propagation's
+is within 0.1 nat of it; Laplace's goes on to rise beyond, above the evidence itself, to predictions that are too sure.
+"""
+
+LENGTH_SCALE = (1e-2, 1e3)
+"""Searched length scales, in the features' units: at 1000 standard ones a feature alters no covariance by 1e-4."""
+
+_PRIOR_PROBIT = (-8.0, 8.0)
+"""Searched probits of the prior probability, m/√(1 + s²): beyond, a training set with both classes is impossible."""
+
+_STARTS = ((1.0, 1.0), (10.0, 2.0), (100.0, 1.0))
+"""Signal variances and length scales, in units of √m, from which the search starts; the best end is kept."""
+
+_ROWS_AT_ONCE = 4096
+"""Points predicted in one call: bounds the memory of a prediction at n x 4096 numbers."""
+
+
+def _checked(F: Array, y: Labels) -> None:
+    if F.ndim != 2 or y.shape != (len(F),):
+        raise InputError(f"Features (n, m) and labels (n,) must fit together, got {F.shape} and {y.shape}.")
+    if not np.isfinite(F).all():
+        raise InputError(f"Features must be finite, got {np.count_nonzero(~np.isfinite(F))} that are not.")
+
+
+@dataclass(frozen=True)
+class LogisticFit:
+    """A logistic regression with an intercept, by maximum likelihood.
+
+    Attributes:
+        intercept: of the log odds.
+        coefficients: (m,) of the log odds, per unit of each feature.
+        standard_errors: (m,) of the coefficients, from the observed information; NaN where there is no maximum.
+        p_values: (m,) of Wald's two-sided test that a coefficient is zero; NaN where there is no maximum.
+        converged: whether Newton's method found the maximum.
+        separation: whether a plane separates the classes, but for points on it (complete or quasi-complete separation).
+            The likelihood then has no maximum: coefficients are where Newton's method stood, only their direction
+            means anything.
+    """
+
+    intercept: float
+    coefficients: Array
+    standard_errors: Array
+    p_values: Array
+    converged: bool
+    separation: bool
+
+    def probability(self, F: Array) -> Array:
+        """P(label) at features, (n, m) -> (n,)."""
+        return np.asarray(expit(self.intercept + F @ self.coefficients))
+
+    def accuracy(self, F: Array, y: Labels) -> float:
+        """Share of labels, (n,), on the right side of probability ½ at features, (n, m)."""
+        return float(np.mean((self.probability(F) > 0.5) == y))
+
+
+def separable(Z: Array, y: Labels) -> bool:
+    """Whether some β ≠ 0 has ±Zβ ≥ 0 for all points, the sign that of the label: complete or quasi-complete separation.
+
+    Exactly then logistic regression has no maximum (Albert and Anderson 1984). By the linear program of Konis (2007):
+    the largest sum of ±Zβ for β in a unit box is zero without separation.
+
+    Args:
+        Z: (n, k) of full column rank, with entries of order 1 and, where the model has an intercept, a column of ones.
+        y: (n,) labels.
+    """
+    signed = np.where(y, 1.0, -1.0)[:, None] * Z
+    found = linprog(-signed.sum(0), A_ub=-signed, b_ub=np.zeros(len(Z)), bounds=(-1.0, 1.0))
+    # The solver holds each constraint to 1e-7.
+    return bool(-found.fun > 1e-6 * len(Z))
+
+
+def logistic_regression(F: Array, y: Labels) -> LogisticFit:
+    """Regress labels, (n,), on features, (n, m), in any units, by statsmodels' `Logit`.
+
+    Features are standardised inside, which alters neither the fit nor the p-values.
+
+    Raises:
+        InputError: if shapes differ, a value is not finite, or features and intercept are linearly dependent.
+    """
+    _checked(F, y)
+    center, spread = F.mean(axis=0), F.std(axis=0)
+    # A constant has a spread of rounding; its column becomes zero, and the rank falls.
+    Z = np.column_stack([np.ones(len(F)), (F - center) / np.where(spread > 1e-12 * np.abs(center), spread, np.inf)])
+    if (rank := np.linalg.matrix_rank(Z)) < Z.shape[1]:
+        raise InputError(f"Features and intercept must be linearly independent, got rank {rank} of {Z.shape[1]}.")
+    separation = separable(Z, y)
+    result, converged = _maximum(Logit(y.astype(float), Z), separation)
+    nan = np.full(F.shape[1], np.nan)
+    errors, p_values = (result.bse[1:] / spread, result.pvalues[1:]) if converged else (nan, nan)
+    slopes = result.params[1:] / spread
+    return LogisticFit(float(result.params[0] - slopes @ center), slopes, errors, p_values, converged, separation)
+
+
+def _maximum(model: Logit, separation: bool) -> tuple[Any, bool]:
+    """statsmodels' results at the likelihood's maximum, or where the search for it ended, and whether it was found."""
+    # A callback of ours replaces the one that warns of separation.
+    quiet = {"disp": False, "callback": lambda _: None, "warn_convergence": False}
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # odds of infinity are a probability of 0 or 1
+        # statsmodels' Newton takes whole steps, which can run away from a poor start: a line search finds a good one.
+        start = model.fit(method="bfgs", maxiter=500, skip_hessian=True, **quiet)
+        if separation:
+            return start, False
+        try:
+            tolerance = 1e-8 * max(1.0, float(np.abs(start.params).max()))
+            found = model.fit(method="newton", start_params=start.params, tol=tolerance, **quiet)
+        except np.linalg.LinAlgError:  # next to separation the information vanishes
+            return start, False
+    return (found, True) if found.mle_retvals["converged"] else (start, False)
+
+
+@dataclass(frozen=True)
+class GaussianProcessFit:
+    """A GP classifier with the probit likelihood, whose hyperparameters maximise the approximate evidence.
+
+    Attributes:
+        method: of approximate inference.
+        hyperparameters: mean, signal variance and length scales.
+        log_marginal_likelihood: log Z, as the method approximates it [nat].
+        iterations: of L-BFGS; 0 if the hyperparameters were given.
+        converged: whether both L-BFGS and the inference did.
+        features: (n, m) trained on.
+        posterior: at these.
+    """
+
+    method: Method
+    hyperparameters: Hyperparameters
+    log_marginal_likelihood: float
+    iterations: int
+    converged: bool
+    features: Array
+    posterior: Posterior
+
+    def moments(self, F: Array) -> Moments:
+        """Mean and standard deviation of the latent at features, (n, m) -> (n,) each."""
+        blocks = [
+            gpml.predict(self.features, self.hyperparameters, self.posterior, F[i : i + _ROWS_AT_ONCE])
+            for i in range(0, len(F), _ROWS_AT_ONCE)
+        ]
+        mean, variance = (np.concatenate([np.empty(0), *parts]) for parts in zip(*blocks, strict=True))
+        return Moments(mean, np.sqrt(variance))
+
+    def probability(self, F: Array) -> Array:
+        """P(label) = Φ(mean/√(1 + sd²)) at features, (n, m) -> (n,); R&W eq. 3.82."""
+        return self.moments(F).probability
+
+    def accuracy(self, F: Array, y: Labels) -> float:
+        """Share of labels, (n,), on the right side of probability ½ at features, (n, m)."""
+        return float(np.mean((self.probability(F) > 0.5) == y))
+
+
+def condition(F: Array, y: Labels, hyperparameters: Hyperparameters, method: Method) -> GaussianProcessFit:
+    """The approximate posterior for given hyperparameters, of features, (n, m), and labels, (n,).
+
+    Raises:
+        InputError: if shapes differ or a value is not finite.
+    """
+    _checked(F, y)
+    K = gpml.covariance(F, F, hyperparameters)
+    posterior = _infer(method, K, hyperparameters.mean, _signs(y), None)
+    return GaussianProcessFit(
+        method, hyperparameters, posterior.log_evidence, 0, posterior.converged, F.copy(), posterior
+    )
+
+
+def laplace(F: Array, y: Labels) -> GaussianProcessFit:
+    """Train on scaled features, (n, m), and labels, (n,), by Laplace's method: R&W Algorithms 3.1, 3.2 and 5.1.
+
+    Raises:
+        InputError: if shapes differ, a value is not finite, or a class is missing.
+    """
+    return _train(F, y, "laplace")
+
+
+def expectation_propagation(F: Array, y: Labels) -> GaussianProcessFit:
+    """Train on scaled features, (n, m), and labels, (n,), by expectation propagation: R&W Algorithms 3.5, 3.6 and 5.2.
+
+    Raises:
+        InputError: if shapes differ, a value is not finite, or a class is missing.
+    """
+    return _train(F, y, "expectation propagation")
+
+
+def _signs(y: Labels) -> Array:
+    return np.where(y, 1.0, -1.0)
+
+
+def _infer(method: Method, K: Array, mean: float, signs: Array, start: Sites | None) -> Posterior:
+    match method:
+        case "laplace":
+            return gpml.laplace_posterior(K, mean, signs, start=start)
+        case "expectation propagation":
+            return gpml.ep_posterior(K, mean, signs, start)
+
+
+def pack(hyperparameters: Hyperparameters) -> Array:
+    """Hyperparameters as the search sees them, (2 + m,): m/√(1 + s²), log s², log ℓ.
+
+    In the first the evidence is flat along s², where that is large; in the mean itself it would be a ridge.
+    """
+    mean, s, scales = hyperparameters
+    return np.array([mean / math.sqrt(1.0 + s), math.log(s), *np.log(scales)])
+
+
+def unpack(packed: Array) -> Hyperparameters:
+    """The inverse of `pack`."""
+    s = math.exp(packed[1])
+    return Hyperparameters(float(packed[0]) * math.sqrt(1.0 + s), s, np.exp(packed[2:]))
+
+
+def evaluate(
+    packed: Array, F: Array, signs: Array, method: Method, start: Sites | None = None
+) -> tuple[Posterior, Array]:
+    """The posterior at packed hyperparameters and the gradient of its log evidence by them, (2 + m,).
+
+    Args:
+        signs: labels, (n,) of -1 and 1.
+        start: sites at other hyperparameters, to start the inference from.
+    """
+    hyperparameters = unpack(packed)
+    mean, s, _ = hyperparameters
+    K = gpml.covariance(F, F, hyperparameters)
+    posterior = _infer(method, K, mean, signs, start)
+    by_mean, by_signal, by_scales = gpml.evidence_gradient(F, K, hyperparameters, posterior)
+    by_signal += by_mean * 0.5 * mean * s / (1.0 + s)
+    return posterior, np.array([by_mean * math.sqrt(1.0 + s), by_signal, *by_scales])
+
+
+def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
+    """Type-II maximum likelihood without priors, as GPML's `minimize`: the best local maximum over `_STARTS`."""
+    _checked(F, y)
+    if y.all() or not y.any():
+        raise InputError(f"Both classes must be in the training set, got {len(y)} labels of one.")
+    signs, m = _signs(y), F.shape[1]
+    bounds = [_PRIOR_PROBIT] + [tuple(np.log(limits)) for limits in [_SIGNAL_VARIANCE] + [LENGTH_SCALE] * m]
+
+    def climb(signal_variance: float, scale: float) -> OptimizeResult:
+        sites: Sites | None = None
+
+        def objective(packed: Array) -> tuple[float, Array]:
+            nonlocal sites
+            posterior, gradient = evaluate(packed, F, signs, method, sites)
+            sites = posterior.sites
+            return -posterior.log_evidence, -gradient
+
+        probit = ndtri(y.mean())
+        start = np.array([probit, math.log(signal_variance), *np.full(m, math.log(scale * math.sqrt(m)))])
+        options = {"ftol": 1e-10, "gtol": 1e-4, "maxiter": 500, "maxcor": 20}
+        return minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+
+    found = min((climb(*start) for start in _STARTS), key=lambda end: float(end.fun))
+    trained = condition(F, y, unpack(found.x), method)
+    return replace(trained, iterations=int(found.nit), converged=trained.converged and bool(found.success))

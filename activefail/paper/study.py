@@ -1,0 +1,421 @@
+"""The paper's statistics over many draws of its design: what `activefail paper` computes.
+
+One draw is a Latin hypercube of 250 simulations over Table 1, as the paper had one. Every figure of the paper is then a
+distribution over draws, and what the paper could only judge on about 62 held-out points is judged on fresh designs.
+"""
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import logit
+from threadpoolctl import threadpool_limits
+
+from activefail.bearing.design import TABLE_1, Model
+from activefail.bearing.simulation import simulate
+from activefail.comparison.score import expected_calibration_error
+from activefail.errors import SimulationError
+from activefail.execution.processes import starting_processes
+from activefail.features import feature_map, paper_features
+from activefail.paper import published
+from activefail.paper.methods import LENGTH_SCALE, expectation_propagation, laplace, logistic_regression
+from activefail.paper.published import tilted
+from activefail.space import Array
+from activefail.surrogate.classifier import Latent
+from activefail.surrogate.fitting import fit
+
+SIZE = 250
+"""Simulations of one draw, as in the paper."""
+
+TRAINING_SHARE = 0.75
+"""Of a draw's points, those that a process is trained on; it is judged on the others, as in the paper."""
+
+SPLITS = 5
+"""Random splits of each draw on which the Laplace process is held out: a quarter is only about 62 points."""
+
+BOUNDARIES = {"impact": 1, "failure": 2}
+"""The paper's two questions, and the least label that answers yes."""
+
+METHODS = ("laplace", "ep", "variational", "variational_log")
+"""Gaussian processes compared: the paper's Laplace, its expectation propagation, and variational ones,
+on the features as the paper has them and with their logarithms, as the campaign takes them."""
+
+SIGNIFICANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """A logistic regression on all six features of one draw."""
+
+    in_sample: float
+    fresh: float
+    p_values: Array  # (6,); NaN when there is no maximum
+    separated: bool
+
+
+@dataclass(frozen=True)
+class Process:
+    """A Gaussian process classifier of failure, trained on three quarters of one draw."""
+
+    held_out: float  # accuracy on the other quarter
+    fresh: float  # accuracy on fresh designs
+    log_score: float  # mean log probability of the true class on fresh designs [nat]
+    calibration_error: float  # mean distance of predicted from observed shares on fresh designs, over ten bins
+    calibration_slope: float  # of the log odds of failure on the predicted ones: above 1 too cautious, below too sure
+    length_scales: Array  # (6,) over the features' ranges
+    switched_off: NDArray[np.bool_]  # (6,) whether a length scale ran to the bound of its search
+    converged: bool
+    probability: Array  # (n_fresh,) of failure
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Everything computed from one draw.
+
+    Attributes:
+        logistic: of the whole draw, by boundary.
+        three_quarters: fresh accuracy for failure of a logistic regression on the points the processes were trained on.
+        processes: by method, on the first split.
+        held_out: (splits,) accuracy of the Laplace process on the quarter left out, the first split first.
+    """
+
+    logistic: dict[str, Logistic]
+    three_quarters: float
+    processes: dict[str, Process]
+    held_out: Array
+
+
+@dataclass(frozen=True)
+class Data:
+    """Simulated designs: draws, (draws, 250, 9), fresh ones, (n, 9), and their labels."""
+
+    X: Array
+    label: NDArray[np.int8]
+    X_fresh: Array
+    label_fresh: NDArray[np.int8]
+
+    @property
+    def simulations(self) -> int:
+        """How many designs were simulated."""
+        return self.label.size + self.label_fresh.size
+
+    @property
+    def numerical_failures(self) -> int:
+        """How many of them have no answer."""
+        return int(np.sum(self.label < 0) + np.sum(self.label_fresh < 0))
+
+    @property
+    def shares(self) -> Array:
+        """Shares of the three outcomes in the draws, (3,)."""
+        answered = self.label[self.label >= 0]
+        return np.asarray(np.bincount(answered, minlength=3) / len(answered))
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The study again under one other choice.
+
+    Attributes:
+        name: of the choice.
+        moved: share of the draws' labels that differ from the default model's; None where the designs are others.
+        data: its designs and labels.
+        draws: of the Laplace process alone, on one split.
+    """
+
+    name: str
+    moved: float | None
+    data: Data
+    draws: list[Draw]
+
+
+VARIANTS: dict[str, Model] = {
+    "as described": Model(),
+    'restitution "assembly"': Model(restitution="assembly"),
+    "D_sl = 0.15 m": Model(slider_diameter=0.15),
+    "D_sl = 0.60 m": Model(slider_diameter=0.60),
+    "v_r = 0.01 m/s": Model(friction_velocity=0.01),
+    "failure without loss of confinement": Model(loss_of_confinement=False),
+}
+"""The choices of the model whose influence is measured, the default first."""
+
+TILTED = "the sample tilted to the medians of Table 2"
+"""The variant of `tilted` designs under the default model."""
+
+
+def designs(draws: int, fresh: int, seed: int) -> tuple[Array, Array]:
+    """The draws, (draws, 250, 9), and independent uniform fresh designs, (fresh, 9)."""
+    X = np.stack([TABLE_1.latin_hypercube(SIZE, np.random.default_rng([seed, 0, draw])) for draw in range(draws)])
+    return X, TABLE_1.from_unit(np.random.default_rng([seed, 1]).random((fresh, TABLE_1.dimension)))
+
+
+def simulated(X: Array, X_fresh: Array, model: Model) -> Data:
+    """Labels of draws and fresh designs under a model; numerical failures stay -1."""
+    label = simulate(X.reshape(-1, TABLE_1.dimension), model).label.reshape(X.shape[:2])
+    return Data(X, label, X_fresh, simulate(X_fresh, model).label)
+
+
+def _answered(X: Array, label: NDArray[np.int8]) -> tuple[Array, NDArray[np.int8]]:
+    return X[label >= 0], label[label >= 0]
+
+
+def logistic_of_draw(X: Array, y: NDArray[np.bool_], F_fresh: Array, y_fresh: NDArray[np.bool_]) -> Logistic:
+    """Logistic regression of a draw's yes-or-no labels on the paper's features."""
+    F = paper_features(X)
+    fitted = logistic_regression(F, y)
+    return Logistic(fitted.accuracy(F, y), fitted.accuracy(F_fresh, y_fresh), fitted.p_values, fitted.separation)
+
+
+def _paper_scaling() -> tuple[Array, Array]:
+    """Mean and standard deviation of the paper's features over the design space, each (6,)."""
+    F = paper_features(TABLE_1.sobol(4096, np.random.default_rng(0)))
+    return F.mean(axis=0), F.std(axis=0)
+
+
+def _scaled_features(logarithmic: bool) -> Callable[[Array], Array]:
+    """The paper's features in standard units over the design space, ratios as they are or by their logarithm."""
+    if logarithmic:
+        return feature_map("paper", TABLE_1)
+    center, spread = _paper_scaling()
+    return lambda X: (paper_features(X) - center) / spread
+
+
+def split(rng: np.random.Generator, n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Random rows to train on and to hold out, of n."""
+    train, held_out = np.split(rng.permutation(n), [round(TRAINING_SHARE * n)])
+    return train, held_out
+
+
+def calibration_slope(p: Array, y: NDArray[np.bool_]) -> float:
+    """Cox's (1958) slope: the coefficient of the predicted log odds, (n,), in a logistic regression of what came."""
+    log_odds = logit(np.clip(p, 1e-12, 1.0 - 1e-12))
+    return float(logistic_regression(log_odds[:, None], y).coefficients[0])
+
+
+@dataclass(frozen=True)
+class _Trained:
+    """A classifier of failure, as the study asks it."""
+
+    probability: Callable[[Array], Array]  # of failure at scaled features
+    length_scales: Array  # (6,)
+    switched_off: NDArray[np.bool_]  # (6,)
+    converged: bool
+
+
+def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
+    match method:
+        case "laplace" | "ep":
+            process = (laplace if method == "laplace" else expectation_propagation)(F, failed)
+            scales = process.hyperparameters.length_scales
+            return _Trained(process.probability, scales, scales > 0.99 * LENGTH_SCALE[1], process.converged)
+        case _:
+            fitted = fit(torch.from_numpy(F), torch.from_numpy(np.where(failed, 1.0, -1.0)), "rbf")
+            scales = np.exp(fitted.hyperparameters.log_lengthscale.numpy())
+            latent = Latent(fitted)
+            # Its weak prior keeps every length scale finite, and its search ends at a minimum by construction.
+            return _Trained(lambda G: latent.moments(G).probability, scales, np.zeros(len(scales), dtype=bool), True)
+
+
+def process_of_draw(
+    method: str,
+    X: Array,
+    failed: NDArray[np.bool_],
+    rng: np.random.Generator,
+    X_fresh: Array,
+    y_fresh: NDArray[np.bool_],
+) -> Process:
+    """A GP classifier trained on a random three quarters of a draw and judged on the rest and on fresh designs."""
+    train, held_out = split(rng, len(X))
+    features = _scaled_features(method == "variational_log")
+    F, F_fresh = features(X), features(X_fresh)
+    trained = _trained(method, F[train], failed[train])
+    p = trained.probability(F_fresh)
+    sure = np.clip(np.where(y_fresh, p, 1.0 - p), 1e-12, None)
+    return Process(
+        held_out=float(np.mean((trained.probability(F[held_out]) > 0.5) == failed[held_out])),
+        fresh=float(np.mean((p > 0.5) == y_fresh)),
+        log_score=float(np.mean(np.log(sure))),
+        calibration_error=expected_calibration_error(p, y_fresh),
+        calibration_slope=calibration_slope(p, y_fresh),
+        length_scales=trained.length_scales / np.ptp(F_fresh, axis=0),
+        switched_off=trained.switched_off,
+        converged=trained.converged,
+        probability=p,
+    )
+
+
+def held_out_accuracy(X: Array, failed: NDArray[np.bool_], rng: np.random.Generator) -> float:
+    """Accuracy of the Laplace process on a random quarter of a draw, trained on the rest."""
+    train, held_out = split(rng, len(X))
+    F = _scaled_features(False)(X)
+    p = laplace(F[train], failed[train]).probability(F[held_out])
+    return float(np.mean((p > 0.5) == failed[held_out]))
+
+
+def study_draw(
+    X: Array,
+    label: NDArray[np.int8],
+    X_fresh: Array,
+    label_fresh: NDArray[np.int8],
+    seed: int,
+    draw: int,
+    methods: tuple[str, ...],
+    splits: int,
+) -> Draw:
+    """All that the paper computed, for one draw; runs in a worker process.
+
+    Args:
+        methods: of `METHODS`, all on the first split; "laplace" among them.
+        splits: on which the Laplace process is held out.
+    """
+
+    def of_split(number: int) -> np.random.Generator:
+        return np.random.default_rng([seed, 2, draw, number])
+
+    torch.set_num_threads(1)
+    with threadpool_limits(1):
+        X, label = _answered(X, label)
+        X_fresh, label_fresh = _answered(X_fresh, label_fresh)
+        F, F_fresh = paper_features(X), paper_features(X_fresh)
+        failed, failed_fresh = label == 2, label_fresh == 2
+        train, _ = split(of_split(0), len(X))
+        processes = {
+            method: process_of_draw(method, X, failed, of_split(0), X_fresh, failed_fresh) for method in methods
+        }
+        others = [held_out_accuracy(X, failed, of_split(number)) for number in range(1, splits)]
+        return Draw(
+            logistic={
+                name: logistic_of_draw(X, label >= least, F_fresh, label_fresh >= least)
+                for name, least in BOUNDARIES.items()
+            },
+            three_quarters=logistic_regression(F[train], failed[train]).accuracy(F_fresh, failed_fresh),
+            processes=processes,
+            held_out=np.array([processes["laplace"].held_out, *others]),
+        )
+
+
+def study_draws(pool: Executor, data: Data, seed: int, methods: tuple[str, ...], splits: int) -> list[Draw]:
+    """`study_draw` of every draw, side by side; the results do not depend on the pool's size."""
+    with starting_processes():  # with which they start
+        futures = [
+            pool.submit(study_draw, X, label, data.X_fresh, data.label_fresh, seed, draw, methods, splits)
+            for draw, (X, label) in enumerate(zip(data.X, data.label, strict=True))
+        ]
+    return [future.result() for future in futures]
+
+
+def median_p_values(draws: list[Draw], boundary: str) -> Array:
+    """Median Wald p-values over the draws that have them, (6,); NaN if none has."""
+    p = np.array([draw.logistic[boundary].p_values for draw in draws])
+    found = p[~np.isnan(p).any(axis=1)]
+    return np.asarray(np.median(found, axis=0)) if len(found) else np.full(p.shape[1], np.nan)
+
+
+def significant_share(draws: list[Draw], boundary: str) -> Array:
+    """Share of draws in which each feature is significant at 5 %, (6,); a draw without a p-value counts as not."""
+    p = np.array([draw.logistic[boundary].p_values for draw in draws])
+    return np.asarray(np.mean(np.where(np.isnan(p), 1.0, p) < SIGNIFICANCE, axis=0))
+
+
+@dataclass(frozen=True)
+class Study:
+    """All that the reproduction reports; the first variant is the study itself."""
+
+    data: Data
+    draws: list[Draw]
+    variants: list[Variant]
+
+
+def _end_when_closed(end: Connection) -> None:
+    """What a worker of a pool begins with: it ends with the other end of a pipe, whatever it is at.
+
+    Not with an event, which waits for all whom it tells: a worker that was killed never hears it.
+    """
+
+    def wait() -> None:
+        end.poll(None)
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = lambda _: None) -> Study:
+    """Simulate and compute everything; some minutes on two cores for 20 draws and 4,000 fresh designs.
+
+    Raises:
+        SimulationError: if a worker process dies.
+    """
+    X, X_fresh = designs(draws, fresh, seed)
+    stage(f"simulating {draws} draws of {SIZE} and {fresh} fresh designs")
+    data = simulated(X, X_fresh, Model())
+    context = multiprocessing.get_context("spawn")
+    with starting_processes():
+        theirs, ours = context.Pipe(duplex=False)
+        pool = ProcessPoolExecutor(os.cpu_count(), context, _end_when_closed, (theirs,))
+    with theirs, ours, pool:
+        try:
+            stage(f"regressions and Gaussian processes of {draws} draws")
+            studied = study_draws(pool, data, seed, METHODS, SPLITS)
+            default, *others = VARIANTS
+            variants = [Variant(default, 0.0, data, studied)]
+            for name in (*others, TILTED):
+                stage(f"what depends on the choices: {name}")
+                if name == TILTED:
+                    varied, moved = simulated(tilted(X), tilted(X_fresh), Model()), None
+                else:
+                    varied = simulated(X, X_fresh, VARIANTS[name])
+                    both = (varied.label >= 0) & (data.label >= 0)
+                    moved = float(np.mean(varied.label[both] != data.label[both]))
+                variants.append(Variant(name, moved, varied, study_draws(pool, varied, seed, ("laplace",), 1)))
+        except BrokenProcessPool:
+            raise SimulationError("A worker process died (killed, or out of memory); nothing is kept.") from None
+        except BaseException:
+            # Nobody waits for the draws that they are at.
+            ours.close()
+            raise
+    return Study(data, studied, variants)
+
+
+@dataclass(frozen=True)
+class PaperProcess:
+    """The paper's process on one draw's training points.
+
+    Attributes:
+        F: (n, 6) the paper's features of the training points.
+        failed: (n,) bool.
+        moments: latent mean and standard deviation at the paper's features, (n, 6).
+    """
+
+    F: Array
+    failed: NDArray[np.bool_]
+    moments: Callable[[Array], tuple[Array, Array]]
+
+
+def orders_as_the_paper(process: Process) -> bool:
+    """Whether each feature that the paper finds significant has a shorter length scale than each other one."""
+    significant = np.array(published.P_VALUES["failure"]) < SIGNIFICANCE
+    return bool(process.length_scales[significant].max() < process.length_scales[~significant].min())
+
+
+def typical_process(study: Study, seed: int) -> PaperProcess:
+    """The Laplace process that Figures 3 to 5 show.
+
+    Of the draws' first splits on which the length scales are ordered as in the paper (of all, if on none), the one with
+    the median fresh accuracy.
+    """
+    processes = [draw.processes["laplace"] for draw in study.draws]
+    alike = [i for i, process in enumerate(processes) if orders_as_the_paper(process)] or list(range(len(processes)))
+    draw = sorted(alike, key=lambda i: processes[i].fresh)[len(alike) // 2]
+    X, label = _answered(study.data.X[draw], study.data.label[draw])
+    train, _ = split(np.random.default_rng([seed, 2, draw, 0]), len(X))
+    F, failed = paper_features(X[train]), label[train] == 2
+    center, spread = _paper_scaling()
+    trained = laplace((F - center) / spread, failed)
+    return PaperProcess(F, failed, lambda G: trained.moments((G - center) / spread))

@@ -1,0 +1,72 @@
+"""Files beside the record: what was learned from it (states), and designs simulated outside it (sets)."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+from urllib.parse import quote, unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.record.batch import COLUMNS, Schema, answers_of, results_of
+from activefail.record.hdf5 import DamagedError, Image, encode, opened
+from activefail.record.segment import SCHEMA_VERSION, chain_start, check_version, read_columns
+from activefail.simulators.interface import Results
+from activefail.space import Array
+
+
+def encode_state(iteration: int, arrays: Mapping[str, NDArray[Any]], chain: str) -> bytes:
+    """The bytes of a state's file; `chain` is the digest of the record that it was learned from."""
+    content = {_dataset_name(name): array for name, array in arrays.items()}
+    return encode(content, {"schema_version": str(SCHEMA_VERSION), "iteration": str(iteration), "chain": chain})
+
+
+def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> dict[str, NDArray[Any]]:
+    """The arrays of the state of an iteration, learned from a record that had one of these digests.
+
+    Raises:
+        DamagedError: if the file is not whole, or of another iteration or record.
+        StoreError: if it was written in another version.
+    """
+    with opened(data) as image:
+        check_version(image)
+        # A state may know a batch that was quarantined since.
+        if image.attribute("chain") not in digests or image.attribute("iteration") != str(iteration):
+            raise DamagedError("was not learned from the batches of this record")
+        return {unquote(name): _state_array(image, name) for name in image.names}
+
+
+def encode_set(X: Array, results: Results, schema: Schema, campaign: str) -> bytes:
+    """The bytes of a set's file; `campaign` is the digest that the campaign's chain begins with."""
+    content: dict[str, NDArray[Any] | str] = {"designs": X, **answers_of(results), "schema": schema.text}
+    return encode(content, {"schema_version": str(SCHEMA_VERSION), "campaign": campaign})
+
+
+def decode_set(data: bytes, settings: str) -> tuple[Array, Results]:
+    """Designs and results of a set of the campaign with these settings.
+
+    Raises:
+        DamagedError: if the file is not whole, or of another campaign.
+        StoreError: if it was written in another version.
+    """
+    with opened(data) as image:
+        check_version(image)
+        schema = Schema.from_text(image.text("schema"))
+        if image.attribute("campaign") != chain_start(settings, schema):
+            raise DamagedError("belongs to another campaign")
+        _, shape = image.declared("outcome")
+        columns = read_columns(image, [key for key in COLUMNS if key != "origin"], shape[0], schema)
+        X, results = columns["designs"], results_of(columns)
+        schema.check(X, results)
+        return X, results
+
+
+def _dataset_name(name: str) -> str:
+    """A state's name as that of a dataset, where `/` would make a group and `.` means the group itself."""
+    return "%2E" if name == "." else quote(name, safe=" ")
+
+
+def _state_array(image: Image, name: str) -> NDArray[Any]:
+    dtype, shape = image.declared(name)
+    if dtype not in (np.dtype("<f8"), np.dtype("<i8")):
+        raise DamagedError(f"declares {unquote(name)!r} as {dtype}")
+    return image.array(name, dtype, shape)

@@ -1,0 +1,66 @@
+"""The lock of a run folder: one writer at a time, where the file system has locks."""
+
+import errno
+import fcntl
+import os
+import stat
+from pathlib import Path
+
+from activefail.errors import BusyError, StoreError
+from activefail.record.layout import LOCK
+
+_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+"""What a file system answers that has no flock."""
+
+
+class FolderLock:
+    """The lock of a run folder, held until `release`; the kernel releases it when the process dies, however it dies.
+
+    The existence of the file means nothing; only the kernel's lock counts. So no kill leaves a folder locked, and a
+    folder may move between file systems with and without locks.
+
+    Attributes:
+        held: False where the file system has no locks. Two writers then fence each other by `link` alone.
+
+    Raises:
+        BusyError: if another one holds it.
+        StoreError: if it cannot be taken, with the system's reason.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._descriptor = -1
+        self.held = False
+        try:
+            # Neither truncated nor followed: the name may be a link to a file of the user's.
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+            self._descriptor = os.open(folder / LOCK, flags, 0o666)
+            if not stat.S_ISREG(os.fstat(self._descriptor).st_mode):
+                raise StoreError(f"Cannot write to {folder}: {LOCK} is not a regular file. Remove it.")
+            try:
+                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self.held = True
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+        except BlockingIOError:
+            self.release()
+            raise BusyError(
+                f"Another process is writing to {folder}. Wait until it is done or stop it; reading is possible "
+                f"meanwhile."
+            ) from None
+        except OSError as error:
+            self.release()
+            raise StoreError(f"Cannot write to {folder}: {error.strerror or error}.") from error
+        except BaseException:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Let the next one write."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
+    def __del__(self) -> None:
+        # A store that nobody closed must not keep its folder.
+        self.release()

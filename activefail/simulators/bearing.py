@@ -1,0 +1,66 @@
+"""The double friction pendulum bearing as a campaign's simulator."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.bearing import outcome as o
+from activefail.bearing.design import TABLE_1, Bearing, Model, Tolerance
+from activefail.bearing.simulation import simulate
+from activefail.errors import InputError
+from activefail.simulators.interface import Results
+from activefail.space import Array, DesignSpace
+
+
+@dataclass(frozen=True)
+class DfpSimulator:
+    """The bearing model over the nine variables of Table 1, whatever ranges a campaign gives them.
+
+    Attributes:
+        space: of the designs.
+    """
+
+    space: DesignSpace
+    model: Model
+    tolerance: Tolerance
+
+    outcomes = o.OUTCOMES
+    causes = o.CAUSES
+    margins = o.MARGINS
+    releases_gil = True
+
+    @classmethod
+    def on(cls, space: DesignSpace, model: Model, tolerance: Tolerance) -> "DfpSimulator":
+        """The simulator for designs of a space.
+
+        Raises:
+            InputError: if the space lacks a variable of Table 1, has another one, or reaches to zero or below.
+        """
+        lowest, highest = space.table(np.array([space.low, space.high]), TABLE_1.names)
+        for name in (*space.names, *space.fixed):
+            if name not in TABLE_1.names:
+                raise InputError(
+                    f"space.{name}: the dfp simulator has no such variable; it has {', '.join(TABLE_1.names)}."
+                )
+        for parameter in space.parameters:
+            unit = TABLE_1.parameters[TABLE_1.names.index(parameter.name)].unit
+            if parameter.unit not in ("", unit):
+                raise InputError(f"space.{parameter.name}.unit: must be {unit!r} or left out, got {parameter.unit!r}.")
+        for name, low in zip(TABLE_1.names, lowest.tolist(), strict=True):
+            if low <= 0.0:
+                key = "value" if name in space.fixed else "low"
+                raise InputError(f"space.{name}.{key}: must be positive for the dfp simulator, got {low}.")
+        try:
+            # The hardest to build of all: small radius, wide dish, high slider.
+            Bearing.from_row([lowest[0], *highest[1:7]], model.slider_diameter)
+        except InputError as impossible:
+            raise InputError(
+                f"space: the corner of least T_b, largest D_tot and h_sl_ratio cannot be built with a "
+                f"bearing.slider_diameter of {model.slider_diameter:g} m. {impossible}"
+            ) from None
+        return cls(space, model, tolerance)
+
+    def run(self, X: Array) -> Results:
+        """Simulate designs, (n, d), on the calling thread."""
+        answers = simulate(self.space.table(X, TABLE_1.names), self.model, self.tolerance, threads=1)
+        return Results(answers.label, answers.cause, answers.margins, answers.seconds)

@@ -1,0 +1,86 @@
+"""How often could any classifier be right that sees a bearing by the paper's six features alone?
+
+    python experiments/feature_limit.py --n 10000 --copies 32
+
+Six features leave three of Table 1's nine variables free: bearings with the same six may differ in what happens to
+them. Each of n designs, uniform over Table 1, gets copies with the same features, drawn from the uniform measure given
+these, and all are simulated. In logarithms the features are linear and the density is exponential, so that steps of
+hit-and-run are drawn exactly; a design is a draw given its own features, so that walks from it are in equilibrium from
+the start. What is left of where they began makes both figures too high rather than too low: more --steps show how much.
+
+    vote     right where the majority of the copies says what happens to the design itself: a classifier on the six
+             features, so the limit is not below it;
+    share    mean share of the most frequent label among copies and design: the limit is not above it, but for chance.
+
+Per cent with standard errors over designs, for the failure and the impact boundary.
+"""
+
+import argparse
+
+import numpy as np
+from scipy.linalg import null_space
+
+from activefail.bearing import TABLE_1, simulate
+from activefail.bearing.outcome import FAILURE, NO_IMPACT
+from activefail.features import paper_features
+from activefail.figures.contours import EXPONENTS, LOGARITHMIC
+
+COLUMNS = list(LOGARITHMIC)
+
+
+def copies_of(X, steps, rng):
+    """Each design's walk to another with the same features, (n, 9) -> (n, 9)."""
+    low, high = np.log(TABLE_1.low[COLUMNS]), np.log(TABLE_1.high[COLUMNS])
+    free = null_space(EXPONENTS)
+    x = np.log(X[:, COLUMNS])
+    for _ in range(steps):
+        direction = rng.standard_normal((len(x), free.shape[1])) @ free.T
+        with np.errstate(divide="ignore"):
+            ends = np.stack([(low - x) / direction, (high - x) / direction])
+        begin, end = ends.min(axis=0).max(axis=1), ends.max(axis=0).min(axis=1)
+        # Uniform variables have the density exp(sum of their logarithms): along a line an exponential, cut at the box.
+        slope, length = direction.sum(axis=1), np.maximum(end - begin, 0.0)
+        u, rise = rng.random(len(x)), slope * length
+        steep = np.abs(rise) > 1e-9
+        along = np.where(steep, np.log1p(u * np.expm1(rise)) / np.where(steep, slope, 1.0), u * length)
+        x = np.clip(x + (begin + along)[:, None] * direction, low, high)
+    moved = X.copy()
+    moved[:, COLUMNS] = np.clip(np.exp(x), TABLE_1.low[COLUMNS], TABLE_1.high[COLUMNS])
+    return moved
+
+
+def percent(flags):
+    return f"{100.0 * flags.mean():7.2f} ± {100.0 * flags.std() / np.sqrt(len(flags)):4.2f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=int, default=10_000, help="designs")
+    parser.add_argument("--copies", type=int, default=32)
+    parser.add_argument("--steps", type=int, default=40, help="of each walk")
+    parser.add_argument("--seed", type=int, default=41)
+    arguments = parser.parse_args()
+
+    rng = np.random.default_rng(arguments.seed)
+    X = TABLE_1.from_unit(rng.random((arguments.n, TABLE_1.dimension)))
+    F, label = paper_features(X), simulate(X).label
+    copied = []
+    for _ in range(arguments.copies):
+        moved = copies_of(X, arguments.steps, rng)
+        assert np.allclose(paper_features(moved), F, rtol=1e-9)
+        copied.append(simulate(moved).label)
+    labels = np.stack(copied)
+    print(f"{arguments.n} designs, {arguments.copies} copies of each with the same features, which moved by")
+    print(f"{np.abs(moved - X)[:, COLUMNS].mean(axis=0) / (TABLE_1.high - TABLE_1.low)[COLUMNS]} of the ranges")
+    print(f"{'boundary':10} {'vote':>14} {'share':>16}")
+    for name, beyond in (("failure", lambda of: of == FAILURE), ("impact", lambda of: of != NO_IMPACT)):
+        own, others = beyond(label), beyond(labels)
+        p = others.mean(axis=0)
+        # Where the copies are divided, half of such votes are right.
+        right = np.where(p == 0.5, 0.5, (p > 0.5) == own)
+        share = (others.sum(axis=0) + own) / (arguments.copies + 1)
+        print(f"{name:10} {percent(right)} {percent(np.maximum(share, 1.0 - share))}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""How soon a campaign sees a failure that its initial design lacks: with its search, and by its criterion alone.
+
+    python experiments/search.py --campaigns 20
+
+Each campaign begins with 30 designs without a failure (initial designs with one are passed over) and then proposes 30
+more, five at a time. Beside the campaign's own proposals: the same criterion without the search, which is what the
+program did before, and a Latin hypercube of as many designs.
+"""
+
+import argparse
+
+import numpy as np
+from rare_problems import FOUR_BRANCH, RP38, RareProblem
+
+from activefail.acquisition.batch import Search
+from activefail.campaign.assembly import Campaign, initial_designs, next_batch
+from activefail.campaign.loop import one_thread
+from activefail.surrogate.classifier import train
+
+INITIAL, BATCH, BATCHES = 30, 5, 6
+
+
+def first_failure(campaign: Campaign, problem: RareProblem, searching: bool) -> int | None:
+    """How many designs after the initial ones it took to see a failure; None if none was seen."""
+    X = initial_designs(campaign)
+    for iteration in range(1, BATCHES + 1):
+        outcome = problem.run(X).outcome
+        classifier = train(X, outcome, problem.outcomes, campaign.features, "rbf")
+        unseen = Search(X, ("failure",)) if searching else None
+        more = next_batch(campaign, classifier, iteration, BATCH, (iteration - 1) * BATCH, unseen=unseen)
+        failed = problem.limit(more) <= 0.0
+        if failed.any():
+            return (iteration - 1) * BATCH + int(np.argmax(failed)) + 1
+        X = np.concatenate([X, more])
+    return None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--campaigns", type=int, default=20)
+    options = parser.parse_args()
+    with one_thread():
+        for problem in (FOUR_BRANCH, RP38):
+            for criterion in ("eavc", "globalmi", "entropy"):
+                found: dict[str, list[int | None]] = {"with the search": [], "criterion alone": [], "hypercube": []}
+                seed = 0
+                while len(found["hypercube"]) < options.campaigns:
+                    seed += 1
+                    settings = problem.settings(
+                        seed=seed, sampling__initial=INITIAL, acquisition__criterion=criterion, sampling__batch=BATCH
+                    )
+                    campaign = Campaign.with_simulator(settings, problem)
+                    if problem.run(initial_designs(campaign)).outcome.any():
+                        continue
+                    found["with the search"].append(first_failure(campaign, problem, True))
+                    found["criterion alone"].append(first_failure(campaign, problem, False))
+                    failed = (
+                        problem.limit(campaign.space.latin_hypercube(BATCH * BATCHES, np.random.default_rng([seed, 1])))
+                        <= 0.0
+                    )
+                    found["hypercube"].append(int(np.argmax(failed)) + 1 if failed.any() else None)
+                for way, numbers in found.items():
+                    seen = sorted(number for number in numbers if number is not None)
+                    middle = f", in the median of these after {np.median(seen):g}" if seen else ""
+                    saw = f"{len(seen)} of {len(numbers)} campaigns saw a failure within {BATCH * BATCHES} designs"
+                    print(f"{problem.name}, {criterion:<8} {way:<15}: {saw}{middle}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""How often the interval of a verified error holds the true error, and what a stop by it leads to.
+
+    python experiments/verification.py parts --repetitions 4000
+    python experiments/verification.py rare --campaigns 20
+    python experiments/verification.py bearing --campaigns 20 --budget 350 --simulations 100 200 --stop 0.03
+
+`parts` draws answers for parts of a design space with known volumes and known shares of errors: true errors from 0.05
+to 20 %, 10 to 1,000 simulations, with and without an initial design, beside the bounds that the program had before.
+`rare` verifies classifiers of a reliability problem whose failure 30 simulations seldom show, so that most errors are
+failures that nobody saw. `bearing` runs campaigns on the bearing, each with its own seed; the true error is measured on
+fresh designs of its own. Campaigns with a stop rule run until it ends them, or to 600 simulations; they are judged the
+same way.
+"""
+
+import argparse
+import itertools
+
+import numpy as np
+from rare_problems import RP38
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.learning import accuracy, current_classifier
+from activefail.campaign.loop import one_thread, run, standing
+from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.stratified import StratifiedCount
+from activefail.campaign.verification import allotted, verify
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.batch import MemoryStore
+from activefail.simulators.interface import NUMERICAL_FAILURE
+
+FIRST_SEED, MOST = 4000, 600
+
+EXPECTED = np.array([0.001, 0.01, 0.04, 0.15, 0.37])
+"""What a classifier expects in each part, by which simulations are shared out."""
+
+VOLUMES = {
+    "all in the surest part": (1.0, 0.0, 0.0, 0.0, 0.0),
+    "failure is rare": (0.97, 0.01, 0.01, 0.005, 0.005),
+    "a good classifier": (0.9, 0.04, 0.03, 0.02, 0.01),
+    "a fair classifier": (0.7, 0.1, 0.1, 0.06, 0.04),
+    "a poor classifier": (0.3, 0.2, 0.2, 0.15, 0.15),
+}
+ERRORS = (0.0005, 0.002, 0.008, 0.02, 0.05, 0.1, 0.2)
+SIMULATIONS = (10, 30, 100, 300, 1000)
+INITIAL = (0, 30, 250)
+
+
+def shares_of(where: str, volumes: np.ndarray, error: float) -> np.ndarray | None:
+    """Shares of errors in the parts that come to an error over the space; None where there is no room for it."""
+    match where:
+        case "as expected":
+            p = EXPECTED * error / (volumes @ EXPECTED)
+        case "even":
+            p = np.full(5, error)
+        case "in the surest part":
+            p = np.array([error / volumes[0], 0.0, 0.0, 0.0, 0.0])
+        case _:
+            p, left = np.zeros(5), error
+            for part in (4, 3, 2, 1, 0):
+                p[part] = min(left / volumes[part], 0.6) if volumes[part] else 0.0
+                left -= p[part] * volumes[part]
+    fits = np.isclose(volumes @ np.clip(p, 0.0, 1.0), error) and p[volumes > 0].max() <= 0.95
+    return np.clip(p, 0.0, 1.0) if fits else None
+
+
+def bounds_before(volumes: np.ndarray, n: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
+    """The 90 % interval that the program gave before: a posterior with the classifier's expectation as its prior."""
+    shares = rng.beta(0.1 + EXPECTED + x, 0.5 + 1.0 - EXPECTED + n - x, size=(2000, 5))
+    low, high = np.quantile(shares @ volumes, [0.05, 0.95])
+    return float(low), float(high)
+
+
+def parts(repetitions: int) -> None:
+    rng = np.random.default_rng(1)
+    rows, before = [], []
+    places = ("as expected", "even", "in the surest part", "in the least sure parts")
+    for volumes, where, error in itertools.product(VOLUMES.items(), places, ERRORS):
+        name, V = volumes[0], np.array(volumes[1])
+        p = shares_of(where, V, error)
+        if p is None:
+            continue
+        for simulations, initial in itertools.product(SIMULATIONS, INITIAL):
+            n = allotted(V, EXPECTED, simulations).astype(np.float64)
+            n[0] += round(initial * V[0])
+            drawn, times = np.unique(rng.binomial(n.astype(int), p, (repetitions, 5)), axis=0, return_counts=True)
+            held = held_one_sided = 0
+            for x, number in zip(drawn.astype(np.float64), times.tolist(), strict=True):
+                count = StratifiedCount(V, n, x)
+                held += number * (count.lower(0.95) <= error <= count.upper(0.95))
+                held_one_sided += number * (error <= count.upper(0.9))
+            rows.append((held / repetitions, held_one_sided / repetitions, name, where, error, simulations, initial))
+            if len(drawn) <= 200:
+                intervals = [bounds_before(V, n, x, rng) for x in drawn.astype(np.float64)]
+                holds = [low <= error <= high for low, high in intervals]
+                before.append(float(np.average(holds, weights=times)))
+    print(
+        f"{len(rows)} cases of {repetitions} draws; nominal 90 %, standard error {30 / np.sqrt(repetitions):.2f} points"
+    )
+    for title, column in (("interval", 0), ("upper bound", 1), ("interval before", None)):
+        held = np.array(before if column is None else [row[column] for row in rows])
+        print(
+            f"{title:<16} least {100 * held.min():.1f} %, median {100 * np.median(held):.1f} %, "
+            f"below 88 %: {int(np.sum(held < 0.88))} of {len(held)} cases"
+        )
+    for row in sorted(rows)[:5]:
+        print("  {:.4f} {:.4f}  {}, errors {}, error {}, {} simulations, initial {}".format(*row))
+
+
+def rare(campaigns: int, simulations: list[int]) -> None:
+    covered = dict.fromkeys(simulations, 0)
+    with ThreadExecutor(1) as executor, one_thread():
+        for seed in range(FIRST_SEED, FIRST_SEED + campaigns):
+            campaign = Campaign.with_simulator(
+                RP38.settings(seed=seed, sampling__initial=30, sampling__budget=30), RP38
+            )
+            store = MemoryStore(campaign.schema)
+            run(campaign, store, executor, 30)
+            classifier = current_classifier(campaign, store, write=False)
+            true = true_error(campaign, classifier, executor, 200_000, seed)
+            seen = int(standing(campaign, store.batches, 0).counts[1])
+            text = f"seed {seed}  {seen} failures seen  true {100 * true:.2f} %"
+            for n in simulations:
+                error = verify(campaign, store, executor, classifier, 0, n, 0.9)
+                covered[n] += error.low <= true <= error.high
+                text += f"  | {n}: {100 * error.error:.2f} ({100 * error.low:.2f} to {100 * error.high:.2f})"
+            print(text, flush=True)
+    for n, number in covered.items():
+        print(f"90 % interval from {n} fresh simulations: holds the true error in {number} of {campaigns}")
+
+
+def true_error(campaign, classifier, executor, n, seed) -> float:
+    X = campaign.space.from_unit(np.random.default_rng([779, seed]).random((n, campaign.space.dimension)))
+    outcome = executor.run(campaign.simulator, X).outcome
+    answered = outcome != NUMERICAL_FAILURE
+    return 1.0 - accuracy(classifier, campaign.severity, X[answered], outcome[answered])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=["parts", "rare", "bearing"])
+    parser.add_argument("--repetitions", type=int, default=4000)
+    parser.add_argument("--campaigns", type=int, default=20)
+    parser.add_argument("--features", default="paper")
+    parser.add_argument("--budget", type=int, default=350)
+    parser.add_argument("--simulations", type=int, nargs="+", default=[100, 200])
+    parser.add_argument("--stop", type=float, default=0.04, help="error of the stop rule; 0: no such campaigns")
+    parser.add_argument("--fresh", type=int, default=8000)
+    parser.add_argument("--threads", type=int, default=1)
+    options = parser.parse_args()
+    match options.what:
+        case "parts":
+            parts(options.repetitions)
+        case "rare":
+            rare(options.campaigns, options.simulations)
+        case _:
+            bearing(options)
+
+
+def bearing(options: argparse.Namespace) -> None:
+    base = {"classifier.kernel": "matern52", "classifier.features": options.features}
+    covered = dict.fromkeys(options.simulations, 0)
+    good, stopped = 0, 0
+    with ThreadExecutor(options.threads) as executor, one_thread():
+        for seed in range(FIRST_SEED, FIRST_SEED + options.campaigns):
+            campaign = Campaign.of(CampaignSettings().changed(base | {"seed": seed, "sampling.budget": options.budget}))
+            store = MemoryStore(campaign.schema)
+            run(campaign, store, executor, options.budget)
+            classifier = current_classifier(campaign, store, write=False)
+            true = true_error(campaign, classifier, executor, options.fresh, seed)
+            text = f"seed {seed}  true {100 * true:.2f} %"
+            iteration = standing(campaign, store.batches, 0).iteration
+            for n in options.simulations:
+                error = verify(campaign, store, executor, classifier, iteration, n, 0.9)
+                covered[n] += error.low <= true <= error.high
+                text += f"  | {n}: {100 * error.error:.2f} ({100 * error.low:.2f} to {100 * error.high:.2f})"
+            if options.stop:
+                rule = {"error": options.stop, "confidence": 0.9}
+                campaign = Campaign.of(campaign.settings.changed({"sampling.budget": MOST, "stop": rule}))
+                store = MemoryStore(campaign.schema)
+                run(campaign, store, executor, MOST)
+                done = standing(campaign, store.batches, MOST).done
+                true = true_error(
+                    campaign, current_classifier(campaign, store, write=False), executor, options.fresh, seed
+                )
+                text += f"  | stop at {done}, true {100 * true:.2f}"
+                stopped += done < MOST
+                good += done < MOST and true <= options.stop
+            print(text, flush=True)
+    for n, number in covered.items():
+        print(f"90 % interval from {n} fresh simulations: holds the true error in {number} of {options.campaigns}")
+    if options.stop:
+        print(
+            f"stop at an error of {100 * options.stop:g} % at confidence 0.9: {good} of {stopped} that stopped have it"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,622 @@
+"""Settings: what is written is what is run, and every mistake is named with file, key path, rule and value."""
+
+import hashlib
+import math
+import tomllib
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from activefail.bearing import TABLE_1, Model, Tolerance
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.opening import read_campaign
+from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
+from activefail.errors import InputError
+
+SHIPPED = sorted((Path(__file__).parents[2] / "campaigns").glob("*.toml"))
+
+
+def _refusal(text: str) -> str:
+    with pytest.raises(InputError) as refused:
+        parse_settings(text, "mine.toml")
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path: Path) -> None:
+    settings = read_settings(path)
+    campaign = Campaign.of(settings)
+    assert settings.simulator != "dfp" or campaign.space == TABLE_1
+    assert settings.description
+    comment = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
+    assert any("should show" in line for line in comment)
+
+
+def test_there_are_campaigns_that_ship() -> None:
+    assert {"paper.toml", "quick.toml"} <= {path.name for path in SHIPPED}
+
+
+def test_the_paper_campaign_is_the_papers() -> None:
+    settings = read_settings(SHIPPED[0].with_name("paper.toml"))
+    assert settings.design_space() == TABLE_1
+    assert (settings.sampling.initial, settings.classifier.features, settings.classifier.kernel) == (
+        250,
+        "paper",
+        "rbf",
+    )
+    assert settings.bearing.model() == Model()
+    assert settings.bearing.integration() == Tolerance()
+
+
+def test_an_empty_file_is_the_papers_study() -> None:
+    settings = parse_settings("", "empty")
+    assert settings.design_space() == TABLE_1
+    assert settings.bearing.model() == Model()
+    assert settings.bearing.integration() == Tolerance()
+    assert Campaign.of(settings).simulator.outcomes == ("no_impact", "impact", "failure")
+
+
+def test_what_the_file_says_reaches_the_simulator() -> None:
+    settings = parse_settings(
+        """
+        [bearing]
+        slider_diameter = 0.25
+        restitution_coefficient = 0.5
+        restitution = "assembly"
+        slider_density = 7000
+        friction_velocity = 2e-3
+        loss_of_confinement = false
+        tolerance = 1e-5
+        """,
+        "mine.toml",
+    )
+    assert settings.bearing.model() == Model(0.25, 0.5, "assembly", 7000.0, 2e-3, False)
+    assert settings.bearing.integration() == Tolerance(relative=1e-5)
+
+
+def test_the_order_of_the_variables_is_the_files() -> None:
+    text = "\n".join(f"space.{p.name} = {{ low = {p.low}, high = {p.high} }}" for p in reversed(TABLE_1.parameters))
+    assert parse_settings(text, "mine.toml").design_space().names == TABLE_1.names[::-1]
+
+
+# What breaks a rule, and what the message must say of it: key path, rule and value.
+BROKEN = {
+    "unknown key": ("sead = 1", ["sead: unknown key; did you mean 'seed'?"]),
+    "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key; did you mean 'batch'?"]),
+    "unknown key of what need not be": (
+        "stop = { error = 0.1, evry = 2 }",
+        ["stop.evry: unknown key; did you mean 'every'?"],
+    ),
+    "unknown key of a simulator": (
+        'simulator = { command = "a {out}", retry = 1 }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.retry: unknown key; did you mean 'retries'?"],
+    ),
+    "unknown table": ("[aquisition]", ["aquisition: unknown key; did you mean 'acquisition'?"]),
+    "unknown key of a variable": (
+        "space.mu = {low = 0.1, high = 0.2, men = 0.15}",
+        ["space.mu.men: unknown key; did you mean 'mean'?"],
+    ),
+    "a mean of a uniform variable": (
+        "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
+        ["space.mu: a mean and an sd belong to a truncated normal"],
+    ),
+    "a normal without its spread": (
+        "space.mu = {low = 0.1, high = 0.2, mean = 0.15, distribution = 'truncated_normal'}",
+        ["space.mu: a mean and an sd belong to a truncated normal"],
+    ),
+    "a normal far from its bounds": (
+        "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
+        ["space.mu: 0.1 to 0.2 must hold at least 1e-06 of the normal"],
+    ),
+    "a logarithm of what is not positive": (
+        "space.mu = {low = 0.0, high = 0.2, distribution = 'log_uniform'}",
+        ["space.mu: `low > 0` must hold with a uniform logarithm", "0.0"],
+    ),
+    "unknown distribution": (
+        "space.mu = {low = 0.1, high = 0.2, distribution = 'normal'}",
+        ["space.mu.distribution: must be 'uniform', 'log_uniform' or 'truncated_normal'", "'normal'"],
+    ),
+    "a fixed variable with bounds": (
+        "space.mu = {value = 0.1, low = 0.2}",
+        ["space.mu.low: a variable has `low` and `high`, or `value` alone"],
+    ),
+    "a key of a program beside a function": (
+        'simulator = { python = "a:b", retries = -1 }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.retries: belongs to `command`, and does not stand beside `python`"],
+    ),
+    "a function and a program": (
+        'simulator = { python = "a:b", command = "a {out}" }\nspace.x = { low = 0, high = 1 }',
+        ["simulator.command: cannot stand beside `python`"],
+    ),
+    "a function and expressions": (
+        'classifier.features = { python = "a:b", expressions = { x = "mu" } }',
+        ["classifier.features.expressions: cannot stand beside `python`"],
+    ),
+    "a fixed variable that is no number": ("space.mu = {value = inf}", ["space.mu.value: must be", "inf"]),
+    "unknown table of a simulator": (
+        'simulator = { tcl = "model.tcl" }',
+        ["simulator: must be a name, a table with `python` or a table with `command`", "model.tcl"],
+    ),
+    "no function of Python": ('simulator.python = "model.py"', ['simulator.python: must be "module:function"']),
+    "one outcome": (
+        'simulator = { python = "a:b", outcomes = ["safe"] }',
+        ["simulator.outcomes: must hold at least 2, got ['safe']"],
+    ),
+    "an outcome twice": (
+        'simulator = { python = "a:b", outcomes = ["safe", "safe"] }',
+        ["simulator.outcomes: must differ from each other, got 'safe' twice"],
+    ),
+    "a margin that is no name": (
+        'simulator = { python = "a:b", margins = ["peak drift"] }',
+        ["simulator.margins: must be identifiers, got 'peak drift'"],
+    ),
+    "no time at all": (
+        'simulator = { command = "a {out}", time_limit = 0.0 }',
+        ["simulator.time_limit: must be greater than 0", "0.0"],
+    ),
+    "unknown table of features": (
+        "classifier.features = { sympy = 'a' }",
+        ["classifier.features: must be a name, a table with `python` or a table with `expressions`"],
+    ),
+    "text for a number": ('seed = "one"', ["seed: must be", "integer", "'one'"]),
+    "number for a text": ("description = 3", ["description: must be", "string", "3"]),
+    "fraction for a whole number": ("sampling.batch = 2.5", ["sampling.batch: must be", "integer", "2.5"]),
+    "list for a number": ("space.mu = {low = [1], high = 2}", ["space.mu.low: must be", "number", "[1]"]),
+    "number for a table": ("sampling = 500", ["sampling: must be", "500"]),
+    "number for a variable": ("space.mu = 0.06", ["space.mu: must be", "0.06"]),
+    "text for a switch": ('bearing.loss_of_confinement = "maybe"', ["bearing.loss_of_confinement: must be", "'maybe'"]),
+    "half a variable": ("space.mu = {low = 0.1}", ["space.mu.high: required, but not there"]),
+    "four outcomes": (
+        'simulator = { python = "a:b", outcomes = ["a", "b", "c", "d"] }',
+        ["simulator.outcomes: must hold at most 3, got ['a', 'b', 'c', 'd']"],
+    ),
+    "no table": ("space.mu = [0.1, 0.2]", ["space.mu: must be a table, got [0.1, 0.2]"]),
+    "a section that is none": ("stop = 0.05", ["stop: must be a table, got 0.05"]),
+    "a mean without sd": (
+        'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; missing: sd"],
+    ),
+    "neither mean nor sd": (
+        'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal" }',
+        ["and to it alone; missing: mean, sd"],
+    ),
+    "a mean alone": (
+        "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got uniform with mean 0.15"],
+    ),
+    "an sd alone": (
+        "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got log_uniform with sd 0.1"],
+    ),
+    "no variables of a simulator of one's own": (
+        'simulator.python = "a:b"',
+        ["space: required where the simulator is one's own"],
+    ),
+    "no variable": ("[space]", ["space: ", "at least 1"]),
+    "negative seed": ("seed = -1", ["seed: must be greater than or equal to 0", "-1"]),
+    "seed too large": (f"seed = {2**63}", ["seed: must be less than 9223372036854775808", str(2**63)]),
+    "initial too small": ("sampling.initial = 1", ["sampling.initial: must be greater than or equal to 2", "1"]),
+    "no batch": ("sampling.batch = 0", ["sampling.batch: must be greater than or equal to 1", "0"]),
+    "batch too large": ("sampling.batch = 501", ["sampling.batch: must be less than or equal to 500", "501"]),
+    "budget below initial": (
+        "sampling = {initial = 100, budget = 50}",
+        ["sampling: `initial <= budget` must hold, got 100 and 50"],
+    ),
+    "low at high": (
+        "space.mu = {low = 0.2, high = 0.2}",
+        ["space.mu: `low < high` must hold, got 0.2 and 0.2"],
+    ),
+    "low above high": (
+        "space.mu = {low = 0.2, high = 0.1}",
+        ["space.mu: `low < high` must hold, got 0.2 and 0.1"],
+    ),
+    "square that overflows": (
+        "space.mu = {low = 1, high = 1e155}",
+        ["space.mu: `-1e+75 <= low` and `high <= 1e+75` must hold, got 1.0 and 1e+155"],
+    ),
+    "nan": ("space.mu = {low = nan, high = 1}", ["space.mu.low: must be a finite number", "nan"]),
+    "inf": ("space.mu = {low = 0, high = inf}", ["space.mu.high: must be a finite number", "inf"]),
+    "minus inf": ("bearing.slider_density = -inf", ["bearing.slider_density: must be", "-inf"]),
+    "nan limit": ("limits.numerical_failures = nan", ["limits.numerical_failures: must be a finite number", "nan"]),
+    "limit above 1": (
+        "limits.numerical_failures = 1.5",
+        ["limits.numerical_failures: must be less than or equal to 1", "1.5"],
+    ),
+    "restitution": ('bearing.restitution = "elastic"', ["bearing.restitution: must be 'pairwise' or 'assembly'"]),
+    "e of 0": (
+        "bearing.restitution_coefficient = 0.0",
+        ["bearing.restitution_coefficient: must be greater than 0", "0.0"],
+    ),
+    "loose tolerance": ("bearing.tolerance = 0.1", ["bearing.tolerance: must be less than or equal to 0.001", "0.1"]),
+    "unknown simulator": ('simulator = "fem"', ["simulator: must be 'dfp'", "'fem'"]),
+    "unknown features": (
+        'classifier.features = "all"',
+        ["classifier.features: must be 'paper', 'design', 'sliding' or 'collision'", "'all'"],
+    ),
+    "number for features": ("classifier.features = 9", ["classifier.features: must be", "'sliding'", "9"]),
+    "features without a function": (
+        'classifier.features = { python = "mine" }',
+        ['classifier.features.python: must be "module:function"', "'mine'"],
+    ),
+    "unknown key of features": (
+        'classifier.features = { python = "mine:f", variable = false }',
+        ["classifier.features.variable: unknown key; did you mean 'variables'?"],
+    ),
+    "unknown kernel": ('classifier.kernel = "linear"', ["classifier.kernel: must be 'rbf' or 'matern52'", "'linear'"]),
+    "unknown criterion": (
+        'acquisition.criterion = "luck"',
+        ["acquisition.criterion: must be 'entropy', 'u', 'straddle', 'bald', 'eavc', 'globalmi' or 'sur'", "'luck'"],
+    ),
+    "number for a boundary": ("acquisition.boundary = 2", ["acquisition.boundary: must be an outcome, or", "got 2"]),
+    "no boundary": ("acquisition.boundary = {}", ["acquisition.boundary: must name at least one outcome"]),
+    "weight of 0": (
+        "acquisition.boundary = {failure = 1, impact = 0}",
+        ["acquisition.boundary: the weight of 'impact' must be a positive finite number, got 0"],
+    ),
+    "negative weight": ("acquisition.boundary = {failure = -0.5}", ["acquisition.boundary: the weight", "got -0.5"]),
+    "nan weight": ("acquisition.boundary = {failure = nan}", ["acquisition.boundary: the weight", "got nan"]),
+    "infinite weight": ("acquisition.boundary = {failure = inf}", ["acquisition.boundary: the weight", "got inf"]),
+    "weight that no computer's number holds": (
+        f"acquisition.boundary = {{failure = 1{'0' * 400}}}",
+        ["acquisition.boundary: the weight of 'failure' must be a positive finite number, got 1000", "..."],
+    ),
+    "weight of thousands of digits": (
+        f"acquisition.boundary = {{failure = 0x{'f' * 6000}}}",
+        ["acquisition.boundary: the weight of 'failure' must be", "got a number of thousands of digits"],
+    ),
+    "seed of thousands of digits": (
+        f"seed = 0x{'f' * 6000}",
+        ["seed: must be less than 9223372036854775808, got a number of thousands of digits"],
+    ),
+    "bound that no computer's number holds": (
+        f"space.mu = {{low = 0, high = 1{'0' * 400}}}",
+        ["space.mu.high: must be"],
+    ),
+    "name that is none": (
+        'space."T b" = {low = 1, high = 2}',
+        ["space: a variable's name must be an identifier, got 'T b'"],
+    ),
+    "text for a weight": ('acquisition.boundary = {failure = "1"}', ["acquisition.boundary: the weight", "got '1'"]),
+    "truth for a weight": ("acquisition.boundary = {failure = true}", ["acquisition.boundary: the weight", "True"]),
+    "exploration above 1": (
+        "acquisition.exploration = 1.5",
+        ["acquisition.exploration: must be less than or equal to 1", "1.5"],
+    ),
+    "negative exploration": (
+        "acquisition.exploration = -0.1",
+        ["acquisition.exploration: must be greater than or equal to 0", "-0.1"],
+    ),
+    "negative validation": ("validation.size = -1", ["validation.size: must be greater than or equal to 0", "-1"]),
+}
+
+
+@pytest.mark.parametrize(("text", "says"), BROKEN.values(), ids=BROKEN.keys())
+def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, says: list[str]) -> None:
+    message = _refusal(text)
+    assert message.startswith("mine.toml:\n  ")
+    assert [part for part in says if part not in message] == []
+    assert len(message.splitlines()) == 2
+    assert len(message) < 400
+
+
+def test_a_whole_number_of_more_digits_than_are_read_is_refused_naming_the_file() -> None:
+    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: a whole number of thousands of digits."
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ('seed = "7"', "seed"),
+        ("seed = true", "seed"),
+        ('space.mu = { low = "0.1", high = 0.2 }', "space.mu.low"),
+        ("space.mu = { low = false, high = true }", "space.mu.low"),
+        ('bearing.loss_of_confinement = "no"', "bearing.loss_of_confinement"),
+        ("bearing.loss_of_confinement = 0", "bearing.loss_of_confinement"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_and_not_taken_for_what_it_might_mean(text: str, key: str) -> None:
+    assert f"{key}: must be" in _refusal(text)
+
+
+def test_a_whole_number_will_do_where_any_number_will() -> None:
+    assert parse_settings("space.mu = { low = 0, high = 1 }", "mine.toml").space["mu"].high == 1.0
+
+
+def test_all_mistakes_are_named_at_once() -> None:
+    lines = _refusal('seed = -1\nsampling.batch = 0\nclassifier.kernel = "linear"\nextra = 1').splitlines()
+    assert [line.strip().split(":")[0] for line in lines] == [
+        "mine.toml",
+        "seed",
+        "sampling.batch",
+        "classifier.kernel",
+        "extra",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"), [("seed = ", 1), ("a = 1\nseed 1", 2), ("[sampling\nbatch = 1", 1), ("seed = 1\nseed = 2", 2)]
+)
+def test_malformed_toml_is_refused_naming_file_and_line(text: str, line: int) -> None:
+    message = _refusal(text)
+    assert message.startswith("mine.toml: not valid TOML: ")
+    assert f"line {line}" in message or "end of document" in message
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read: No such file or directory"):
+        read_settings(tmp_path / "none.toml")
+
+
+def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"{tmp_path}: cannot be read: Is a directory"):
+        read_settings(tmp_path)
+
+
+def test_a_file_that_is_not_utf8_is_refused_naming_file_and_place(tmp_path: Path) -> None:
+    path = tmp_path / "latin.toml"
+    path.write_bytes('description = "Lager für Brücken"'.encode("latin-1"))
+    with pytest.raises(InputError, match=r"latin\.toml: not UTF-8 text: .* at byte 22"):
+        read_settings(path)
+
+
+def test_a_file_with_umlauts_and_windows_line_ends_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "utf8.toml"
+    path.write_bytes('description = "Brücke"\r\nseed = 3\r\n'.encode())
+    assert (read_settings(path).description, read_settings(path).seed) == ("Brücke", 3)
+
+
+def test_weights_of_boundaries_are_shares_and_the_largest_is_the_main_one() -> None:
+    acquisition = parse_settings("acquisition.boundary = {impact = 1, failure = 3}", "mine.toml").acquisition
+    assert acquisition.boundaries == {"impact": 0.25, "failure": 0.75}
+    assert acquisition.main_boundary == "failure"
+    one = parse_settings('acquisition.boundary = "impact"', "mine.toml").acquisition
+    assert (one.boundaries, one.main_boundary) == ({"impact": 1.0}, "impact")
+    equal = parse_settings("acquisition.boundary = {impact = 1e308, failure = 1e308}", "mine.toml").acquisition
+    assert (equal.boundaries, equal.main_boundary) == ({"impact": 0.5, "failure": 0.5}, "impact")
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "acquisition", "boundary"),
+    [
+        ('outcomes = ["ok", "broken"]', "", "broken"),
+        ('outcomes = ["ok", "cracked", "broken"]', 'criterion = "bald"', "broken"),
+        ('outcomes = ["ok", "cracked", "broken"]', 'boundary = "cracked"', "cracked"),
+        ("", "", "failure"),
+    ],
+)
+def test_the_boundary_of_a_simulator_of_ones_own_is_that_of_its_most_severe_outcome_where_none_is_named(
+    outcomes: str, acquisition: str, boundary: str
+) -> None:
+    simulator = f'[simulator]\ncommand = "a {{out}}"\n{outcomes}\n'
+    text = f"{simulator}[space]\nx = {{ low = 0, high = 1 }}\n[acquisition]\n{acquisition}"
+    settings = parse_settings(text, "mine.toml")
+    assert settings.acquisition.boundaries == {boundary: 1.0}
+    assert Campaign.of(settings).severity == len(settings.simulator.outcomes) - 1 - (boundary == "cracked")
+    assert parse_settings(settings.text(), "frozen") == settings
+
+
+def test_settings_are_frozen() -> None:
+    settings = parse_settings("", "empty")
+    with pytest.raises(ValidationError, match="frozen"):
+        settings.seed = 2
+    with pytest.raises(ValidationError, match="frozen"):
+        settings.sampling.budget = 2
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+sampling = st.tuples(st.integers(2, 10**6), st.integers(2, 10**6), st.integers(1, 500)).map(
+    lambda t: {"initial": min(t[:2]), "budget": max(t[:2]), "batch": t[2]}
+)
+bound = st.floats(-1e75, 1e75)
+names = st.from_regex(r"[^\W\d]\w{0,9}", fullmatch=True).filter(str.isidentifier)
+variable = st.tuples(bound, bound, texts).filter(lambda t: t[0] < t[1])
+valid = st.fixed_dictionaries(
+    {},
+    optional={
+        "description": texts,
+        "seed": st.integers(0, 2**63 - 1),
+        "sampling": sampling,
+        "space": st.dictionaries(
+            names, variable.map(lambda t: dict(zip(("low", "high", "unit"), t, strict=True))), min_size=1, max_size=4
+        ),
+        "bearing": st.fixed_dictionaries(
+            {}, optional={"slider_diameter": st.floats(1e-3, 4.9), "loss_of_confinement": st.booleans()}
+        ),
+        "classifier": st.fixed_dictionaries({"kernel": st.sampled_from(["rbf", "matern52"])}),
+        "acquisition": st.fixed_dictionaries(
+            {},
+            optional={
+                "criterion": st.sampled_from(["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]),
+                "boundary": texts | st.dictionaries(texts, finite.filter(lambda w: w > 0.0), min_size=1, max_size=3),
+                "exploration": st.floats(0.0, 1.0),
+            },
+        ),
+        "limits": st.fixed_dictionaries({"numerical_failures": st.floats(0.0, 1.0)}),
+        "validation": st.fixed_dictionaries({"size": st.integers(0, 10**5)}),
+    },
+)
+
+
+@hypothesis.settings(deadline=None)
+@given(values=valid)
+def test_settings_written_out_and_read_again_are_the_same_to_the_last_bit(values: dict[str, Any]) -> None:
+    settings = parse_settings(tomli_w.dumps(values), "drawn")
+    text = settings.text()
+    again = parse_settings(text, "written out")
+    assert again == settings
+    # Equal floats are not yet equal bits: zero has two signs.
+    assert again.text() == text
+    assert list(again.space) == list(settings.space)
+
+
+@pytest.mark.parametrize(
+    "features", ['"sliding"', '{ python = "mine.physics:f" }', '{ python = "m:f", variables = false }']
+)
+def test_the_frozen_copy_says_what_the_classifier_sees(features: str) -> None:
+    settings = parse_settings(f"classifier.features = {features}", "mine.toml")
+    assert parse_settings(settings.text(), "frozen") == settings
+
+
+OWN = """
+import numpy as np
+
+def ratio(X, space):
+    T_b, T_p = space.pick(X.T, ["T_b", "T_p"])
+    return np.log(T_b / T_p)[:, None]
+"""
+
+
+def test_a_function_beside_the_campaigns_file_says_what_the_classifier_sees(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN)
+    (tmp_path / "mine.toml").write_text('classifier.features = { python = "mine:ratio", variables = false }')
+    campaign = read_campaign(tmp_path / "mine.toml", code=tmp_path)
+    assert campaign.features.names == ("ratio[0]",)
+    X = TABLE_1.latin_hypercube(4, np.random.default_rng(0))
+    assert campaign.features.raw(X).tolist() == np.log(X[:, [0]] / X[:, [7]]).tolist()
+    assert campaign.sources == {"classifier.features.python": hashlib.sha256(OWN.encode()).hexdigest()}
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        (None, r"there is no module 'mine'; looked for .*/mine\.py"),
+        ("def other(X, space): pass", r".*/mine\.py has no function 'ratio'"),
+        ("ratio = 3", r".*/mine\.py has no function 'ratio'"),
+        ("1 / 0", "mine cannot be imported: ZeroDivisionError: division by zero"),
+        ("import a_module_that_is_not_there", "mine cannot be imported: No module named 'a_module_that_is_not_there'"),
+    ],
+)
+def test_a_function_that_cannot_be_loaded_is_refused_by_file_key_and_reason(
+    tmp_path: Path, source: str | None, says: str
+) -> None:
+    if source is not None:
+        (tmp_path / "mine.py").write_text(source)
+    path = tmp_path / "mine.toml"
+    path.write_text('classifier.features = { python = "mine:ratio" }')
+    with pytest.raises(InputError, match=rf"mine\.toml: classifier\.features\.python: {says}"):
+        read_campaign(path, code=tmp_path)
+
+
+def test_a_changed_function_is_told_on_resume(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN)
+    path = tmp_path / "mine.toml"
+    path.write_text('classifier.features = { python = "mine:ratio" }')
+    before = read_campaign(path, code=tmp_path).sources
+    (tmp_path / "mine.py").write_text(OWN + "# changed")
+    assert read_campaign(path, code=tmp_path).sources.keys() == before.keys()
+    assert read_campaign(path, code=tmp_path).sources != before
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_the_frozen_copy_of_a_campaign_that_ships_is_the_campaign(path: Path) -> None:
+    settings = read_settings(path)
+    assert parse_settings(settings.text(), "frozen") == settings
+
+
+def test_the_frozen_copy_writes_the_defaults_out() -> None:
+    def keys(model: Any) -> Any:
+        return {name: keys(value) if isinstance(value, dict) else None for name, value in model.items()}
+
+    written = tomllib.loads(parse_settings("seed = 1", "mine.toml").text())
+    assert keys(written) == keys(CampaignSettings().model_dump(exclude_none=True))
+
+
+@hypothesis.settings(deadline=None)
+@given(
+    key=st.sampled_from(["sampling.initial", "sampling.budget", "sampling.batch", "validation.size", "seed"]),
+    value=st.one_of(st.integers(-(2**62), -1), finite.filter(lambda x: not x.is_integer()), st.just(math.nan)),
+)
+def test_no_count_is_negative_fractional_or_nan(key: str, value: float) -> None:
+    assert f"  {key}: must be" in _refusal(tomli_w.dumps(_nested(key, value)))
+
+
+def _nested(key: str, value: Any) -> dict[str, Any]:
+    head, _, tail = key.partition(".")
+    return {head: {tail: value} if tail else value}
+
+
+@hypothesis.settings(deadline=None)
+@given(text=st.text(st.sampled_from('a=1.[]{}"\n#\0\t\u00fc'), max_size=40))
+def test_no_text_makes_the_parser_raise_anything_but_an_input_error_that_names_the_file(text: str) -> None:
+    with suppress(InputError):
+        parse_settings(text, "mine.toml")
+        return
+    assert _refusal(text).startswith(("mine.toml: not valid TOML: ", "mine.toml:\n  "))
+
+
+def test_the_command_lines_seed_and_budget_replace_the_files_and_nothing_else() -> None:
+    settings = parse_settings("seed = 1\nsampling.batch = 7", "mine.toml")
+    changed = settings.with_overrides(seed=5, budget=600)
+    assert (changed.seed, changed.sampling.budget, changed.sampling.batch) == (5, 600, 7)
+    assert changed.with_overrides(seed=1, budget=500) == settings
+    assert settings.with_overrides() == settings
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        ({"seed": -1}, "seed: must be greater than or equal to 0, got -1"),
+        ({"budget": 100}, "sampling: `initial <= budget` must hold, got 250 and 100"),
+        ({"budget": 0}, "sampling.budget: must be greater than or equal to 2, got 0"),
+    ],
+)
+def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, int], says: str) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_settings("", "mine.toml").with_overrides(**overrides)
+    assert str(refused.value) == f"command line:\n  {says}"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('acquisition.boundary = "collapse"', "acquisition.boundary: must be one of impact, failure, got 'collapse'"),
+        ('acquisition.boundary = "no_impact"', "acquisition.boundary: must be one of impact, failure, got 'no_impact'"),
+        (
+            "acquisition.boundary = {failure = 1, collapse = 1}",
+            "acquisition.boundary: must be one of impact, failure, got 'collapse'",
+        ),
+        ("space.mu = {low = 0.1, high = 0.2}", "space: lacks the variable 'T_b'; it has mu"),
+        *(
+            (
+                f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
+                f"space.{name}: is the name of a column that `activefail predict` adds; rename it.",
+            )
+            for name in ("p_safe", "p_failure", "latent_mean", "latent_sd")
+        ),
+    ],
+)
+def test_pieces_that_do_not_fit_each_other_are_refused_by_key_path_rule_and_value(text: str, says: str) -> None:
+    with pytest.raises(InputError) as refused:
+        Campaign.of(parse_settings(text, "mine.toml"))
+    assert says in str(refused.value)
+
+
+def test_settings_of_the_bearing_beside_a_simulator_of_ones_own_are_refused_unless_features_use_them() -> None:
+    table = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
+    own = {"simulator": {"command": "a {out}"}, "space": table, "bearing": {"slider_diameter": 0.25}}
+    with pytest.raises(InputError, match=r'bearing\.slider_diameter: belongs to `simulator = "dfp"`.*; got 0\.25'):
+        Campaign.of(parse_settings(tomli_w.dumps(own), "mine.toml"))
+    sliding = {"classifier": {"features": "sliding"}}
+    assert Campaign.of(parse_settings(tomli_w.dumps(own | sliding), "mine.toml")).space.names == TABLE_1.names
+    # A run folder's copy has the section, with the defaults.
+    frozen = parse_settings(tomli_w.dumps(own | {"bearing": {}}), "mine.toml").text()
+    assert "[bearing]" in frozen
+    assert Campaign.of(parse_settings(frozen, "frozen")).settings.text() == frozen
+
+
+def test_the_bearing_model_refuses_a_variable_that_it_has_not_and_one_that_reaches_zero() -> None:
+    table = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
+    with pytest.raises(InputError, match=r"space\.wind: the dfp simulator has no such variable; it has T_b, mu"):
+        Campaign.of(parse_settings(tomli_w.dumps({"space": table | {"wind": {"low": 0, "high": 1}}}), "mine.toml"))
+    table["mu"] = {"low": 0.0, "high": 0.12}
+    with pytest.raises(InputError, match=r"space\.mu\.low: must be positive for the dfp simulator, got 0\.0"):
+        Campaign.of(parse_settings(tomli_w.dumps({"space": table}), "mine.toml"))

@@ -1,0 +1,259 @@
+"""Tables in and out: answers are the simulator's to the last bit, and a bad table leaves nothing behind."""
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ran import Run
+
+from activefail.bearing import TABLE_1, Model, Tolerance, simulate
+from activefail.bearing.outcome import CAUSES, MARGINS, OUTCOMES
+from activefail.campaign.loop import one_thread
+from activefail.campaign.tables import check_bearing, export_table, predict_table, simulate_table
+from activefail.errors import InputError
+from activefail.space import Array
+
+HEADER = ",".join(TABLE_1.names)
+GOOD = "4.0,0.06,0.6,0.8,0.1,50,2e9,2.0,0.4"
+
+
+def written(path: Path) -> tuple[list[str], list[list[str]]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file, strict=True)
+    return header, rows
+
+
+def numbers(rows: list[list[str]], columns: slice) -> Array:
+    """Cells as numbers, where an empty one is a NaN."""
+    return np.array([[float(cell) if cell else np.nan for cell in row[columns]] for row in rows])
+
+
+def save(path: Path, X: Array, names: tuple[str, ...] = TABLE_1.names) -> Path:
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([names, *(list(map(repr, row)) for row in X.tolist())])
+    return path
+
+
+# --- simulate ----------------------------------------------------------------------------------------------------
+
+
+def test_a_simulated_table_holds_what_simulate_answers_to_the_last_bit(tmp_path: Path) -> None:
+    X = TABLE_1.latin_hypercube(40, np.random.default_rng(1))
+    model, tolerance = Model(slider_diameter=0.32), Tolerance(relative=1e-3)
+    told: list[int] = []
+
+    def begin(total: int) -> object:
+        assert total == 40
+        return told.append
+
+    counts = simulate_table(save(tmp_path / "in.csv", X), tmp_path / "out.csv", model, tolerance, begin)  # type: ignore[arg-type]
+    answers = simulate(X, model, tolerance)
+    header, rows = written(tmp_path / "out.csv")
+    assert header == [*TABLE_1.names, "outcome", "cause", *MARGINS]
+    assert numbers(rows, slice(0, 9)).tobytes() == X.tobytes()
+    assert [row[9] for row in rows] == answers.outcome.tolist()
+    assert [row[10] for row in rows] == [CAUSES[cause] for cause in answers.cause]
+    assert np.array_equal(numbers(rows, slice(11, None)), answers.margins, equal_nan=True)
+    assert counts == {name: int((answers.outcome == name).sum()) for name in (*OUTCOMES, "numerical_failure")}
+    assert len(set(answers.outcome.tolist())) == 3
+    assert sum(told) == 40
+
+
+def test_a_numerical_failure_is_written_and_counted_as_one(tmp_path: Path) -> None:
+    X = TABLE_1.latin_hypercube(4, np.random.default_rng(1))
+    counts = simulate_table(save(tmp_path / "in.csv", X), tmp_path / "out.csv", Model(), Tolerance(most_steps=5))
+    _, rows = written(tmp_path / "out.csv")
+    assert {(row[9], row[10]) for row in rows} == {("numerical_failure", "too_many_steps")}
+    assert counts == {"no_impact": 0, "impact": 0, "failure": 0, "numerical_failure": 4}
+
+
+def test_other_columns_and_the_text_of_numbers_are_carried_along_in_any_order(tmp_path: Path) -> None:
+    X = TABLE_1.latin_hypercube(2, np.random.default_rng(1))
+    header = ["site", *TABLE_1.names[::-1], "remark"]
+    lines = [["Bridge, north", *[f"{x:.20e}" for x in row[::-1]], 'the "old" one\n2nd line'] for row in X.tolist()]
+    with (tmp_path / "in.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([header, *lines])
+    simulate_table(tmp_path / "in.csv", tmp_path / "out.csv", Model(), Tolerance())
+    found, rows = written(tmp_path / "out.csv")
+    assert found == [*header, "outcome", "cause", *MARGINS]
+    assert [row[:11] for row in rows] == lines
+    assert [row[11] for row in rows] == simulate(X).outcome.tolist()
+
+
+def test_a_table_may_be_written_over_itself(tmp_path: Path) -> None:
+    X = TABLE_1.latin_hypercube(3, np.random.default_rng(1))
+    path = save(tmp_path / "designs.csv", X)
+    simulate_table(path, path, Model(), Tolerance())
+    header, rows = written(path)
+    assert header[9:11] == ["outcome", "cause"]
+    assert len(rows) == 3
+
+
+def test_a_table_without_designs_becomes_a_header(tmp_path: Path) -> None:
+    counts = simulate_table(save(tmp_path / "in.csv", np.empty((0, 9))), tmp_path / "out.csv", Model(), Tolerance())
+    assert written(tmp_path / "out.csv") == ([*TABLE_1.names, "outcome", "cause", *MARGINS], [])
+    assert sum(counts.values()) == 0
+
+
+def _with(column: str, cell: str) -> str:
+    cells = GOOD.split(",")
+    cells[TABLE_1.names.index(column)] = cell
+    return ",".join(cells)
+
+
+BAD = {
+    **{
+        f"{name} of {cell}": (_with(name, cell), f"column {name}: `{name} > 0` must hold, got {float(cell):g}")
+        for name in TABLE_1.names
+        for cell in ("0", "-0.1")
+    },
+    **{
+        f"{name} of 1e308": (_with(name, "1e308"), f"column {name}: `{name} <= 1e+75` must hold, got 1e+308")
+        for name in TABLE_1.names
+    },
+    "text": (_with("mu", "rough"), "column mu: must be a number, got 'rough'"),
+    "nan": (_with("A_p", "nan"), "column A_p: must be finite, got 'nan'"),
+    "dish more than a hemisphere": (_with("D_tot", "20"), "D_tot, h_sl_ratio, h_rim_ratio: A dish must be less"),
+    "slider higher than the sphere": (_with("h_sl_ratio", "90"), "h_sl_ratio, h_rim_ratio: The slider must be lower"),
+    "cell too few": (GOOD.rpartition(",")[0], "must have 9 cells as the header does, has 8"),
+}
+
+
+@pytest.mark.parametrize(("line", "says"), BAD.values(), ids=BAD.keys())
+def test_a_design_that_is_no_bearing_is_refused_by_row_line_rule_and_value_and_nothing_is_written(
+    tmp_path: Path, line: str, says: str
+) -> None:
+    source = tmp_path / "in.csv"
+    source.write_text(f"{HEADER}\n{GOOD}\n{GOOD}\n{line}\n{GOOD}\n")
+    (tmp_path / "out.csv").write_text("the old one")
+    began: list[int] = []
+    with pytest.raises(InputError) as refused:
+        simulate_table(source, tmp_path / "out.csv", Model(), Tolerance(), lambda n: began.append)  # type: ignore[arg-type,return-value]
+    message = str(refused.value)
+    assert message.startswith(f"{source}: row 3 (line 4), ")
+    assert says in message
+    assert message.endswith(".")
+    assert not message.endswith("..")
+    assert began == []
+    assert sorted(os.listdir(tmp_path)) == ["in.csv", "out.csv"]
+    assert (tmp_path / "out.csv").read_text() == "the old one"
+
+
+@pytest.mark.parametrize("column", ["outcome", "cause", MARGINS[0], MARGINS[-1]])
+def test_a_table_that_has_an_answer_already_is_refused(tmp_path: Path, column: str) -> None:
+    (tmp_path / "in.csv").write_text(f"{HEADER},{column}\n{GOOD},x\n")
+    with pytest.raises(InputError, match=f"column '{column}': will be written"):
+        simulate_table(tmp_path / "in.csv", tmp_path / "out.csv", Model(), Tolerance())
+
+
+def test_what_passes_the_check_of_a_bearing_can_be_simulated() -> None:
+    check = check_bearing(Model())
+    rng = np.random.default_rng(0)
+    # Five times wider than Table 1, on both sides.
+    X = np.exp(rng.uniform(np.log(TABLE_1.low / 5.0), np.log(TABLE_1.high * 5.0), (60, 9)))
+    passed = X[[check(row) is None for row in X]]
+    assert 10 < len(passed) < 60
+    assert len(simulate(passed).label) == len(passed)
+
+
+# --- predict -----------------------------------------------------------------------------------------------------
+
+
+def test_probabilities_of_a_prediction_sum_to_one_and_are_the_classifiers(ran: Run, tmp_path: Path) -> None:
+    X = ran.campaign.space.sobol(64, np.random.default_rng(3))
+    source = save(tmp_path / "in.csv", X, ("x", "y"))
+    told: list[int] = []
+    with one_thread():
+        outside = predict_table(ran.campaign, ran.classifier, source, tmp_path / "out.csv", lambda _: told.append)
+        probabilities = ran.classifier.probabilities(X)
+        latent = ran.classifier.latents[0].moments(ran.campaign.features(X))
+    header, rows = written(tmp_path / "out.csv")
+    assert header == ["x", "y", "p_safe", "p_broken", "latent_mean", "latent_sd"]
+    answers = numbers(rows, slice(2, None))
+    np.testing.assert_allclose(answers[:, :2].sum(axis=1), 1.0, rtol=0.0, atol=1e-12)
+    assert answers[:, :2].min() >= 0.0
+    assert answers.tobytes() == np.column_stack([probabilities, latent.mean, latent.sd]).tobytes()
+    assert (answers[:, 3] > 0.0).all()
+    assert (outside, told) == (0, [64])
+
+
+def test_a_prediction_does_not_depend_on_the_rows_beside_it(ran: Run, tmp_path: Path) -> None:
+    X = ran.campaign.space.sobol(16, np.random.default_rng(3))
+    answers = []
+    for order in (np.arange(16), np.arange(16)[::-1]):
+        with one_thread():
+            predict_table(
+                ran.campaign, ran.classifier, save(tmp_path / "in.csv", X[order], ("x", "y")), tmp_path / "out.csv"
+            )
+        answers.append(numbers(written(tmp_path / "out.csv")[1], slice(2, None))[np.argsort(order)])
+    np.testing.assert_allclose(answers[0], answers[1], rtol=1e-9, atol=1e-12)
+
+
+def test_designs_outside_the_space_are_predicted_and_counted(ran: Run, tmp_path: Path) -> None:
+    X = np.vstack([ran.campaign.space.low, ran.campaign.space.high, [[-2.1, 20.0], [0.0, 51.0], [1e308, -1e308]]])
+    source = save(tmp_path / "in.csv", X, ("x", "y"))
+    with one_thread():
+        assert predict_table(ran.campaign, ran.classifier, source, tmp_path / "out.csv") == 3
+    answers = numbers(written(tmp_path / "out.csv")[1], slice(2, None))
+    assert np.isfinite(answers).all()
+    np.testing.assert_allclose(answers[:, :2].sum(axis=1), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("x,y\n0,20\n0,nan\n", "row 2 (line 3), column y: must be finite, got 'nan'"),
+        ("x,y\n0,20\nright,20\n", "row 2 (line 3), column x: must be a number, got 'right'"),
+        ("x\n0\n", "column 'y': required, but not there; needed are x,y"),
+        ("x,y,p_broken\n0,20,1\n", "column 'p_broken': will be written and must not be there already"),
+        ("x,y,latent_sd\n0,20,1\n", "column 'latent_sd': will be written and must not be there already"),
+    ],
+)
+def test_a_table_that_cannot_be_predicted_is_refused_and_nothing_is_written(
+    ran: Run, tmp_path: Path, content: str, says: str
+) -> None:
+    (tmp_path / "in.csv").write_text(content)
+    with pytest.raises(InputError) as refused:
+        predict_table(ran.campaign, ran.classifier, tmp_path / "in.csv", tmp_path / "out.csv")
+    assert str(refused.value).startswith(f"{tmp_path / 'in.csv'}: {says}")
+    assert os.listdir(tmp_path) == ["in.csv"]
+
+
+# --- export ------------------------------------------------------------------------------------------------------
+
+
+def test_an_exported_table_is_the_record_to_the_last_bit(ran: Run, tmp_path: Path) -> None:
+    assert export_table(ran.campaign, ran.store, tmp_path / "out.csv") == 40
+    header, rows = written(tmp_path / "out.csv")
+    assert header == ["id", "iteration", "origin", "x", "y", "outcome", "cause", "distance", "seconds"]
+    batches = ran.store.batches
+    assert numbers(rows, slice(3, 5)).tobytes() == np.concatenate([b.designs for b in batches]).tobytes()
+    assert [row[0] for row in rows] == [str(i) for i in range(40)]
+    assert [row[1] for row in rows] == ["0"] * 20 + ["1"] * 10 + ["2"] * 10
+    assert [row[2] for row in rows] == ["seed"] * 20 + ["active"] * 20
+    outcome = np.concatenate([b.results.outcome for b in batches])
+    assert [row[5] for row in rows] == [("safe", "broken", "numerical_failure")[i] for i in outcome]
+    assert [row[6] for row in rows] == [("", "crack", "fog")[i] for i in outcome]
+    margins = np.concatenate([b.results.margins for b in batches])
+    assert np.array_equal(numbers(rows, slice(7, 8)), margins, equal_nan=True)
+    assert np.isnan(margins).any()
+    assert all(row[7] != "nan" for row in rows)
+    seconds = np.concatenate([b.results.seconds for b in batches])
+    assert numbers(rows, slice(8, 9)).ravel().tobytes() == seconds.tobytes()
+
+
+def test_an_exported_table_can_be_read_as_designs_again(ran: Run, tmp_path: Path) -> None:
+    export_table(ran.campaign, ran.store, tmp_path / "out.csv")
+    with one_thread():
+        assert predict_table(ran.campaign, ran.classifier, tmp_path / "out.csv", tmp_path / "again.csv") == 0
+    header, rows = written(tmp_path / "again.csv")
+    assert header[-4:] == ["p_safe", "p_broken", "latent_mean", "latent_sd"]
+    right = [(float(row[-4]) > 0.5) == (row[5] == "safe") for row in rows if row[5] != "numerical_failure"]
+    assert np.mean(right) > 0.9
+
+
+def test_where_nothing_can_be_written_the_name_and_the_reason_are_told(ran: Run, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none/out\.csv: cannot be written: No such file or directory"):
+        export_table(ran.campaign, ran.store, tmp_path / "none" / "out.csv")

@@ -1,0 +1,586 @@
+"""Campaigns on a Dask cluster: a real scheduler and real workers, which are killed, added and restarted."""
+
+import operator
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Thread, Timer
+
+import numpy as np
+import pytest
+from campaign.stub import Disc, disc
+from commandline import activefail, record, refused, started, wait_for
+from faults.simulators import Meddling, Remembering
+from patience import PATIENCE
+
+from activefail.campaign.asynchronous import resumed
+from activefail.campaign.loop import Observer, Progress, one_thread, run
+from activefail.errors import InputError, SimulationError
+from activefail.execution.dask import DaskExecutor
+from activefail.execution.executor import ThreadExecutor
+from activefail.record.batch import MemoryStore, columns_of
+from activefail.simulators.custom import PythonSimulator
+from activefail.simulators.interface import WORKER_DIED, Results
+from activefail.space import Array, DesignSpace, Parameter
+
+distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")
+
+TESTS = Path(__file__).parents[1]
+
+
+class Cluster:
+    """A scheduler and its workers, each a process of its own on this machine."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = 0
+        self.workers: dict[str, subprocess.Popen[bytes]] = {}
+        self.begin()
+
+    def begin(self) -> None:
+        """Start the scheduler, at the same address as before if there was one."""
+        log = self.folder / "scheduler.log"
+        self.scheduler = self._started("scheduler", log, "--host", "127.0.0.1", "--port", str(self.port))
+        until(lambda: "Scheduler at:" in log.read_text())
+        line = next(line for line in reversed(log.read_text().splitlines()) if "Scheduler at:" in line)
+        self.address = line.split()[-1]
+        self.port = int(self.address.rpartition(":")[2])
+
+    def add(self, name: str, *options: str) -> None:
+        """Start a worker, without a nanny that would start it again unless the options ask for one."""
+        log = self.folder / f"{name}.log"
+        self.workers[name] = self._started(
+            "worker",
+            log,
+            self.address,
+            *("--nthreads", "1", "--name", name, "--host", "127.0.0.1"),
+            *(options or ("--no-nanny",)),
+        )
+        until(lambda: "Registered to" in log.read_text())
+
+    def _started(self, what: str, log: Path, *options: str) -> subprocess.Popen[bytes]:
+        with log.open("ab") as file:
+            return subprocess.Popen(
+                [sys.executable, "-m", "dask", what, *options, "--no-dashboard"],
+                stdout=file,
+                stderr=file,
+                cwd=self.folder,
+                env=os.environ
+                | {
+                    "PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)]),
+                    "DASK_TEMPORARY_DIRECTORY": str(self.folder),
+                },
+            )
+
+    def close(self) -> None:
+        for process in (*self.workers.values(), self.scheduler):
+            process.kill()
+            process.wait()
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Wait for something to be true."""
+    give_up = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < give_up
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def alone(tmp_path: Path) -> Iterator[Cluster]:
+    """A scheduler without workers."""
+    made = Cluster(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture
+def cluster(alone: Cluster) -> Cluster:
+    """A scheduler with two workers."""
+    alone.add("one")
+    alone.add("two")
+    return alone
+
+
+@dataclass(frozen=True)
+class Noted(Disc):
+    """A disc that takes a while and notes where it is simulated."""
+
+    folder: str = ""
+    seconds: float = 0.2
+    releases_gil = True
+
+    def run(self, X: Array) -> Results:
+        path = Path(self.folder) / f"done-{os.getpid()}"
+        with path.open("a") as file:
+            file.write(".")
+        time.sleep(self.seconds)
+        return super().run(X)
+
+
+@dataclass(frozen=True)
+class Fatal(Disc):
+    """A disc that ends its process for some designs, and holds the interpreter's lock."""
+
+    releases_gil = False
+
+    def run(self, X: Array) -> Results:
+        if X[0, 0] > 2.0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().run(X)
+
+
+def plan(folder: Path, seconds: float = 0.2):
+    simulator = Noted(folder=str(folder), seconds=seconds)
+    return disc(simulator, initial=12, budget=28, batch=4, asynchronous=True)
+
+
+def check_whole(campaign, store: MemoryStore) -> None:
+    """Assert that a campaign has all its simulations, once each, and that the record says what was in flight."""
+    X = np.concatenate([batch.designs for batch in store.batches])
+    assert len(np.unique(X, axis=0)) == len(X) == 28
+    assert all((batch.results.outcome == Disc().run(batch.designs).outcome).all() for batch in store.batches)
+    bare = MemoryStore(campaign.schema)
+    for batch in store.batches:
+        bare.commit(batch)
+    with one_thread():
+        assert resumed(campaign, store).flight.tobytes() == resumed(campaign, bare).flight.tobytes()
+
+
+def test_a_worker_that_is_killed_without_batches_costs_no_simulation(cluster: Cluster, tmp_path: Path) -> None:
+    campaign = plan(tmp_path)
+    store = MemoryStore(campaign.schema)
+
+    def kill(progress: Progress) -> None:
+        if progress.done >= 16 and cluster.workers["one"].poll() is None:
+            cluster.workers["one"].kill()
+            cluster.workers["one"].wait()
+
+    with DaskExecutor(cluster.address) as executor:
+        assert run(campaign, store, executor, 28, Observer(kill))
+        assert executor.first_fault == ""
+    check_whole(campaign, store)
+    assert cluster.workers["one"].returncode == -signal.SIGKILL
+
+
+@dataclass(frozen=True)
+class Ambush(Disc):
+    """A disc that kills the first worker that it is asked about a certain design by."""
+
+    folder: str = ""
+    design: tuple[float, ...] = ()
+    releases_gil = True
+
+    def run(self, X: Array) -> Results:
+        if tuple(X[0].tolist()) == self.design:
+            with suppress(FileExistsError):
+                (Path(self.folder) / "ambush").touch(exist_ok=False)
+                os.kill(os.getpid(), signal.SIGKILL)
+        return super().run(X)
+
+
+@pytest.mark.parametrize("batch", [1, 5])  # of the initial design, and of chosen ones
+def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_batches(
+    cluster: Cluster, tmp_path: Path, batch: int
+) -> None:
+    undisturbed, store = (MemoryStore(disc().schema) for _ in range(2))
+    with ThreadExecutor(2) as here:
+        assert run(disc(), undisturbed, here, 28)
+    design = tuple(undisturbed.batches[batch].designs[1].tolist())
+    with DaskExecutor(cluster.address) as executor:
+        assert run(disc(Ambush(folder=str(tmp_path), design=design)), store, executor, 28)
+        assert executor.first_fault == ""
+    cluster_bits, bits = (
+        [(one.iteration, *(array.tobytes() for array in columns_of(one).values())) for one in kept.batches]
+        for kept in (store, undisturbed)
+    )
+    assert cluster_bits == bits
+    assert sorted(worker.poll() or 0 for worker in cluster.workers.values()) == [-signal.SIGKILL, 0]
+
+
+def test_a_worker_that_is_added_is_given_work(cluster: Cluster, tmp_path: Path) -> None:
+    campaign = plan(tmp_path)
+    store = MemoryStore(campaign.schema)
+
+    def add(progress: Progress) -> None:
+        if progress.done >= 14 and "three" not in cluster.workers:
+            cluster.add("three")
+
+    with DaskExecutor(cluster.address) as executor:
+        assert run(campaign, store, executor, 28, Observer(add))
+    check_whole(campaign, store)
+    assert len(list(tmp_path.glob("done-*"))) == 3
+
+
+def test_a_simulation_that_ends_its_process_costs_itself_and_not_the_worker(cluster: Cluster) -> None:
+    X = np.array([[0.0, 20.0], [2.5, 20.0], [1.0, 20.0], [2.9, 30.0]])
+    with DaskExecutor(cluster.address) as executor:
+        results = executor.run(Fatal(), X)
+        assert "its worker process died (SIGKILL" in executor.first_fault
+    assert (results.cause == WORKER_DIED).tolist() == [False, True, False, True]
+    assert all(worker.poll() is None for worker in cluster.workers.values())
+
+
+def test_a_hung_simulation_is_ended_by_its_limit_on_the_worker(cluster: Cluster) -> None:
+    with DaskExecutor(cluster.address, time_limit=3.0) as executor:
+        results = executor.run(Sleeping(), np.array([[-1.9, 11.0], [2.5, 20.0]]))
+        assert "it took longer than 3 s, twice" in executor.first_fault
+    assert results.outcome.tolist() == [0, -1]
+
+
+def test_a_simulation_that_earlier_ones_of_its_process_spoil_is_tried_again_in_a_fresh_one(cluster: Cluster) -> None:
+    X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
+    X[::4, 0] = 0.0
+    with DaskExecutor(cluster.address) as executor:
+        for simulator in (Remembering(most=2), Meddling(how="forks_and_returns")):
+            results = executor.run(simulator, X)
+            assert (results.outcome.tolist(), executor.first_fault) == (Disc().run(X).outcome.tolist(), "")
+
+
+class Sleeping(Disc):
+    """A disc that never answers some designs."""
+
+    releases_gil = False
+
+    def run(self, X: Array) -> Results:
+        if X[0, 0] > 2.0:
+            time.sleep(600)
+        return super().run(X)
+
+
+UNRULY = """
+import os, pathlib, time
+def run(design):
+    pathlib.Path(__file__).with_name(f"pid-{os.getpid()}").touch()
+    if design["x"] > 3.5:
+        time.sleep(600)
+    if design["x"] < 0.5:
+        os._exit(3)
+    return "failure" if design["x"] > 1.5 else "safe"
+"""
+
+
+def is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time_limit(
+    alone: Cluster, tmp_path: Path
+) -> None:
+    # Beside a nanny a worker is a daemon, which Python refuses to have children.
+    alone.add("one", "--nanny")
+    assert "Start Nanny at" in (tmp_path / "one.log").read_text()
+    (tmp_path / "bearing.toml").write_text("seed = 2\nsampling = { initial = 20, budget = 24, batch = 4 }")
+    (tmp_path / "unruly.py").write_text(UNRULY)
+    limited = TOML.replace('"slow:run"', '"unruly:run", time_limit = 3.0') + "[limits]\nnumerical_failures = 1.0\n"
+    (tmp_path / "unruly.toml").write_text(limited)
+    dask = ("--executor", "dask", "--scheduler", alone.address)
+    for name in ("bearing", "unruly"):
+        said = activefail("run", tmp_path / f"{name}.toml", "--out", tmp_path / name, *dask)
+        assert said.code == 0, said.err
+    assert activefail("run", tmp_path / "bearing.toml", "--out", tmp_path / "here").code == 0
+    assert record(tmp_path / "bearing") == record(tmp_path / "here")
+    rows = record(tmp_path / "unruly")
+    assert len(rows) == 24
+    for row in rows:
+        x = float(row["x"])
+        assert row["cause"] == ("time_limit" if x > 3.5 else "worker_died" if x < 0.5 else "")
+    assert {row["cause"] for row in rows} == {"time_limit", "worker_died", ""}
+    alone.close()
+    processes = [int(path.name.removeprefix("pid-")) for path in tmp_path.glob("pid-*")]
+    assert len(processes) > 2
+    until(lambda: not any(map(is_running, processes)))
+
+
+def test_a_batch_is_answered_while_single_designs_are_in_flight(cluster: Cluster) -> None:
+    # As a rule about the error asks for, where a campaign goes on without batches.
+    X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
+    with DaskExecutor(cluster.address) as executor:
+        for ticket in range(4):
+            executor.start(Disc(), ticket, X[ticket])
+        batch = executor.run(Disc(), X[4:])
+        single: dict[int, Results] = {}
+        while len(single) < 4:
+            single |= dict(executor.answered(5.0))
+    assert batch.outcome.tolist() == Disc().run(X[4:]).outcome.tolist()
+    assert [single[ticket].outcome[0] for ticket in range(4)] == Disc().run(X[:4]).outcome.tolist()
+
+
+class Grave(str):
+    """Words that end, the first time that they are read from it, the worker that has them."""
+
+    __slots__ = ("folder",)
+
+    def __new__(cls, folder: str) -> "Grave":
+        made = super().__new__(cls)
+        made.folder = folder
+        return made
+
+    def __reduce__(self) -> tuple[object, ...]:
+        try:
+            (Path(self.folder) / "dug").touch(exist_ok=False)
+        except FileExistsError:
+            return str, ("",)
+        os._exit(1)
+
+
+def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds_up_nobody(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster.workers["two"].kill()
+    cluster.workers["two"].wait()
+    folder = str(tmp_path)
+    monkeypatch.setattr(
+        "activefail.execution.dask._answer_there", lambda simulator, X, limit: (simulator.run(X), Grave(folder))
+    )
+    x = np.array([0.0, 20.0])
+    answers: list[tuple[int, Results]] = []
+    with DaskExecutor(cluster.address) as executor:
+        executor.start(Disc(), 7, x)
+
+        def ask_while_it_is_lost() -> None:
+            # Once more after its end was seen: the scheduler says then that the answer is lost.
+            while cluster.workers["one"].poll() is None:
+                answers.extend(executor.answered(0.1))
+            answers.extend(executor.answered(2.0))
+
+        # In a thread of its own: a wait that is never over fails this test instead of holding it up.
+        asking = Thread(target=ask_while_it_is_lost, daemon=True)
+        asking.start()
+        asking.join(PATIENCE)
+        assert not asking.is_alive()
+        assert (tmp_path / "dug").exists()
+        assert answers == []
+        cluster.add("three")
+
+        def come() -> bool:
+            answers.extend(executor.answered(0.1))
+            return len(answers) > 0
+
+        until(come)
+        assert executor.first_fault == ""
+    ((ticket, results),) = answers
+    assert (ticket, results.outcome.tolist()) == (7, Disc().run(x[None]).outcome.tolist())
+
+
+class Unknown(Disc):
+    """A disc that no worker can load, as where activefail is not the same there."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return operator.attrgetter("no_such_thing"), (0,)
+
+
+def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(cluster: Cluster) -> None:
+    with (
+        DaskExecutor(cluster.address) as executor,
+        pytest.raises(SimulationError, match=r"could not answer design .*The workers need the same activefail"),
+    ):
+        executor.run(Unknown(), np.array([[0.0, 20.0]]))
+
+
+def test_a_design_that_costs_worker_after_worker_is_given_up(cluster: Cluster, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        executor = stack.enter_context(DaskExecutor(cluster.address))
+        for name in ("three", "four"):
+            cluster.add(name)
+        results = executor.run(Deadly(), np.array([[2.5, 20.0]]))
+        assert "the workers that had it were lost" in executor.first_fault
+    assert results.cause.tolist() == [WORKER_DIED]
+
+
+class Deadly(Disc):
+    """A compiled disc that ends the worker itself."""
+
+    releases_gil = True
+
+    def run(self, X: Array) -> Results:
+        os._exit(1)
+
+
+TOML = """
+seed = 5
+sampling = { initial = 12, budget = 24, batch = 4, asynchronous = true }
+acquisition.boundary = "failure"
+simulator = { python = "slow:run" }
+[space]
+x = { low = 0.0, high = 4.0 }
+y = { low = 1.0, high = 3.0 }
+"""
+
+# Of all processes' simulations the ninth and those after it wait until they may end.
+SLOW = """
+import itertools, pathlib, time
+def run(design):
+    folder = pathlib.Path(__file__).parent
+    for number in itertools.count(1):
+        try:
+            (folder / f"begun-{number}").touch(exist_ok=False)
+            break
+        except FileExistsError:
+            pass
+    while number > 8 and not (folder / "open").exists():
+        time.sleep(0.02)
+    return "failure" if design["x"] > 1.5 else "safe"
+"""
+
+
+def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cluster: Cluster, tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "mine.toml").write_text(TOML)
+    folder = tmp_path / "run"
+    dask = ("--executor", "dask", "--scheduler", cluster.address)
+    with started("run", tmp_path / "mine.toml", "--out", folder, *dask) as process:
+        until(lambda: (folder / "segments").is_dir() and len(list((folder / "segments").iterdir())) > 2)
+        cluster.scheduler.kill()
+        cluster.scheduler.wait()
+        cluster.begin()
+        _, err = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 1, err
+    assert f"The Dask scheduler at {cluster.address} was lost" in err
+    assert "Traceback" not in err
+    before = record(folder)
+    assert 0 < len(before) < 24
+    for worker in cluster.workers.values():
+        worker.kill()
+        worker.wait()
+    (tmp_path / "open").touch()
+    cluster.add("three")
+    said = activefail("resume", folder, *dask, "--code", tmp_path)
+    assert said.code == 0, said.err
+    rows = record(folder)
+    assert rows[: len(before)] == before
+    assert len({(row["x"], row["y"]) for row in rows}) == 24
+
+
+def hear(process: subprocess.Popen[str], start: str) -> None:
+    """Read what a program says until a line begins so; it is ended where none does."""
+    give_up = Timer(PATIENCE, process.kill)
+    give_up.start()
+    try:
+        wait_for(process.stderr, start)
+    finally:
+        give_up.cancel()
+
+
+def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) -> None:
+    told: list[str] = []
+    with DaskExecutor(alone.address, tell=told.append) as executor:
+        executor.start(Disc(), 1, np.array([0.0, 20.0]))
+        until(lambda: executor.answered(0.1) == [] and len(told) == 1)
+        alone.scheduler.send_signal(signal.SIGSTOP)
+        waker = Timer(PATIENCE, alone.scheduler.send_signal, (signal.SIGCONT,))
+        waker.start()
+        assert executor.answered(0.1) == []
+        # While it hangs, that is.
+        assert waker.is_alive()
+        waker.cancel()
+        alone.scheduler.send_signal(signal.SIGCONT)
+        alone.add("one")
+        until(lambda: [ticket for ticket, _ in executor.answered(0.1)] == [1])
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize("asynchronous", [True, False])
+def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_path: Path, asynchronous: bool) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "mine.toml").write_text(TOML.replace("true", str(asynchronous).lower()))
+    folder, waiting = tmp_path / "run", f"waiting for workers at {alone.address}"
+    dask = ("--executor", "dask", "--scheduler", alone.address)
+    with started("run", tmp_path / "mine.toml", "--out", folder, *dask) as process:
+        hear(process, waiting)
+        # Whoever would not wait: nothing is running, so that the first Ctrl-C may wait for ever, and says so.
+        process.send_signal(signal.SIGINT)
+        hear(process, "stopping")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert record(folder) == []
+    with started("resume", folder, *dask, "--code", tmp_path) as process:
+        hear(process, waiting)
+        alone.add("one")
+        until(lambda: (folder / "segments").is_dir() and len(list((folder / "segments").iterdir())) > 1)
+        alone.workers["one"].kill()
+        # Told anew, and but once.
+        hear(process, waiting)
+        (tmp_path / "open").touch()
+        alone.add("two")
+        _, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, err) == (0, "")
+    assert len({(row["x"], row["y"]) for row in record(folder)}) == 24
+
+
+def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    space = DesignSpace((Parameter("x", 0.0, 2.0),))
+    (tmp_path / "mine.py").write_text("import limit\n\ndef run(design):\n    return limit.judged(design['x'])\n")
+    with DaskExecutor(cluster.address) as executor:
+        for least in (1.5, 0.25):
+            (tmp_path / "limit.py").write_text(f"def judged(x):\n    return 'failure' if x > {least} else 'safe'\n")
+            simulator = PythonSimulator(space, "mine:run", tmp_path, ("safe", "failure"), ())
+            results = executor.run(replace(simulator, source=simulator.load()), np.array([[0.0], [1.0], [2.0]]))
+            assert executor.first_fault == ""
+            assert results.outcome.tolist() == [0, int(least < 1.0), 1]
+
+
+def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
+    words = ("run", tmp_path / "mine.toml", "--out", tmp_path / "run")
+    refused(activefail(*words, "--executor", "dask"), "--scheduler: required for --executor dask")
+    refused(activefail(*words, "--scheduler", "tcp://127.0.0.1:1"), "--scheduler: is for --executor dask")
+    dask = (*words, "--executor", "dask", "--scheduler")
+    refused(activefail(*dask, "127.0.0.1:1", "--workers", "2"), "--workers: is for --executor local")
+    for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://"):
+        refused(activefail(*dask, address), f"--scheduler: no Dask scheduler answers at {address!r}")
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_address_that_cannot_be_is_told_without_a_traceback(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
+    with started(
+        "run", tmp_path / "mine.toml", "--out", tmp_path / "run", "--executor", "dask", "--scheduler", "foo"
+    ) as process:
+        # Where the message is the end of it, so is the process.
+        wait_for(process.stderr, "activefail: --scheduler: no Dask scheduler answers at 'foo'")
+        _, rest = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, rest) == (2, "")
+
+
+def test_what_answers_and_is_no_scheduler_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+        def answer() -> None:
+            connection, _ = server.accept()
+            connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 20)
+            connection.close()
+
+        Thread(target=answer, daemon=True).start()
+        with pytest.raises(InputError, match=f"no Dask scheduler answers at 'tcp://127.0.0.1:{port}'"):
+            DaskExecutor(f"tcp://127.0.0.1:{port}")
+
+
+def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.toml").write_text("seed = 2\nsampling = { initial = 20, budget = 30, batch = 5 }")
+    words = ("run", tmp_path / "mine.toml", "--out")
+    dask = ("--executor", "dask", "--scheduler", cluster.address)
+    said = activefail(*words, tmp_path / "there", *dask)
+    assert said.code == 0, said.err
+    assert activefail(*words, tmp_path / "here").code == 0
+    assert record(tmp_path / "there") == record(tmp_path / "here")

@@ -1,0 +1,122 @@
+"""Films of one bearing: files that play, and refusals that say what to do."""
+
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from patience import PATIENCE
+from PIL import Image
+
+from activefail.bearing import Bearing, Pulse, Response, simulate_one
+from activefail.bearing.design import GRAVITY
+from activefail.errors import ActivefailError, InputError
+from activefail.figures import animation
+from activefail.figures.animation import HOLD, MOST_FRAMES, default_slow_motion, render, save_animation
+from activefail.figures.motion import Motion
+
+
+@pytest.fixture(scope="module")
+def failure() -> Response:
+    return simulate_one(Bearing.from_table(4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9), Pulse(2.5, 0.5 * GRAVITY))
+
+
+def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
+    path = save_animation(failure, tmp_path / "bearing.gif", fps=10.0, slow_motion=1.0)
+    motion = Motion(failure)
+    with Image.open(path) as film:
+        assert film.n_frames == round(10.0 * (motion.end - motion.stirs)) + 1
+        assert film.n_frames > 10
+        assert film.size[0] == 800
+        assert film.size[1] % 2 == 0
+        durations = []
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            durations.append(film.info["duration"] / 1000.0)
+        assert "loop" in film.info
+    assert sum(durations[:-1]) == pytest.approx(motion.end - motion.stirs, abs=0.02)
+    assert durations[-1] == pytest.approx(HOLD)
+    assert path.stat().st_size < 1e6
+
+
+def test_an_mp4_has_its_frames_and_its_size(failure, tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    path = save_animation(failure, str(tmp_path / "bearing.MP4"), fps=10.0, slow_motion=1.0)
+    raw = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    seen = subprocess.run(raw, capture_output=True, check=True, timeout=PATIENCE)
+    size = re.search(rb"Video: h264.* (\d+)x(\d+)", seen.stderr)
+    assert size is not None
+    width, height = int(size[1]), int(size[2])
+    count, rest = divmod(len(seen.stdout), width * height * 3)
+    motion = Motion(failure)
+    assert (width, height % 2, rest) == (800, 0, 0)
+    assert count == pytest.approx(10.0 * (motion.end - motion.stirs + HOLD), abs=2)
+
+
+def test_frames_move_and_the_last_one_is_reddest_with_the_word_failure(failure):
+    motion = Motion(failure)
+    first, middle, last = render(motion, np.array([motion.start, -0.4, motion.end]), 1.0)
+    assert first.dtype == np.uint8
+    assert first.shape == middle.shape == last.shape
+    assert (first != middle).any(axis=2).mean() > 0.02
+
+    def vermilion(frame):
+        return (np.abs(frame.astype(int) - (0xD5, 0x5E, 0x00)).max(axis=2) < 10).sum()
+
+    assert vermilion(last) > 1.2 * vermilion(first)
+
+
+def test_a_long_film_keeps_its_speed_and_loses_frames(failure, monkeypatch, tmp_path):
+    monkeypatch.setattr(animation, "MOST_FRAMES", 15)
+    path = save_animation(failure, tmp_path / "slow.gif", slow_motion=3.0)
+    motion = Motion(failure)
+    with Image.open(path) as film:
+        assert film.n_frames == 15
+        film.seek(3)
+        assert film.info["duration"] == pytest.approx(1000.0 * 3.0 * (motion.end - motion.stirs) / 14.0, abs=10.0)
+
+
+def test_the_speed_chosen_gives_a_film_of_at_most_twelve_seconds_or_real_time():
+    for duration in np.linspace(0.2, 30.0, 50):
+        factor = default_slow_motion(duration)
+        assert factor >= 1.0
+        assert factor * duration <= max(12.0, duration)
+    assert MOST_FRAMES / 28.0 > 25.0
+
+
+@pytest.mark.parametrize("name", ["bearing.avi", "bearing", "bearing.gif.txt"])
+def test_another_ending_is_refused_with_the_allowed_ones(failure, tmp_path, name):
+    with pytest.raises(InputError, match=r"\.gif or \.mp4"):
+        save_animation(failure, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("setting", [{"fps": 0.0}, {"fps": float("nan")}, {"slow_motion": -1.0}])
+def test_impossible_speeds_are_refused(failure, tmp_path, setting):
+    with pytest.raises(InputError, match=f"`{next(iter(setting))} > 0` must hold"):
+        save_animation(failure, tmp_path / "bearing.gif", **setting)
+
+
+def test_a_missing_folder_is_named(failure, tmp_path):
+    with pytest.raises(InputError, match="nowhere"):
+        save_animation(failure, tmp_path / "nowhere" / "bearing.gif")
+
+
+def test_an_mp4_without_ffmpeg_is_refused_with_what_to_install(failure, tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install activefail\[video\]"):
+        save_animation(failure, tmp_path / "bearing.mp4")
+
+
+def test_an_ffmpeg_that_fails_is_reported_with_its_words(failure, tmp_path, monkeypatch):
+    broken = Path(tmp_path / "ffmpeg")
+    broken.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such encoder')\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(animation, "find_ffmpeg", lambda: str(broken))
+    with pytest.raises(ActivefailError, match="no such encoder"):
+        save_animation(failure, tmp_path / "bearing.mp4", fps=5.0, slow_motion=1.0)

@@ -1,0 +1,1025 @@
+"""Simulators of one's own: what they are told, what they may answer, and what becomes of them that do not."""
+
+import hashlib
+import json
+import os
+import pickle
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, record, refused, started, table, wait_for
+from patience import PATIENCE, Clock
+
+from activefail.campaign.opening import create_run, read_campaign
+from activefail.errors import InputError
+from activefail.execution.executor import ProcessExecutor, answer
+from activefail.simulators.custom import CommandSimulator, PythonSimulator
+from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER
+from activefail.space import DesignSpace, Parameter
+
+SPACE = DesignSpace((Parameter("drift", 0.0, 4.0, "m"), Parameter("T", 1.0, 3.0)), {"storeys": 3.0})
+X = np.array([[1.0 / 3.0, 1.5], [2.5, 2.0], [3.7, 2.9]])
+
+MODEL = """
+import pathlib
+
+def run(design):
+    assert design.keys() == {"drift", "T", "storeys"}
+    severity = (design["drift"] > 1.0) + (design["drift"] > design["storeys"])
+    return {"outcome": ("safe", "damage", "failure")[severity], "margins": {"gap": design["storeys"] - design["drift"]}}
+
+def plain(design):
+    return "damage"
+
+def broken(design):
+    return eval(pathlib.Path(__file__).with_name("said").read_text())
+"""
+
+
+def python(folder: Path, function: str = "run", source: str = MODEL) -> PythonSimulator:
+    """A function of a module in a folder, over SPACE."""
+    (folder / "model.py").write_text(source)
+    return PythonSimulator(SPACE, f"model:{function}", folder, ("safe", "damage", "failure"), ("gap", "energy"))
+
+
+def program(folder: Path, source: str, **other: object) -> CommandSimulator:
+    """A program of Python in a folder, over SPACE; told the drift, with all digits and with two, and where it lies."""
+    (folder / "model.py").write_text(f"import json, os, sys, time\n{source}")
+    given = {
+        "command": f"{sys.executable} {{here}}/model.py {{drift}} {{T:.2f}} 'a b' {{out}}",
+        "here": folder,
+        "work": folder / "work",
+        "outcomes": ("safe", "failure"),
+        "margins": ("gap",),
+    }
+    return CommandSimulator(SPACE, **(given | other))
+
+
+def ended(pid: str) -> bool:
+    """Whether a process is there no more."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except OSError:
+        return True
+
+
+def started_by(pid: int) -> list[str]:
+    """Command lines of the processes that a process has started."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            with suppress(OSError):
+                found.append(Path(f"/proc/{child}/cmdline").read_text())
+    return found
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Wait for something to be true."""
+    give_up = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+
+
+ANSWERS = """
+drift, T, text, out = sys.argv[1:]
+print(text, T)
+with open(out, "w") as file:
+    json.dump({"outcome": "failure" if float(drift) > 1.0 else "safe", "margins": {"gap": float(drift)}}, file)
+"""
+
+
+# --- a function --------------------------------------------------------------------------------------------------
+
+
+def test_a_function_is_told_the_variables_and_what_is_fixed_and_answers_outcome_and_margins(tmp_path: Path) -> None:
+    results, fault = answer(python(tmp_path), X)
+    assert fault == ""
+    assert results.outcome.tolist() == [0, 1, 2]
+    assert results.margins[:, 0].tolist() == (3.0 - X[:, 0]).tolist()
+    assert np.isnan(results.margins[:, 1]).all()
+    assert (results.seconds >= 0.0).all()
+
+
+def test_an_outcome_alone_is_an_answer(tmp_path: Path) -> None:
+    assert answer(python(tmp_path, "plain"), X)[0].outcome.tolist() == [1, 1, 1]
+
+
+UNUSABLE = {
+    "3": "must be an outcome or a table with one, got 3",
+    "None": "must be an outcome or a table with one, got None",
+    "{}": "outcome: must be one of safe, damage, failure, got None",
+    "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
+    "['safe']": "must be an outcome or a table with one",
+    "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
+    "{'outcome': 'safe', 'margin': {}}": "may hold outcome and margins, got 'margin' too",
+    "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a table of gap, energy",
+    "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
+    "{'outcome': 'safe', 'margins': {'gap': 'wide'}}": "margins.gap: must be a number, got 'wide'",
+    "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be a number, got None",
+    "{'outcome': 'safe', 'margins': {'gap': True}}": "margins.gap: must be a number, got True",
+}
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("said", UNUSABLE)
+def test_what_is_no_answer_is_a_numerical_failure_that_says_why(tmp_path: Path, said: str) -> None:
+    (tmp_path / "said").write_text(said)
+    results, fault = answer(python(tmp_path, "broken"), X[:1])
+    assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [UNUSABLE_ANSWER])
+    assert fault.startswith("design [0.333")
+    assert re.search(UNUSABLE[said], fault), fault
+
+
+def test_a_function_may_not_be_run_where_no_folder_was_named(tmp_path: Path) -> None:
+    (tmp_path / "model.py").write_text("raise SystemExit")
+    simulator = PythonSimulator(SPACE, "model:run", None, ("safe", "failure"), ())
+    with pytest.raises(InputError, match=r"model:run is code of the campaign's own.*--code FOLDER"):
+        answer(simulator, X)
+
+
+def test_a_worker_that_has_another_source_refuses_and_a_new_source_is_loaded_anew(tmp_path: Path) -> None:
+    first = python(tmp_path)
+    first = replace(first, source=first.load())
+    assert answer(first, X)[0].outcome.tolist() == [0, 1, 2]
+    python(tmp_path, source=MODEL.replace("> 1.0", "> 0.1"))
+    second = replace(first, source=first.load())
+    assert answer(second, X)[0].outcome.tolist() == [1, 1, 2]
+    with pytest.raises(InputError, match=r"the module of model:run, or one that it .* is another one here than where"):
+        answer(replace(first, source="0" * 64), X)
+
+
+def test_a_simulator_of_one_s_own_goes_to_a_worker_process_and_gives_the_same_there(tmp_path: Path) -> None:
+    with ProcessExecutor(2) as executor:
+        results = executor.run(python(tmp_path), X)
+    expected, _ = answer(python(tmp_path), X)
+    assert results.outcome.tobytes() == expected.outcome.tobytes()
+    assert results.margins.tobytes() == expected.margins.tobytes()
+
+
+def test_the_import_of_a_function_s_module_does_not_count_to_its_time_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    imports = tmp_path / "imports"
+    # Each import takes a minute.
+    clock = Clock(lambda: 60.0 * imports.stat().st_size if imports.exists() else 0.0)
+    monkeypatch.setattr("activefail.execution.processes.time", clock)
+    simulator = python(tmp_path, source=f"with open({str(imports)!r}, 'a') as file:\n    file.write('.')\n{MODEL}")
+    with ProcessExecutor(1, time_limit=1.0) as executor:
+        assert executor.run(simulator, X).outcome.tolist() == [0, 1, 2]
+    assert imports.stat().st_size == 1
+
+
+WITH_HELPERS = """
+import limits
+from parts import walls
+
+def run(design):
+    import late
+    severity = (design["drift"] > limits.DAMAGE) + (design["drift"] > walls.FAILURE) + late.MORE
+    return {"outcome": ("safe", "damage", "failure")[severity]}
+"""
+
+
+def with_helpers(folder: Path, damage: float = 1.0, failure: float = 3.0, more: int = 0) -> PythonSimulator:
+    """A function that takes its limits from modules beside its own: one, one in a package, and one as it runs."""
+    (folder / "parts").mkdir(parents=True, exist_ok=True)
+    (folder / "limits.py").write_text(f"DAMAGE = {damage!r}\n")
+    (folder / "parts" / "__init__.py").write_text("")
+    (folder / "parts" / "walls.py").write_text("from . import bricks\n\nFAILURE = bricks.FAILURE\n")
+    (folder / "parts" / "bricks.py").write_text(f"FAILURE = {failure!r}\n")
+    (folder / "late.py").write_text(f"MORE = {more!r}\n")
+    simulator = python(folder, source=WITH_HELPERS)
+    return replace(simulator, source=simulator.load())
+
+
+def test_a_function_may_import_modules_beside_its_own_here_and_in_worker_processes(tmp_path: Path) -> None:
+    simulator = with_helpers(tmp_path)
+    assert answer(simulator, X)[0].outcome.tolist() == [0, 1, 2]
+    with ProcessExecutor(1) as executor:
+        assert executor.run(simulator, X).outcome.tolist() == [0, 1, 2]
+        assert executor.first_fault == ""
+
+
+def test_modules_beside_a_function_hide_none_of_a_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "colorsys", raising=False)  # of Python's own, and perhaps imported already
+    (tmp_path / "colorsys.py").write_text("raise AssertionError('this is not the library')\n")
+    (tmp_path / "numpy.py").write_text("raise AssertionError('this is not the library')\n")
+    simulator = python(tmp_path, source=f"import colorsys, numpy\n{MODEL}\ncolorsys.rgb_to_hsv(0, 0, numpy.pi)\n")
+    assert answer(simulator, X)[0].outcome.tolist() == [0, 1, 2]
+    with ProcessExecutor(1) as executor:
+        assert executor.run(simulator, X).outcome.tolist() == [0, 1, 2]
+
+
+def test_functions_of_two_folders_each_have_their_own_of_two_modules_of_one_name(tmp_path: Path) -> None:
+    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", damage=0.1, failure=2.0)
+    for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2, 2]), (one, [0, 1, 2])):
+        simulator.prepare()
+        assert answer(simulator, X)[0].outcome.tolist() == outcome
+    assert [folder for folder in sys.path if Path(folder).is_relative_to(tmp_path)] == [str(tmp_path / "one")]
+
+
+def test_an_import_as_a_function_runs_finds_its_own_folder_s_module_after_another_s(tmp_path: Path) -> None:
+    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", more=True)
+    for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2]), (one, [0, 1, 2])):
+        simulator.prepare()
+        assert answer(simulator, X[: len(outcome)])[0].outcome.tolist() == outcome
+
+
+@pytest.mark.parametrize("changed", [{"damage": 0.25}, {"failure": 2.25}, {"more": True}])
+def test_a_module_that_a_function_imports_is_part_of_its_source(tmp_path: Path, changed: dict[str, float]) -> None:
+    first = with_helpers(tmp_path)
+    assert with_helpers(tmp_path) == first
+    first.prepare()
+    answer(first, X)
+    second = with_helpers(tmp_path, **changed)
+    assert second.source != first.source
+    expected = {"damage": [1, 1, 2], "failure": [0, 2, 2], "more": [1, 2]}[next(iter(changed))]
+    assert answer(second, X[: len(expected)])[0].outcome.tolist() == expected
+    with pytest.raises(InputError, match=r"or one that it imports from its folder, is another one here than where"):
+        answer(replace(first, source="0" * 64), X)
+
+
+def test_a_module_beside_that_is_changed_within_a_second_is_not_run_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    for damage, expected in ((1.0, [0, 1, 2]), (0.1, [1, 1, 2])):
+        (tmp_path / "limits.py").write_text(f"DAMAGE = {damage!r}\n")
+        os.utime(tmp_path / "limits.py", (1e9, 1e9))
+        source = MODEL.replace("> 1.0", "> limits.DAMAGE")
+        simulator = python(tmp_path, source=f"import limits\n{source}")
+        now = replace(simulator, source=simulator.load())
+        assert answer(now, X)[0].outcome.tolist() == expected
+        assert list((tmp_path / "__pycache__").glob("limits.*"))
+
+
+def test_a_package_s_modules_are_part_of_the_source_of_a_function_that_it_names(tmp_path: Path) -> None:
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "__init__.py").write_text("from .physics import run\n")
+    simulator, sources = PythonSimulator(SPACE, "model:run", tmp_path, ("safe", "failure", "collapsed"), ()), set()
+    for outcome, name in enumerate(simulator.outcomes):
+        (tmp_path / "model" / "physics.py").write_text(f"def run(design):\n    return {name!r}\n")
+        now = replace(simulator, source=simulator.load())
+        assert answer(now, X)[0].outcome.tolist() == [outcome] * 3
+        sources.add(now.source)
+    assert len(sources) == 3
+
+
+def test_the_digest_of_a_function_that_imports_nothing_of_its_folder_is_that_of_its_module(tmp_path: Path) -> None:
+    (tmp_path / "limits.py").write_text("DAMAGE = 1.0\n")
+    (tmp_path / "broken.py").write_text("what is this")
+    assert python(tmp_path).load() == hashlib.sha256(MODEL.encode()).hexdigest()
+
+
+PARALLEL = """
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
+import helper
+
+def work(x):
+    return x + 1.0
+
+def run(design):
+    context = multiprocessing.get_context({method!r})
+    with context.Pool(2) as pool:
+        assert pool.map(helper.work, [design["drift"]] * 2) == [design["drift"] + 1.0] * 2
+    with ProcessPoolExecutor(2, context) as pool:
+        assert list(pool.map(helper.work, [design["T"]])) == [design["T"] + 1.0]
+        assert pool.submit(helper.inherits).result() == ({method!r} == "fork", False)
+    process = context.Process(target=helper.work, args=(design["T"],))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+    if {method!r} == "fork":
+        with context.Pool(1) as pool:
+            assert pool.map(work, [1.0]) == [2.0]
+    return "safe"
+"""
+
+HELPER = """
+import os, sys
+
+def work(x):
+    return x + 1.0
+
+def inherits():
+    links = []
+    for number in os.listdir("/proc/self/fd"):
+        try:
+            links.append(os.readlink(f"/proc/self/fd/{number}"))
+        except OSError:
+            pass
+    return any(link.startswith("socket:") for link in links), hasattr(sys.modules["__main__"], "__file__")
+"""
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_a_function_may_use_multiprocessing_itself(tmp_path: Path, method: str) -> None:
+    (tmp_path / "helper.py").write_text(HELPER)
+    with ProcessExecutor(1, time_limit=120.0) as executor:
+        results = executor.run(python(tmp_path, source=PARALLEL.format(method=method)), X[:2])
+        assert executor.first_fault == ""
+    assert results.outcome.tolist() == [0, 0]
+
+
+PROCESSES = """
+import os
+def run(design):
+    with open(__file__ + ".pids", "a") as file:
+        file.write(f"{os.getpid()} ")
+    return "safe"
+"""
+
+
+@pytest.mark.parametrize(("renew", "processes"), [("", 1), ("renew = 5\n", 4)], ids=["never", "five"])
+def test_a_campaign_says_how_many_simulations_one_process_may_run(
+    mine: Path, tmp_path: Path, renew: str, processes: int
+) -> None:
+    (mine / "model.py").write_text(PROCESSES)
+    (mine / "mine.toml").write_text(TOML.replace('python = "model:run"\n', f'python = "model:run"\n{renew}'))
+    # One outcome only: what is learned is not looked at.
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run", "--budget", "16", "--workers", "1")
+    assert said.code == 0, said.err
+    pids = (mine / "model.py.pids").read_text().split()
+    assert len(pids) == 16
+    assert len(set(pids)) == processes
+    assert renew in (tmp_path / "run" / "campaign.toml").read_text()
+    assert ("renew" in (tmp_path / "run" / "campaign.toml").read_text()) == bool(renew)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ('python = "model:run", renew = 0', "simulator.renew: must be greater than or equal to 1, got 0"),
+        ('python = "model:run", renew = 1.5', "simulator.renew: must be a valid integer, got 1.5"),
+        ('command = "m {out}", renew = 3', "simulator.renew: belongs to `python`"),
+    ],
+)
+def test_a_number_of_simulations_that_no_process_can_run_is_refused(tmp_path: Path, given: str, says: str) -> None:
+    (tmp_path / "mine.toml").write_text(f"simulator = {{ {given} }}\nspace.x = {{ low = 0.0, high = 1.0 }}\n")
+    refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), "mine.toml", says)
+
+
+# --- a program ---------------------------------------------------------------------------------------------------
+
+
+def test_a_program_is_run_once_a_design_in_a_folder_of_its_own(tmp_path: Path) -> None:
+    simulator = program(tmp_path, ANSWERS)
+    results, fault = answer(pickle.loads(pickle.dumps(simulator)), X)
+    assert fault == ""
+    assert results.outcome.tolist() == [0, 1, 1]
+    assert results.margins[:, 0].tolist() == X[:, 0].tolist()  # every digit was told
+    folders = list((tmp_path / "work").iterdir())
+    assert len(folders) == 3
+    told = {json.loads((folder / "design.json").read_text())["drift"]: folder for folder in folders}
+    assert sorted(told) == sorted(X[:, 0].tolist())
+    folder = told[2.5]
+    assert (folder / "stdout.txt").read_text() == "a b 2.00\n"
+    assert json.loads((folder / "design.json").read_text()) == {"drift": 2.5, "T": 2.0, "storeys": 3.0}
+
+
+def test_no_shell_reads_the_command(tmp_path: Path) -> None:
+    simulator = program(
+        tmp_path, ANSWERS, command=f"{sys.executable} {{here}}/model.py {{drift}} 1 $(touch-x)>x;ls {{out}}"
+    )
+    answer(simulator, X[:1])
+    assert not list(tmp_path.rglob("x"))
+
+
+def test_the_folders_of_what_was_answered_go_where_they_are_not_kept(tmp_path: Path) -> None:
+    source = ANSWERS.replace("drift, T", "if float(sys.argv[1]) > 3: sys.exit(4)\ndrift, T")
+    results, _ = answer(program(tmp_path, source, keep=False), X)
+    assert results.outcome.tolist() == [0, 1, -1]
+    (left,) = (tmp_path / "work").iterdir()
+    assert json.loads((left / "design.json").read_text())["drift"] == 3.7
+
+
+FAILING = {
+    "sys.stderr.write('no licence\\n'); sys.exit(3)": (RAISED, "exit code 3; .*stderr.txt ends: 'no licence'"),
+    "os.kill(os.getpid(), 11)": (RAISED, "exit code -11"),
+    "pass": (UNUSABLE_ANSWER, "the program has not written .*answer.json"),
+    "open(sys.argv[-1], 'w').write('{')": (UNUSABLE_ANSWER, "answer.json is not JSON"),
+    "open(sys.argv[-1], 'wb').write(bytes(range(256)))": (UNUSABLE_ANSWER, "answer.json is not JSON"),
+    "open(sys.argv[-1], 'w').write('[\"safe\"]')": (UNUSABLE_ANSWER, "must be an outcome or a table with one"),
+    "json.dump({'outcome': 'collapse'}, open(sys.argv[-1], 'w'))": (UNUSABLE_ANSWER, "must be one of safe, failure"),
+}
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("source", FAILING)
+def test_a_program_that_fails_is_a_numerical_failure_that_says_why(tmp_path: Path, source: str) -> None:
+    cause, says = FAILING[source]
+    results, fault = answer(program(tmp_path, source), X[:1])
+    assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [cause])
+    assert re.search(says, fault), fault
+
+
+@pytest.mark.faults
+def test_a_program_that_cannot_be_started_is_a_numerical_failure_that_says_why(tmp_path: Path) -> None:
+    results, fault = answer(program(tmp_path, "", command="no_such_program {out}"), X[:1])
+    assert results.cause.tolist() == [RAISED]
+    assert "No such file or directory: 'no_such_program'" in fault
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize(("retries", "outcome"), [(1, -1), (2, 0)])
+def test_a_program_that_fails_is_run_again_as_often_as_asked(tmp_path: Path, retries: int, outcome: int) -> None:
+    source = f"""
+with open({str(tmp_path / "tries")!r}, "a") as file:
+    file.write(".")
+if os.path.getsize({str(tmp_path / "tries")!r}) < 3:
+    json.dump({{"outcome": "failure"}}, open(sys.argv[-1], "w"))  # must not be taken for the next one's answer
+    sys.exit(1)
+{ANSWERS}"""
+    results, _ = answer(program(tmp_path, source, retries=retries), X[:1])
+    assert results.outcome.tolist() == [outcome]
+    assert len((tmp_path / "tries").read_text()) == 1 + retries
+
+
+@pytest.mark.faults
+def test_a_program_that_fails_is_run_no_more_often_in_a_worker_for_it_has_a_process_of_its_own(tmp_path: Path) -> None:
+    source = f"""
+if float(sys.argv[1]) > 2:
+    with open({str(tmp_path / "tries")!r}, "a") as file:
+        file.write(".")
+    sys.exit(1)
+{ANSWERS}"""
+    with ProcessExecutor(1) as executor:
+        results = executor.run(program(tmp_path, source, retries=2), X)
+        assert "exit code 1" in executor.first_fault
+    assert results.outcome.tolist() == [0, -1, -1]
+    assert len((tmp_path / "tries").read_text()) == 2 * 3
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize(
+    ("write", "says"),
+    [
+        ("open(sys.argv[-1], 'wb').write(bytes(3_000_000))", "File too large"),
+        (
+            "signal.signal(signal.SIGXFSZ, signal.SIG_DFL); os.execvp('head', ['head', '-c3000000', '/dev/zero'])",
+            "would exceed simulator.largest_file, 1000000 bytes",
+        ),
+    ],
+)
+def test_a_program_may_write_no_larger_files_than_it_is_allowed(tmp_path: Path, write: str, says: str) -> None:
+    source = f"""
+import signal
+if float(sys.argv[1]) > 3:
+    {write}
+{ANSWERS}"""
+    with ProcessExecutor(1) as executor:
+        results = executor.run(program(tmp_path, source, largest_file=1_000_000), X)
+        assert says in executor.first_fault
+    assert results.outcome.tolist() == [0, 1, -1]
+    assert max(path.stat().st_size for path in (tmp_path / "work").rglob("*")) == 1_000_000
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("session", [False, True])
+def test_a_program_that_hangs_is_ended_with_all_that_it_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: bool
+) -> None:
+    if session and sys.platform != "linux":
+        pytest.skip("a process in a session of its own is found on Linux alone")
+    notes = tmp_path / "pids"
+    # A minute passes whenever it has come to where it hangs.
+    clock = Clock(lambda: 60.0 * len(notes.read_text().split()) / 2 if notes.exists() else 0.0)
+    monkeypatch.setattr("activefail.execution.processes.time", clock)
+    source = f"""
+if float(sys.argv[1]) > 3:
+    import subprocess
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session={session})
+    with open({str(tmp_path / "pids")!r}, "a") as file:
+        file.write(f"{{os.getpid()}} {{child.pid}} ")
+    time.sleep(600)
+{ANSWERS}"""
+    with ProcessExecutor(1, time_limit=1.0) as executor:
+        results = executor.run(program(tmp_path, source), X)
+        fault = executor.first_fault
+    assert results.outcome.tolist() == [0, 1, -1]
+    assert results.cause[2] == TIME_LIMIT
+    assert "it took longer than 1 s, twice" in fault
+    pids = notes.read_text().split()
+    assert len(pids) == 4
+    for pid in pids:
+        until(lambda pid=pid: ended(pid))
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("model {drift}", "the program must be told where to write its answer, by {out}"),
+        ("model {drfit} {out}", "{drfit} is none of {drift}, {T}, {storeys}, {out}, {here}"),
+        ("model {} {out}", "{} is none of"),
+        ("model {drift.real} {out}", "{drift.real} is none of"),
+        ("model {drift:q} {out}", "Unknown format code 'q'"),
+        ("model {drift:{nope}} {out}", "a format holds no braces, as that of {drift} does"),
+        ("model {drift {out}", "expected '}' before end of string|is none of"),
+        ("model 'a {out}", "No closing quotation"),
+    ],
+)
+def test_a_command_that_cannot_be_filled_in_is_refused(tmp_path: Path, command: str, says: str) -> None:
+    with pytest.raises(InputError, match=f"simulator.command: .*({says.replace('{', '.')})"):
+        program(tmp_path, "", command=command)
+
+
+def test_a_variable_that_a_command_could_not_name_is_refused(tmp_path: Path) -> None:
+    space = DesignSpace((Parameter("out", 0.0, 1.0),))
+    with pytest.raises(InputError, match=r"space.out: `\{out\}` has another meaning in simulator.command"):
+        CommandSimulator(space, "model {out}", tmp_path, tmp_path, ("safe", "failure"), ())
+
+
+def test_paths_in_a_command_may_have_a_format_as_the_check_of_it_says(tmp_path: Path) -> None:
+    simulator = program(tmp_path, "", command="model {here:s}/x {out!r:s}")
+    assert simulator.arguments({"drift": 1.0, "T": 2.0}, Path("a b")) == ["model", f"{tmp_path}/x", "'a b'"]
+
+
+# --- campaigns ---------------------------------------------------------------------------------------------------
+
+TOML = """
+seed = 5
+sampling = { initial = 16, budget = 24, batch = 4 }
+acquisition.boundary = "damage"
+[simulator]
+python = "model:run"
+outcomes = ["safe", "damage", "failure"]
+margins = ["gap"]
+[space]
+drift = { low = 0.0, high = 4.0, unit = "m" }
+T = { low = 1.0, high = 3.0, distribution = "log_uniform" }
+storeys = { value = 3.0 }
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    """A folder with a campaign file and the function that it names."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "model.py").write_text(MODEL)
+    (tmp_path / "mine" / "mine.toml").write_text(TOML)
+    return tmp_path / "mine"
+
+
+def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    said = activefail("run", mine / "mine.toml", "--out", run, "--budget", "20")
+    assert (said.code, said.err) == (0, "")
+    assert "simulator  model:run, 2 variables" in activefail("status", run).out
+    # What needs none of the campaign's own code does without it.
+    assert activefail("export", run, "--csv", tmp_path / "all.csv").code == 0
+    rows = table(tmp_path / "all.csv")
+    assert list(rows[0])[3:] == ["drift", "T", "outcome", "cause", "gap", "seconds"]
+    for row in rows:
+        drift = float(row["drift"])
+        assert row["outcome"] == ("safe", "damage", "failure")[(drift > 1.0) + (drift > 3.0)]
+        assert float(row["gap"]) == 3.0 - drift
+    again = activefail("resume", run, "--budget", "24")
+    assert again.code == 2
+    assert "simulator.python: model:run is code of the campaign's own" in again.err
+    assert "--code FOLDER" in again.err
+    assert "Traceback" not in again.err
+    said = activefail("resume", run, "--budget", "24", "--code", mine)
+    assert said.code == 0, said.err
+    whole = activefail("run", mine / "mine.toml", "--out", tmp_path / "whole", "--workers", "1")
+    assert whole.code == 0
+    assert record(run) == record(tmp_path / "whole")
+    report = activefail("report", run)
+    assert report.code == 0, report.err
+    page = (run / "report.html").read_text()
+    assert "model:run, 2 variables" in page
+    for row in (
+        '<th scope="row">drift</th><td class="n">0</td><td class="n">4.00</td><td>m</td><td>uniform</td>',
+        '<th scope="row">T</th><td class="n">1.00</td><td class="n">3.00</td><td>–</td><td>log-uniform</td>',
+        '<th scope="row">storeys</th><td class="n">3.00</td><td>–</td>',
+    ):
+        assert row in page
+    # No drawings of bearings; and commands that work, for the page names no folder of someone else's code.
+    assert "Bearings at the boundary" not in page
+    for command in ("compare", "verify"):
+        assert f"activefail {command} {run} --code FOLDER</code>" in page
+    assert f"activefail report {run}\n" in page
+
+
+def test_status_needs_no_code_before_anything_is_recorded_either(mine: Path, tmp_path: Path) -> None:
+    (mine / "mine.toml").write_text(f'classifier.features = {{ python = "model:physics" }}{TOML}')
+    (mine / "model.py").write_text(f"{MODEL}\ndef physics(X, space):\n    return X[:, :1] ** 2\n")
+    with create_run(tmp_path / "run", read_campaign(mine / "mine.toml", code=mine)):
+        said = activefail("status", tmp_path / "run")
+    assert said.code == 0, said.err
+    assert "0 of 24 simulations" in said.out
+    assert said.out.splitlines()[-1] == f"go on      activefail resume {tmp_path / 'run'} --code FOLDER"
+
+
+OPENING = {
+    "predict": ("--csv", "in.csv", "--out", "out.csv"),
+    "report": (),
+    "resume": ("--budget", "20", "--workers", "1"),
+    "compare": ("--test", "10"),
+}
+
+
+@pytest.fixture
+def received(mine: Path, tmp_path: Path) -> Path:
+    """A run folder with code in it, that tells when it is run; the campaign's own code is gone."""
+    run = tmp_path / "runs" / "received"
+    run.parent.mkdir()
+    physics = "def physics(X, space):\n    return X[:, :1] ** 2\n"
+    (mine / "mine.toml").write_text(f'classifier.features = {{ python = "model:physics" }}{TOML}')
+    (mine / "model.py").write_text(MODEL + physics)
+    create_run(run, read_campaign(mine / "mine.toml", code=mine)).close()
+    (run / "model.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n{MODEL}{physics}")
+    (run / "in.csv").write_text("drift,T\n1.0,2.0\n")
+    shutil.rmtree(mine)
+    (tmp_path / "other").mkdir()
+    return run
+
+
+def names(run: Path, module: str) -> None:
+    """Have a run folder's settings name a function of another module, for the simulator and for the features."""
+    text = (run / "campaign.toml").read_text().replace('"model:', f'"{module}:')
+    (run / "campaign.toml").write_text(text)
+
+
+@pytest.mark.parametrize("named", [None, "other"])
+@pytest.mark.parametrize("python_looks", [False, True])
+@pytest.mark.parametrize(
+    ("here", "module"),
+    [
+        ("runs/received", "model"),
+        ("runs", "model"),
+        ("runs", "received.model"),
+        (".", "runs.received.model"),
+        (".", "model"),
+    ],
+)
+def test_a_function_in_a_run_folder_is_not_run_whatever_the_current_folder(
+    received: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    named: str | None,
+    python_looks: bool,
+    here: str,
+    module: str,
+) -> None:
+    names(received, module)
+    monkeypatch.chdir(tmp_path / here)
+    if python_looks:
+        # As `python -m` does, and an empty entry of PYTHONPATH.
+        monkeypatch.setattr(sys, "path", ["", *sys.path])
+    for command, words in OPENING.items():
+        code = () if named is None else ("--code", tmp_path / named)
+        said = activefail(command, received, *words, *code)
+        assert not (tmp_path / "ran").exists()
+        refused(said, "classifier.features.python" if named is None else "simulator.python", module)
+    activefail("status", received)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(("named", "module"), [(".", "runs.received.model"), ("runs", "received.model")])
+def test_a_function_in_a_run_folder_is_not_run_where_a_folder_around_it_is_named(
+    received: Path, tmp_path: Path, named: str, module: str
+) -> None:
+    names(received, module)
+    said = activefail("resume", received, "--budget", "20", "--code", tmp_path / named)
+    refused(said, f"simulator.python: {module} is {received / 'model.py'}, in the run folder", "--code FOLDER")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_function_in_a_run_folder_is_run_where_that_very_folder_is_named(received: Path, tmp_path: Path) -> None:
+    said = activefail("resume", received, "--budget", "20", "--code", received)
+    assert said.code == 0, said.err
+    assert (tmp_path / "ran").exists()
+
+
+STRANGE = ("multiprocessing", "threading", "numpy", "activefail")
+"""Modules that a process would take from the current folder if it looked there first."""
+
+
+def as_installed(here: Path, ran: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    """The program in a folder with modules that are called as Python's own, and which tell when they are run."""
+    for name in STRANGE:
+        (here / f"{name}.py").write_text(f"open({str(ran)!r}, 'w').close()\n")
+    # As the installed command does, which does not look in the current folder itself.
+    start = ran.with_name("start.py")
+    start.write_text("from activefail.cli import main\n\nif __name__ == '__main__':\n    main()\n")
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
+    environment["PYTHONPATH"] = os.pathsep.join(
+        filter(None, [str(Path(__file__).parents[2]), environment.get("PYTHONPATH")])
+    )
+    done = subprocess.run(
+        [sys.executable, start, *words], cwd=here, env=environment, capture_output=True, text=True, check=False
+    )
+    for name in STRANGE:
+        (here / f"{name}.py").unlink()
+    return done
+
+
+UNCHANGED = "def run(design):\n    import os\n    assert 'PYTHONSAFEPATH' not in os.environ"
+"""Of a function: what it starts looks for modules as ever."""
+
+
+def test_worker_processes_take_none_of_python_s_own_modules_from_the_current_folder(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert activefail("run", mine / "mine.toml", "--out", run, "--budget", "16").code == 0
+    (mine / "model.py").write_text(MODEL.replace("def run(design):", UNCHANGED))
+    words = ("resume", ".", "--budget", "20", "--workers", "1", "--code", mine)
+    done = as_installed(run, tmp_path / "ran", *words)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "ran").exists()
+    assert "numerical_failure" not in {row["outcome"] for row in record(run)}
+
+
+def test_nor_do_those_of_a_comparison_over_seeds(mine: Path, tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    (mine / "model.py").write_text(MODEL.replace("def run(design):", UNCHANGED))
+    words = ("compare", mine / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
+    done = as_installed(tmp_path / "here", tmp_path / "ran", *words, "--static", "16", "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert activefail("run", mine / "mine.toml", "--out", run, "--budget", "16").code == 0
+    (mine / "model.py").write_text(MODEL + "# other\n")
+    said = activefail("resume", run, "--budget", "20", "--code", mine)
+    assert said.code == 0
+    digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, f"{MODEL}# other\n")]
+    assert said.err == (
+        "warning: Your own code has changed since the last batch, model:run (simulator.python) or what it imports: "
+        f"{digests[0]} -> {digests[1]}. What follows is by the code as it is now.\n"
+    )
+
+
+def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on_resume(
+    mine: Path, tmp_path: Path
+) -> None:
+    with_helpers(mine)
+    file, run = mine / "mine.toml", tmp_path / "run"
+    file.write_text(f'classifier.features = {{ python = "seen:by" }}{TOML}')
+    (mine / "seen.py").write_text("import limits\n\ndef by(X, space):\n    return X[:, :1] > limits.DAMAGE\n")
+    said = activefail("run", file, "--out", run, "--budget", "16")
+    assert said.code == 0, said.err
+    assert said.out.splitlines()[-2].endswith(" 0 numerical failures")
+    said = activefail("resume", run, "--budget", "20", "--code", mine)
+    assert (said.code, said.err) == (0, "")
+    with_helpers(mine, damage=1.125)
+    said = activefail("resume", run, "--budget", "24", "--code", mine)
+    assert said.code == 0, said.err
+    assert "model:run (simulator.python)" in said.err
+    assert "seen:by (classifier.features.python)" in said.err
+    assert "machine" not in said.err
+
+
+MISTAKES = {
+    'python = "model:run"': ('python = "modle:run"', "simulator.python: there is no module 'modle'"),
+    "model:run": ("model:ruin", "model.py has no function 'ruin'"),
+    'margins = ["gap"]': ('margins = ["T"]', "simulator.margins: 'T' is the name of another column"),
+    "T = {": ("seconds = {", "space.seconds: is the name of another column of the exported table"),
+    'boundary = "damage"': ('boundary = "collapse"', "acquisition.boundary: must be one of damage, failure"),
+    'drift = { low = 0.0, high = 4.0, unit = "m" }\nT = { low = 1.0, high = 3.0, distribution = "log_uniform" }': (
+        "T = { value = 3.0 }",
+        "needs at least one variable that is not fixed",
+    ),
+}
+
+
+@pytest.mark.parametrize("right", MISTAKES)
+def test_a_mistake_in_a_campaign_of_one_s_own_is_named_before_anything_is_made(
+    mine: Path, tmp_path: Path, right: str
+) -> None:
+    wrong, says = MISTAKES[right]
+    assert right in TOML
+    (mine / "mine.toml").write_text(TOML.replace(right, wrong))
+    refused(activefail("run", mine / "mine.toml", "--out", tmp_path / "run"), "mine.toml: ", says)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.faults
+def test_a_module_that_ends_the_process_is_told_and_does_not(mine: Path, tmp_path: Path) -> None:
+    (mine / "model.py").write_text(f"import sys\n{MODEL}\nsys.exit(0)\n")
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    refused(said, "simulator.python: model cannot be imported: SystemExit: 0")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.faults
+def test_a_function_that_always_raises_stops_the_campaign_with_what_it_raised(mine: Path, tmp_path: Path) -> None:
+    (mine / "model.py").write_text("def run(design):\n    return design['drifd']\n")
+    (mine / "mine.toml").write_text(TOML.replace("initial = 16", "initial = 22"))
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert said.code == 1
+    assert f"`activefail resume {tmp_path / 'run'} --code {mine} --numerical-failures SHARE` allows more" in said.err
+    assert "KeyError: 'drifd'" in said.err
+    assert "model.py:2" in said.err
+
+
+@pytest.mark.faults
+def test_what_a_simulation_raised_is_told_of_a_campaign_that_went_on(mine: Path, tmp_path: Path) -> None:
+    source = MODEL.replace(
+        "    severity", "    if design['drift'] > 3.8:\n        raise ValueError('diverged')\n    severity"
+    )
+    (mine / "model.py").write_text(source)
+    (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert said.code == 0
+    assert "raised" in {row["cause"] for row in record(tmp_path / "run")}
+    assert "warning: a simulation was abandoned; why the first failed: design" in said.err
+    assert "ValueError: diverged" in said.err
+
+
+@pytest.mark.faults
+def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_function_is_mended(
+    mine: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run, designs = tmp_path / "run", tmp_path / "in.csv"
+    (mine / "model.py").write_text("def run(design):\n    return design['drifd']\n")
+    said = activefail("run", mine / "mine.toml", "--out", run, "--budget", "40")
+    assert said.code == 1
+    assert "None of the 16 simulations gave an answer" in said.err
+    assert f"`activefail resume {run} --code {mine}` goes on" in said.err
+    assert "The cause of the first is raised." in said.err
+    assert {row["cause"] for row in record(run)} == {"raised"}
+    designs.write_text("drift,T\n1.0,2.0\n")
+    predict = ("predict", run, "--csv", designs, "--out", tmp_path / "out.csv")
+    refused(activefail(*predict), "None of the simulations gave an answer: there is nothing to learn from.")
+    refused(activefail("verify", run, "--code", mine), "has not finished its initial design")
+    # What LAPACK prints goes past Python's streams.
+    assert capfd.readouterr() == ("", "")
+
+    (mine / "model.py").write_text(MODEL)
+    assert activefail("resume", run, "--code", mine, "--budget", "20").code == 0
+    refused(activefail("verify", run, "--code", mine), "has not finished its initial design")
+    said = activefail("resume", run, "--code", mine, "--budget", "40")
+    assert said.code == 0, said.err
+    assert [row["origin"] for row in record(run)] == ["seed"] * 32 + ["active"] * 8
+    for command in (predict, ("compare", run, "--code", mine, "--test", "40"), ("report", run)):
+        said = activefail(*command)
+        assert said.code == 0, said.err
+    assert {row["simulations"] for row in table(run / "compare" / "scores.csv")} == {"32", "34", "35", "37", "38", "40"}
+
+
+def campaign_on_a_program(folder: Path, source: str) -> Path:
+    """The file of a campaign on a program that `program` writes."""
+    program(folder, source)
+    (folder / "mine.toml").write_text(
+        TOML.replace(
+            'python = "model:run"\noutcomes = ["safe", "damage", "failure"]',
+            f'command = "{sys.executable} {{here}}/model.py {{drift}} {{T}} a {{out}}"\noutcomes = ["safe", "damage"]',
+        ).replace("damage", "failure")
+    )
+    return folder / "mine.toml"
+
+
+def test_the_folder_of_a_program_may_be_named_relative_to_the_current_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine").mkdir()
+    campaign_on_a_program(tmp_path / "mine", ANSWERS)
+    monkeypatch.chdir(tmp_path)
+    assert activefail("run", "mine/mine.toml", "--out", "run", "--budget", "16").code == 0
+    said = activefail("resume", "run", "--budget", "20", "--code", "mine")
+    assert said.code == 0, said.err
+    assert len(record(tmp_path / "run")) == 20
+    assert "numerical_failure" not in {row["outcome"] for row in record(tmp_path / "run")}
+
+
+def test_verifications_of_a_simulator_that_never_answers_are_told_and_not_kept(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert activefail("run", campaign_on_a_program(tmp_path, ANSWERS), "--out", run).code == 0
+    verify = ("verify", run, "--simulations", "10", "--code", tmp_path)
+    program(tmp_path, "sys.exit('no licence')")
+    refused(activefail(*verify), "None of the 10 simulations for verification", "no licence", code=1)
+    program(tmp_path, ANSWERS)
+    said = activefail(*verify)
+    assert said.code == 0, said.err
+    assert "10 fresh simulations" in said.out
+
+
+@pytest.mark.faults
+def test_programs_end_with_the_campaign_that_is_killed(tmp_path: Path) -> None:
+    pids = tmp_path / "pids"
+    source = f"""
+import subprocess
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+with open({str(pids)!r}, "w") as file:
+    file.write(f"{{os.getpid()}} {{child.pid}} ")
+time.sleep(600)
+"""
+    with started(
+        "run", campaign_on_a_program(tmp_path, source), "--out", tmp_path / "run", "--workers", "1"
+    ) as process:
+        until(lambda: pids.exists() and len(pids.read_text().split()) == 2)
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+    for pid in pids.read_text().split():
+        until(lambda pid=pid: ended(pid))
+
+
+@pytest.mark.faults
+def test_a_ctrl_c_on_the_terminal_while_worker_processes_start_costs_nothing(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    # Until the signal has come no simulation ends, and the campaign neither.
+    waits = "def run(design):\n    import time\n    while not pathlib.Path(__file__).with_name('open').exists():\n"
+    (mine / "model.py").write_text(MODEL.replace("def run(design):\n", f"{waits}        time.sleep(0.02)\n"))
+    with started("run", mine / "mine.toml", "--out", run, "--workers", "2") as process:
+        until(lambda: any("supervisor" in command for command in started_by(process.pid)))
+        os.killpg(process.pid, signal.SIGINT)
+        wait_for(process.stderr, "stopping after this batch")
+        (mine / "open").touch()
+        _, err = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert f"Go on with: activefail resume {run} --code {mine}" in err
+    assert "numerical_failure" not in {row["outcome"] for row in record(run)}
+
+
+def test_a_campaign_on_a_program_ends_it_on_the_second_ctrl_c_and_goes_on_later(tmp_path: Path) -> None:
+    slow = tmp_path / "slow"
+    slow.touch()
+    source = f"""
+if os.path.exists({str(slow)!r}):
+    with open({str(tmp_path / "pids")!r}, "a") as file:
+        file.write(f"{{os.getpid()}} ")
+    time.sleep(600)
+{ANSWERS}"""
+    file = campaign_on_a_program(tmp_path, source)
+    run = tmp_path / "run"
+    with started("run", file, "--out", run, "--workers", "2") as process:
+        until(lambda: (tmp_path / "pids").exists() and len((tmp_path / "pids").read_text().split()) == 2)
+        process.send_signal(signal.SIGINT)
+        wait_for(process.stderr, "stopping after this batch")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 130
+    assert f"activefail resume {run} --code {tmp_path}" in err
+    for pid in (tmp_path / "pids").read_text().split():
+        until(lambda pid=pid: ended(pid))
+    slow.unlink()
+    stopped = activefail("resume", run)
+    assert stopped.code == 2
+    assert "simulator.command" in stopped.err
+    said = activefail("resume", run, "--code", tmp_path)
+    assert said.code == 0, said.err
+    assert len(list((run / "simulations").iterdir())) == 24
+
+
+@pytest.mark.faults
+def test_a_module_that_changes_the_current_folder_does_not_move_the_run_folder(
+    mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (mine / "model.py").write_text(f"import os\nos.chdir(os.path.dirname(os.path.abspath(__file__)))\n{MODEL}")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert activefail("run", mine / "mine.toml", "--out", "run").code == 0
+    assert (tmp_path / "here" / "run" / "campaign.toml").is_file()
+    assert not (mine / "run").exists()
+
+
+@pytest.mark.faults
+def test_an_error_of_activefail_s_own_in_a_custom_simulator_costs_that_simulation_alone(
+    mine: Path, tmp_path: Path
+) -> None:
+    wrong = "T_b=4, mu=-1.0, D_tot=0.6, h_sl_ratio=0.6, h_rim_ratio=0.1, p=45, k=2e9"
+    raises = (
+        f"    if design['drift'] > 3.8:\n        import activefail\n        activefail.Bearing.from_table({wrong})\n"
+    )
+    (mine / "model.py").write_text(MODEL.replace("    severity", f"{raises}    severity"))
+    (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
+    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert said.code == 0
+    rows = record(tmp_path / "run")
+    assert {row["cause"] for row in rows if float(row["drift"]) > 3.8} == {"raised"}
+    assert all(row["cause"] == "" for row in rows if float(row["drift"]) <= 3.8)
+    assert "InputError: `mu > 0` must hold, got -1.0." in said.err
+
+
+@pytest.mark.faults
+def test_a_simulation_that_prints_to_a_reader_that_has_gone_is_not_recorded_as_failed(
+    mine: Path, tmp_path: Path
+) -> None:
+    (mine / "model.py").write_text(MODEL.replace("    severity", "    print('at work', flush=True)\n    severity"))
+    words = [sys.executable, "-m", "activefail.cli", "run", mine / "mine.toml", "--workers", "1", "--out"]
+    with subprocess.Popen([*words, tmp_path / "cut"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert b"Traceback" not in err
+    assert activefail("run", mine / "mine.toml", "--out", tmp_path / "whole", "--workers", "1").code == 0
+    assert activefail("resume", tmp_path / "cut", "--code", mine, "--workers", "1").code == 0
+    cut, whole = ([{**row, "seconds": ""} for row in record(tmp_path / name)] for name in ("cut", "whole"))
+    assert cut == whole

@@ -1,0 +1,237 @@
+"""The campaign on OpenSees: its program, the campaign itself, and our bearing beside OpenSees' pendulum element.
+
+What needs openseespy runs it under the interpreter that ACTIVEFAIL_OPENSEES_PYTHON names, or under this one.
+"""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, record, table
+
+from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate, simulate_one
+from activefail.campaign.settings import read_settings
+from activefail.space import Array
+
+CAMPAIGNS = Path(__file__).parents[2] / "campaigns"
+PROGRAM = CAMPAIGNS / "opensees_model.py"
+INTERPRETER = os.environ.get("ACTIVEFAIL_OPENSEES_PYTHON", sys.executable)
+DESIGN = {"--t-b": 4.0, "--mu": 0.06, "--d-tot": 0.6, "--t-p": 1.0, "--a-p": 0.3}
+
+
+@cache
+def _missing() -> str:
+    """Why OpenSees cannot be run here; nothing if it can."""
+    asked = [INTERPRETER, "-c", "import numpy, openseespy.opensees"]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    last = done.stderr.strip().splitlines()
+    return f"{INTERPRETER} has no openseespy: {last[-1] if last else done.returncode}" if done.returncode else ""
+
+
+@pytest.fixture
+def opensees() -> str:
+    """An interpreter that has openseespy."""
+    if _missing():
+        pytest.skip(f"{_missing()}; ACTIVEFAIL_OPENSEES_PYTHON may name another")
+    return INTERPRETER
+
+
+def program(interpreter: str, *more: str | Path, **changed: float) -> subprocess.CompletedProcess[str]:
+    """The program on DESIGN with these options changed."""
+    design = DESIGN | {f"--{name.replace('_', '-')}": value for name, value in changed.items()}
+    words = [word for name, value in design.items() for word in (name, repr(value))]
+    return subprocess.run([interpreter, PROGRAM, *words, *more], capture_output=True, text=True, check=False)
+
+
+def said(interpreter: str, *more: str | Path, **changed: float) -> dict[str, object]:
+    done = program(interpreter, *more, **changed)
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert isinstance(answer, dict)
+    return answer
+
+
+# --- the program -------------------------------------------------------------------------------------------------
+
+
+def test_without_openseespy_the_program_says_what_to_install_and_where(tmp_path: Path) -> None:
+    (tmp_path / "openseespy").mkdir()
+    (tmp_path / "openseespy" / "__init__.py").write_text("raise RuntimeError('libblas.so.3: cannot open')\n")
+    words = [sys.executable, PROGRAM, *(str(word) for pair in DESIGN.items() for word in pair)]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith(f"opensees_model.py: {sys.executable} cannot import openseespy (libblas.so.3")
+    assert "pip install openseespy" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_answer_is_written_to_the_file_and_nothing_else_to_stdout(opensees: str, tmp_path: Path) -> None:
+    done = program(opensees, "--out", tmp_path / "answer.json", "--history", tmp_path / "motion.csv")
+    assert (done.returncode, done.stdout) == (0, "")
+    answer = json.loads((tmp_path / "answer.json").read_text())
+    assert answer == said(opensees)
+    motion = np.loadtxt(tmp_path / "motion.csv", delimiter=",", skiprows=1)
+    assert motion[0].tolist() == [-1.5, 0.0, 0.0]
+    assert motion[-1, 0] >= 1.5 + 2.5 * 4.0
+    assert np.abs(motion[:, 2]).max() == answer["margins"]["peak_shear_ratio"]
+    assert abs(motion[-1, 1]) == answer["margins"]["residual_displacement"]
+
+
+@pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.1, True)])
+def test_the_mass_moves_once_the_pulse_exceeds_friction(opensees: str, share: float, moves: bool) -> None:
+    # On a surface of radius L the friction coefficient is a little larger than on the dishes.
+    radius, height = 0.5 * 9.81 * (4.0 / (2.0 * math.pi)) ** 2, 0.8 * 0.30
+    half = math.asin(0.15 / radius)
+    length = 2.0 * radius * math.cos(half) - height
+    friction = math.tan(math.asin(2.0 * radius * math.sin(math.atan(0.06)) / (length * math.cos(half))))
+    margins = said(opensees, a_p=share * friction)["margins"]
+    assert isinstance(margins, dict)
+    assert (margins["peak_displacement_ratio"] > 1e-4) == moves
+    # Nothing slides: the shear is the ground's acceleration.
+    assert moves or margins["peak_shear_ratio"] == pytest.approx(share * friction, rel=0.01)
+
+
+def test_impact_is_a_displacement_that_reaches_the_rim(opensees: str) -> None:
+    free = said(opensees)
+    assert free["outcome"] == "safe"
+    ratio = free["margins"]["peak_displacement_ratio"]  # type: ignore[index]
+    assert 0.1 < ratio < 1.0
+    # The capacity is nearly in proportion to D_tot.
+    for share, outcome in ((1.05, "safe"), (0.95, "impact")):
+        answer = said(opensees, d_tot=0.6 * ratio * share)
+        assert answer["outcome"] == outcome
+        assert set(answer["margins"]) - {"peak_displacement_ratio", "peak_shear_ratio"} == {  # type: ignore[call-overload]
+            "residual_displacement" if outcome == "safe" else "touch_velocity"
+        }
+
+
+@pytest.mark.parametrize(
+    ("changed", "code", "says"),
+    [
+        ({"t_b": 1.0}, 1, "a dish must be less than a hemisphere"),
+        ({"h_sl_ratio": 30.0}, 1, "the slider must be lower than the distance of the dishes' centres"),
+        ({"mu": -0.1}, 2, "must be positive and finite, got -0.1"),
+        ({"a_p": math.nan}, 2, "must be positive and finite, got nan"),
+    ],
+)
+def test_a_design_that_cannot_be_built_is_refused(
+    opensees: str, changed: dict[str, float], code: int, says: str
+) -> None:
+    done = program(opensees, **changed)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+# --- the campaign ------------------------------------------------------------------------------------------------
+
+
+def test_the_campaign_names_the_margins_that_the_program_tells(opensees: str) -> None:
+    told = {name for d_tot in (0.1, 0.8) for name in said(opensees, d_tot=d_tot)["margins"]}  # type: ignore[attr-defined]
+    named = read_settings(CAMPAIGNS / "opensees.toml").simulator
+    assert told == set(named.margins)  # type: ignore[union-attr]
+
+
+def test_the_campaign_runs_is_resumed_and_its_failures_are_told(opensees: str, tmp_path: Path) -> None:
+    shutil.copy(PROGRAM, tmp_path)
+    text = (CAMPAIGNS / "opensees.toml").read_text(encoding="utf-8")
+    for shipped, smaller in (
+        ("python {here}", f"{opensees} {{here}}"),
+        ("initial = 60", "initial = 12"),
+        ("budget = 120", "budget = 16"),
+        ("batch = 10", "batch = 4"),
+    ):
+        assert shipped in text
+        text = text.replace(shipped, smaller)
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    run = tmp_path / "run"
+    answer = activefail("run", tmp_path / "mine.toml", "--out", run, "--budget", "12")
+    assert answer.code == 0, answer.err
+    answer = activefail("resume", run, "--budget", "16", "--code", tmp_path)
+    assert answer.code == 0, answer.err
+    whole = activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "whole")
+    assert whole.code == 0, whole.err
+    assert record(run) == record(tmp_path / "whole")
+    rows = table(run.with_suffix(".csv"))
+    assert {row["outcome"] for row in rows} == {"safe", "impact"}
+    for row in rows:
+        assert (float(row["peak_displacement_ratio"]) >= 1.0) == (row["outcome"] == "impact")
+        assert (row["touch_velocity"] == "") == (row["outcome"] == "safe")
+
+    (tmp_path / "openseespy.py").write_text("raise ImportError('no licence for it')\n")
+    broken = activefail("resume", run, "--budget", "40", "--code", tmp_path)
+    assert broken.code == 1
+    assert "cannot import openseespy" in broken.err
+    assert "no licence for it" in broken.err
+
+
+# --- our bearing beside OpenSees' element ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def untouched() -> Array:
+    """Twenty designs of Table 1 that meet no rim and move by some centimetres, (20, 9)."""
+    X = TABLE_1.latin_hypercube(100, np.random.default_rng(20261))
+    answers = simulate(X)
+    peak = answers.margin("peak_displacement_ratio") * X[:, 2]
+    # Near the rim the two may part: a vertex may touch in one alone.
+    return X[(answers.label == 0) & (peak > 0.05) & (peak < 0.85 * X[:, 2])][:20]
+
+
+def of_bearing(row: Array, model: Model, stiffness: float) -> tuple[Array, Array]:
+    """Times [s] and displacements [m] of the bearing, with contacts so many times as stiff."""
+    design = row.copy()
+    design[6] *= stiffness
+    bearing, pulse = Bearing.from_row(design.tolist(), model.slider_diameter), Pulse.from_table(*design[7:])
+    response = simulate_one(bearing, pulse, model, Tolerance(1e-5), to_the_end=True)
+    assert response.outcome == "no_impact"
+    return response.t, response.q[:, 3]
+
+
+def of_opensees(interpreter: str, row: Array, folder: Path, *more: str) -> tuple[Array, Array]:
+    T_b, mu, D_tot, h_sl_ratio, _, _, _, T_p, A_p = row.tolist()
+    file = folder / "motion.csv"
+    design = {"t_b": T_b, "mu": mu, "d_tot": D_tot, "h_sl_ratio": h_sl_ratio, "t_p": T_p, "a_p": A_p}
+    done = program(interpreter, "--history", file, *more, **design)
+    assert done.returncode == 0, done.stderr
+    t, x, _ = np.loadtxt(file, delimiter=",", skiprows=1).T
+    return t, x
+
+
+def differences(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[float, float]:
+    """Of the peaks and, the largest, of the histories, over the other's peak."""
+    peak = np.abs(other[1]).max()
+    within = other[0] <= one[0][-1]
+    apart = np.abs(np.interp(other[0][within], *one) - other[1][within]).max()
+    return abs(np.abs(one[1]).max() - peak) / peak, apart / peak
+
+
+def test_the_rigid_bearing_moves_as_opensees_friction_pendulum(opensees: str, untouched: Array, tmp_path: Path) -> None:
+    assert len(untouched) == 20
+    # Coulomb friction and rigid contacts, as far as either model goes.
+    rigid = Model(friction_velocity=1e-5)
+    pairs = [(of_bearing(row, rigid, 1e4), of_opensees(opensees, row, tmp_path)) for row in untouched]
+    peak, history = np.array([differences(*pair) for pair in pairs]).T
+    assert np.median(peak) < 0.003
+    assert np.median(history) < 0.008
+    # The element takes x/L for the slope, by which the pendulum's force is x/L/(1 − (x/L)²) of the weight and not
+    # x/L/√(1 − (x/L)²): the motions may part by what it is too stiff at the peak (docs/opensees.md).
+    reach = [np.abs(x).max() / rigid_length(row) for row, (_, (_, x)) in zip(untouched, pairs, strict=True)]
+    excess = 1.0 / np.sqrt(1.0 - np.square(reach)) - 1.0
+    assert np.all(peak < 0.005 + excess)
+    assert np.all(history < 0.01 + excess)
+    assert np.median(excess) < 0.01
+
+
+def rigid_length(row: Array) -> float:
+    """L of a design, between the centres of the circles on which the vertices move [m]."""
+    bearing = Bearing.from_row(row.tolist(), 0.30)
+    return 2.0 * math.sqrt(bearing.radius**2 - 0.15**2) - bearing.slider_height

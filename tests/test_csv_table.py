@@ -1,0 +1,254 @@
+"""Tables: every bad cell is named before anything is done, and a table appears whole or not at all."""
+
+import csv
+import os
+import stat
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from activefail.csv_table import ROWS_AT_ONCE, DesignTable, writing
+from activefail.errors import InputError
+from activefail.space import Array
+
+NAMES = ("a", "b")
+
+
+def ordered(design: Array) -> str | None:
+    return None if design[0] <= design[1] else f"column b: `a <= b` must hold, got {design[1]:g}"
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Callable[[str | bytes], DesignTable]:
+    """Writes a file and checks it as a table of a and b to which `answer` will be added."""
+
+    def checked(content: str | bytes) -> DesignTable:
+        path = tmp_path / "in.csv"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return DesignTable.checked(path, NAMES, ("answer",), ordered)
+
+    return checked
+
+
+def rows(of: DesignTable) -> tuple[list[list[str]], list[list[float]]]:
+    chunks = list(of.chunks())
+    return [text for texts, _ in chunks for text in texts], [row for _, X in chunks for row in X.tolist()]
+
+
+# What is wrong, and what the message says of it after the file's name.
+BAD = {
+    "text": ("a,b\n1,2\n1,two\n", "row 2 (line 3), column b: must be a number, got 'two'"),
+    "empty cell": ("a,b\n,2\n", "row 1 (line 2), column a: must be a number, got ''"),
+    "blank cell": ("a,b\n1,  \n", "row 1 (line 2), column b: must be a number, got ''"),
+    "nan": ("a,b\n1,2\nNaN,2\n", "row 2 (line 3), column a: must be finite, got 'NaN'"),
+    "inf": ("a,b\n1,inf\n", "row 1 (line 2), column b: must be finite, got 'inf'"),
+    "minus infinity": ("a,b\n-Infinity,1\n", "row 1 (line 2), column a: must be finite, got '-Infinity'"),
+    "overflow": ("a,b\n1,1e999\n", "row 1 (line 2), column b: must be finite, got '1e999'"),
+    "decimal comma": ('a,b\n"0,5",1\n', "row 1 (line 2), column a: must be a number, got '0,5'"),
+    "unit": ("a,b\n1,2 m\n", "row 1 (line 2), column b: must be a number, got '2 m'"),
+    "nul": ("a,b\n1,\x00\n", "row 1 (line 2), column b: must be a number, got '\\x00'"),
+    "broken rule": ("a,b\n1,2\n3,2\n", "row 2 (line 3), column b: `a <= b` must hold, got 2"),
+    "cell too few": ("a,b,note\n1,2,x\n1,2\n", "row 2 (line 3), must have 3 cells as the header does, has 2"),
+    "cell too many": ("a,b\n1,2,3\n", "row 1 (line 2), must have 2 cells as the header does, has 3"),
+    "line breaks in a cell": (
+        'note,a,b\n"over\nthree\nlines",1,2\nx,1,?\n',
+        "row 2 (line 5), column b: must be a number, got '?'",
+    ),
+    "missing column": ("a,c\n1,2\n", "column 'b': required, but not there; needed are a,b"),
+    "other case": ("A,b\n1,2\n", "column 'a': required, but not there; needed are a,b"),
+    "semicolons": ("a;b\n1;2\n", "columns must be separated by commas, not by ';'"),
+    "column twice": ("a,b,a\n1,2,3\n", "column 'a': must come once, comes 2 times"),
+    "further column twice": ("a,b,c,c\n1,2,3,4\n", "column 'c': must come once, comes 2 times"),
+    "column that will be written": ("a,answer,b\n1,2,3\n", "column 'answer': will be written and must not be there"),
+    "empty file": ("", "is empty; a header with the columns a, b is needed"),
+    "latin-1": (b"a,b\n1,2\n1,\xfc\n", "must be UTF-8 text"),
+    "utf-16": ("a,b\n1,2\n".encode("utf-16"), "must be UTF-8 text"),
+    "text after a quote": ('a,b\n1,2\n"1"x,2\n', "not valid CSV"),
+    "open quote": ('a,b\n1,"2\n', "not valid CSV"),
+}
+
+
+@pytest.mark.parametrize(("content", "says"), BAD.values(), ids=BAD.keys())
+def test_a_bad_table_is_refused_with_its_name_and_the_place_rule_and_value_of_the_first_mistake(
+    table: Callable[[str | bytes], DesignTable], content: str | bytes, says: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError) as refused:
+        table(content)
+    assert str(refused.value).startswith(f"{tmp_path / 'in.csv'}: {says}")
+    assert str(refused.value).endswith(".")
+
+
+@pytest.mark.parametrize("bad", ['"1"x,2', '1,"2'])
+def test_the_line_of_a_quote_that_does_not_fit_is_named(table: Callable[[str | bytes], DesignTable], bad: str) -> None:
+    with pytest.raises(InputError, match=r"line 42\b"):
+        table("a,b\n" + "1,2\n" * 40 + bad)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    for path, reason in ((tmp_path / "none.csv", "No such file or directory"), (tmp_path, "Is a directory")):
+        with pytest.raises(InputError) as refused:
+            DesignTable.checked(path, NAMES, (), ordered)
+        assert str(refused.value) == f"{path}: cannot be read: {reason}."
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "a,b\n1,2\n3,4\n",
+        "a,b\n1,2\n3,4",
+        "a,b\r\n1,2\r\n3,4\r\n",
+        "\ufeffa,b\n1,2\n3,4\n",
+        " a , b\n 1,2 \n3.0,4e0\n",
+        '"a","b"\n"1","2"\n+3,0.4E+1\n',
+    ],
+    ids=["plain", "no end of line", "Windows", "byte order mark", "blanks", "quoted"],
+)
+def test_a_table_is_read_however_a_spreadsheet_writes_it(
+    table: Callable[[str | bytes], DesignTable], content: str
+) -> None:
+    good = table(content)
+    assert (good.header, good.rows) == (("a", "b"), 2)
+    assert rows(good)[1] == [[1.0, 2.0], [3.0, 4.0]]
+
+
+def test_designs_are_in_the_order_asked_for_and_other_columns_are_kept_as_they_are(
+    table: Callable[[str | bytes], DesignTable],
+) -> None:
+    good = table('note,b,id,a\n"x, ""y""",2,007,1\n , 4,,3 \n')
+    assert good.header == ("note", "b", "id", "a")
+    assert rows(good) == ([['x, "y"', "2", "007", "1"], [" ", " 4", "", "3 "]], [[1.0, 2.0], [3.0, 4.0]])
+
+
+def test_a_table_with_a_header_alone_has_no_designs(table: Callable[[str | bytes], DesignTable]) -> None:
+    assert table("a,b\n").rows == 0
+    assert rows(table("a,b\n")) == ([], [])
+
+
+def test_a_long_table_comes_in_chunks_and_loses_no_row(table: Callable[[str | bytes], DesignTable]) -> None:
+    n = 2 * ROWS_AT_ONCE + 3
+    long = table("a,b\n" + "".join(f"{i},{n}\n" for i in range(n)))
+    chunks = [len(X) for _, X in long.chunks()]
+    assert chunks == [ROWS_AT_ONCE, ROWS_AT_ONCE, 3]
+    assert [row[0] for row in rows(long)[1]] == list(range(n))
+    # A whole number of chunks leaves no empty one behind.
+    even = table("a,b\n" + "1,2\n" * ROWS_AT_ONCE)
+    assert [len(X) for _, X in even.chunks()] == [ROWS_AT_ONCE]
+
+
+def test_a_carriage_return_in_a_cell_stays_in_its_cell(tmp_path: Path) -> None:
+    with writing(tmp_path / "out.csv", ["note", "a", "b"]) as write:
+        write([["over\rtwo lines", "1", "2"]])
+    assert rows(DesignTable.checked(tmp_path / "out.csv", NAMES, (), ordered))[0] == [["over\rtwo lines", "1", "2"]]
+
+
+cells = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r"), max_size=8)
+
+
+@hypothesis.settings(deadline=None)
+@given(
+    texts=st.lists(st.tuples(cells, st.floats(-1e3, 0.0), cells, st.floats(0.0, allow_infinity=False)), max_size=6),
+)
+def test_what_is_written_is_read_again_to_the_last_bit(
+    texts: list[tuple[str, float, str, float]], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "again.csv"
+    given = [[note, repr(a), other, repr(b)] for note, a, other, b in texts]
+    with writing(path, ["note", "a", "other", "b"]) as write:
+        write(given)
+    again = DesignTable.checked(path, NAMES, (), ordered)
+    assert rows(again) == (given, [[a, b] for _, a, _, b in texts])
+
+
+# --- writing -----------------------------------------------------------------------------------------------------
+
+
+def test_a_table_appears_only_once_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("the old one\n")
+    with writing(path, ["a", "b"]) as write:
+        write([[1, 2]])
+        assert path.read_text() == "the old one\n"
+        write([[3, "x, y"]])
+        assert path.read_text() == "the old one\n"
+    assert path.read_text() == 'a,b\n1,2\n3,"x, y"\n'
+    assert os.listdir(tmp_path) == ["out.csv"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError, InputError])
+def test_a_table_that_is_not_finished_leaves_the_old_one_and_nothing_else(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    (tmp_path / "out.csv").write_text("the old one\n")
+
+    def fail(write: Callable[[Sequence[Sequence[int]]], None]) -> None:
+        write([[1, 2]] * 10_000)
+        raise error
+
+    with pytest.raises(error), writing(tmp_path / "out.csv", ["a", "b"]) as write:
+        fail(write)
+    assert os.listdir(tmp_path) == ["out.csv"]
+    assert (tmp_path / "out.csv").read_text() == "the old one\n"
+
+
+def test_a_written_table_has_the_rights_that_any_new_file_gets(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        with writing(tmp_path / "out.csv", ["a"]) as write:
+            write([[1]])
+        (tmp_path / "plain").touch()
+    finally:
+        os.umask(before)
+    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("out.csv", "plain")]
+    assert modes == [0o640, 0o640]
+
+
+def test_where_no_table_can_be_written_its_name_and_the_reason_are_told(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    for path, reason in (
+        (tmp_path / "none" / "out.csv", "No such file or directory"),
+        (tmp_path / "folder", "Is a directory"),
+        (tmp_path / "file" / "out.csv", "Not a directory"),
+    ):
+        with pytest.raises(InputError) as refused, writing(path, ["a"]) as write:
+            write([[1]])
+        assert str(refused.value) == f"{path}: cannot be written: {reason}."
+    assert sorted(os.listdir(tmp_path)) == ["file", "folder"]
+
+
+def test_numbers_that_are_written_with_repr_are_read_again_to_the_last_bit(tmp_path: Path) -> None:
+    X = np.random.default_rng(0).normal(size=(50, 2)) * 10.0 ** np.arange(-150, 150, 6)[:, None]
+    with writing(tmp_path / "out.csv", ["a", "b"]) as write:
+        write([list(map(repr, row)) for row in X.tolist()])
+    with (tmp_path / "out.csv").open(newline="") as file:
+        again = np.array(list(csv.reader(file))[1:], dtype=np.float64)
+    assert again.tobytes() == X.tobytes()
+
+
+def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    with writing(tmp_path / "link.csv", ["a"]) as write:
+        write([["1"]])
+    assert (tmp_path / "link.csv").is_symlink()
+    assert (tmp_path / "real.csv").read_text() == "a\n1\n"
+
+
+def test_a_link_that_leads_to_itself_becomes_the_table(tmp_path: Path) -> None:
+    (tmp_path / "loop.csv").symlink_to("loop.csv")
+    with writing(tmp_path / "loop.csv", ["a"]) as write:
+        write([["1"]])
+    assert (tmp_path / "loop.csv").read_text() == "a\n1\n"
+
+
+def test_what_is_no_regular_file_is_neither_read_nor_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="must be a regular file"):
+        DesignTable.checked(tmp_path / "pipe", NAMES, (), ordered)
+    with pytest.raises(InputError, match="must be a file"), writing(tmp_path / "pipe", ["a"]):
+        pass
+    assert (tmp_path / "pipe").is_fifo()
