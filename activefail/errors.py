@@ -20,6 +20,14 @@ class BusyError(StoreError):
     """Another process is writing to the run folder."""
 
 
+class DamagedError(StoreError):
+    """A file is not what was written, or holds what activefail never writes; the text completes "<file> ..."."""
+
+
+class SyncError(StoreError):
+    """fsync failed: the kernel may have dropped the pages, so neither a retry nor a later commit can be trusted."""
+
+
 class SimulationError(ActivefailError):
     """The simulator did not do its work: too many numerical failures, or workers that keep dying."""
 

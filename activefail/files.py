@@ -1,5 +1,6 @@
-"""Files that have their names only once they are whole, and files that are read without trust in their names."""
+"""Files that have their names only once they are whole, durably or not, and files read without trust in their names."""
 
+import errno
 import os
 import secrets
 import stat
@@ -8,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from activefail.errors import InputError
+from activefail.errors import InputError, StoreError, SyncError
 
 TEMPORARY = ".tmp-"
 """Prefix of a file of a record that is being written; whoever holds the lock of its run folder may remove it."""
@@ -91,3 +92,143 @@ def end_of(path: Path, most: int) -> bytes:
     with path.open("rb") as file:
         file.seek(max(0, os.fstat(file.fileno()).st_size - most))
         return file.read(most)
+
+
+WRITE_BYTES = 1 << 20
+
+
+NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
+
+
+_NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
+
+
+def publish(path: Path, data: bytes) -> None:
+    """Write a new file durably; it is there, whole, from the moment of os.link on.
+
+    Raises:
+        SyncError: if fsync failed.
+        StoreError: if the file exists already, or with the system's reason.
+    """
+    temporary = _write_temporary(path, data)
+    try:
+        # Unlike a rename, a link fails if the name is taken: it fences a second writer even without the lock.
+        os.link(temporary, path)
+    except FileExistsError:
+        raise StoreError(f"{path} exists already: another writer got there first. Open the folder again.") from None
+    except OSError as error:
+        hint = " The folder's file system must support hard links." if error.errno in NO_LINKS else ""
+        raise StoreError(_refused(path, error) + hint) from error
+    finally:
+        with suppress(OSError):
+            os.unlink(temporary)
+    sync_folder(path.parent)
+
+
+def replace(path: Path, data: bytes) -> None:
+    """Write a file durably in the place of an older one, for content that can be rebuilt.
+
+    Raises:
+        SyncError: if fsync failed.
+        StoreError: with the system's reason; the older file is still there.
+    """
+    temporary = _write_temporary(path, data)
+    try:
+        os.replace(temporary, path)
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(temporary)
+        raise StoreError(_refused(path, error)) from error
+    sync_folder(path.parent)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, each durable in the one above it before the next is made.
+
+    The nearest one that is there already may have been made a moment ago, by a program that was interrupted: its name
+    is made durable too, where the folder above it may be read.
+
+    Raises:
+        SyncError: if fsync failed.
+        OSError: if one cannot be made.
+    """
+    missing = not folder.is_dir()
+    if missing:
+        if folder.parent.is_dir() or not os.path.lexists(folder.parent):
+            make_folder(folder.parent)
+        try:
+            os.mkdir(folder)
+        except FileExistsError:
+            if not folder.is_dir():
+                raise
+    try:
+        sync_folder(folder.parent)
+    except SyncError as error:
+        # Whoever made it may have rights above it that we have not.
+        if missing or getattr(error.__cause__, "errno", None) not in _NO_RIGHT_TO_SYNC:
+            raise
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable.
+
+    Raises:
+        SyncError: if that fails.
+    """
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise SyncError(_unsynced(folder, error)) from error
+
+
+def _write_temporary(path: Path, data: bytes) -> Path:
+    """Write and fsync `data` under a temporary name beside `path`; nothing is left of it if that fails."""
+    temporary = temporary_beside(path)
+    try:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        try:
+            _write_all(descriptor, data)
+            _sync_file(descriptor, path)
+            size = os.fstat(descriptor).st_size
+        finally:
+            os.close(descriptor)
+        if size != len(data):
+            raise StoreError(f"Cannot write {path}: {size} bytes are on the disk, {len(data)} were written.")
+    except (OSError, StoreError) as error:
+        with suppress(OSError):
+            os.unlink(temporary)
+        if isinstance(error, OSError):
+            raise StoreError(_refused(path, error)) from error
+        raise
+    return temporary
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    rest = memoryview(data)
+    while rest:
+        written = os.write(descriptor, rest[:WRITE_BYTES])
+        if written == 0:
+            raise OSError(errno.EIO, "the system writes nothing more")
+        rest = rest[written:]
+
+
+def _sync_file(descriptor: int, path: Path) -> None:
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        raise SyncError(_unsynced(path, error)) from error
+
+
+def _refused(path: Path, error: OSError) -> str:
+    return f"Cannot write {path}: {error.strerror or error}. What was there before is whole; resume when it is cured."
+
+
+def _unsynced(path: Path, error: OSError) -> str:
+    return (
+        f"Cannot make {path} durable: {error.strerror or error} (fsync). The disk may be failing, so this run writes "
+        f"nothing more; what was acknowledged before is whole. Check the disk, then resume."
+    )

@@ -28,8 +28,8 @@ from activefail.campaign.loop import one_thread, run
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.comparison.score import FreshSet, measures
 from activefail.estimate import Estimate
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import MemoryStore
+from activefail.execution.local import ThreadExecutor
+from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
 

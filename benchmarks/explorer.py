@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from activefail.campaign.findings import findings_of
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
-from activefail.report.findings import glance
 
 GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation": 300}
 """Within which an answer is felt as at once [ms]."""
@@ -64,7 +64,7 @@ def main() -> None:
     with one_thread():
         with open_campaign(Path(arguments.run), write=False) as (campaign, store):
             classifier = current_classifier(campaign, store, write=False)
-            answers = Answers(glance(Path(arguments.run), campaign, store, classifier))
+            answers = Answers(findings_of(Path(arguments.run), campaign, store, classifier))
         designs = campaign.space.latin_hypercube(arguments.n, np.random.default_rng(0)).tolist()
         few = designs[: max(2, arguments.n // 5)]
         last = len(designs[0]) - 1

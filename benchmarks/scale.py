@@ -19,7 +19,7 @@ import numpy as np
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.loop import Observer, Progress, run
 from activefail.campaign.settings import parse_settings
-from activefail.execution.executor import ThreadExecutor
+from activefail.execution.local import ThreadExecutor
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
 from activefail.space import Array

@@ -24,8 +24,8 @@ from activefail.campaign.loop import one_thread, run, standing
 from activefail.campaign.settings import CampaignSettings
 from activefail.campaign.stratified import StratifiedCount
 from activefail.campaign.verification import allotted, verify
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import MemoryStore
+from activefail.execution.local import ThreadExecutor
+from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import NUMERICAL_FAILURE
 
 FIRST_SEED, MOST = 4000, 600

@@ -9,8 +9,8 @@ from campaign.stub import Disc, disc
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread, run
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import MemoryStore
+from activefail.execution.local import ThreadExecutor
+from activefail.record.memory import MemoryStore
 from activefail.surrogate.classifier import Classifier
 
 

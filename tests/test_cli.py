@@ -28,7 +28,7 @@ from activefail.campaign.opening import open_campaign
 from activefail.campaign.settings import read_settings
 from activefail.cli import app
 from activefail.cli.common import stop_on_signals
-from activefail.execution.executor import ThreadExecutor
+from activefail.execution.local import ThreadExecutor
 from activefail.record.run_folder import FolderStore
 
 COMMANDS = tuple(typer.main.get_group(app).commands)

@@ -15,7 +15,8 @@ from activefail.features import ExpressionFeatures, FeatureMap, FeatureSet, OwnF
 from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
 from activefail.simulators.bearing import DfpSimulator
-from activefail.simulators.custom import CommandSimulator, PythonSimulator
+from activefail.simulators.command import CommandSimulator
+from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import Simulator
 from activefail.simulators.user_code import FEATURES_KEY, SIMULATOR_KEY, load_function
 from activefail.space import Array, DesignSpace

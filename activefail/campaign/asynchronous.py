@@ -21,8 +21,9 @@ from activefail.campaign.learning import (
     restore,
     search_for_unseen,
 )
-from activefail.record.batch import Batch, Store
-from activefail.record.hdf5 import DamagedError
+from activefail.errors import DamagedError
+from activefail.record.batch import Batch
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from activefail.acquisition.batch import Search
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.unseen import unseen_outcomes
-from activefail.record.batch import SEED, Batch, Store
-from activefail.record.hdf5 import DamagedError
+from activefail.errors import DamagedError
+from activefail.record.batch import SEED, Batch
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent, train

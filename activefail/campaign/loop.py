@@ -27,7 +27,8 @@ from activefail.campaign.unseen import unseen_outcomes
 from activefail.campaign.verification import ErrorEstimate, verify_by_rule
 from activefail.errors import SimulationError
 from activefail.execution.executor import AsynchronousExecutor, Executor
-from activefail.record.batch import ACTIVE, SEED, Batch, Store
+from activefail.record.batch import ACTIVE, SEED, Batch
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier

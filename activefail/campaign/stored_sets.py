@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.errors import SimulationError
 from activefail.execution.executor import Executor
-from activefail.record.batch import Store
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 

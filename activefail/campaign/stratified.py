@@ -12,8 +12,8 @@ class StratifiedCount:
     """Designs counted in parts of a design space, and how many of them were hits (misclassified, say).
 
     The share of hits is θ = Σ V_k p_k. `experiments/verification.py` measures how often its bounds hold, above
-    all where few hits or none were seen. Each bound is a quantile of the beta distribution with the mean and the variance of
-    Σ V_k B_k, where B_k follows a beta distribution:
+    all where few hits or none were seen. Each bound is a quantile of the beta distribution with the mean and the
+    variance of Σ V_k B_k, where B_k follows a beta distribution:
 
     - lower bound: B_k ~ Beta(x_k, n_k − x_k + 1), as in the bound of Clopper and Pearson (1934) for each part;
     - upper bound: B_j ~ Beta(x_j + 1, n_j − x_j), Clopper and Pearson's, for one part j, and Jeffreys' Beta(x_k + ½,

@@ -11,7 +11,8 @@ from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.csv_table import DesignTable, writing
 from activefail.errors import InputError
-from activefail.record.batch import SEED, Store
+from activefail.record.batch import SEED
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier

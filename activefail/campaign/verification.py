@@ -19,7 +19,7 @@ from activefail.campaign.stored_sets import simulated_outcomes
 from activefail.campaign.stratified import StratifiedCount
 from activefail.execution.executor import Executor
 from activefail.features import FeatureMap
-from activefail.record.batch import Store
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments

@@ -322,7 +322,7 @@ def verify(
     from activefail.campaign.opening import open_campaign
     from activefail.campaign.summary import Summary
     from activefail.campaign.verification import verify as verify_classifier
-    from activefail.execution.executor import local_executor
+    from activefail.execution.local import local_executor
 
     with (
         open_campaign(folder, write=True, code=code) as (campaign, store),

@@ -53,7 +53,7 @@ def make_executor(
         InputError: if the options do not go together, or the cluster cannot be reached.
     """
     if name == "local":
-        from activefail.execution.executor import local_executor
+        from activefail.execution.local import local_executor
 
         if scheduler is not None:
             raise InputError("--scheduler: is for --executor dask.")

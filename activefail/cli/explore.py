@@ -19,12 +19,12 @@ def explore(
     code: Code = None,
 ) -> None:
     """Serve an interactive page of what a campaign has learned, on this machine alone by default."""
+    from activefail.campaign.findings import findings_of
     from activefail.campaign.learning import current_classifier
     from activefail.campaign.loop import one_thread
     from activefail.campaign.opening import open_campaign
     from activefail.explorer.answers import Answers
     from activefail.explorer.server import ExplorerServer
-    from activefail.report.findings import glance
 
     with one_thread():
         with open_campaign(Path(folder), write=False, code=code) as (campaign, store):
@@ -34,7 +34,7 @@ def explore(
             print("learning", file=sys.stderr, flush=True)
             classifier = current_classifier(campaign, store, write=False)
             show_warnings(store)
-            findings = glance(folder, campaign, store, classifier)
+            findings = findings_of(folder, campaign, store, classifier)
         server = ExplorerServer(host, port, Answers(findings))
         print(f"explorer   {server.address}  (Ctrl-C ends it)", flush=True)
         try:

@@ -19,11 +19,12 @@ def report(
     code: Code = None,
 ) -> None:
     """Write what a campaign has found as one HTML file that needs nothing else."""
+    from activefail.campaign.findings import findings_of
     from activefail.campaign.learning import current_classifier
     from activefail.campaign.loop import one_thread
     from activefail.campaign.opening import open_campaign
     from activefail.record.layout import REPORT
-    from activefail.report.findings import gather
+    from activefail.report.evidence import evidence_of
     from activefail.report.page import render, write_report
 
     check_output("--out", out)
@@ -45,10 +46,11 @@ def report(
         stage("learning")
         classifier = current_classifier(campaign, store, write=False)
         show_warnings(store)
-        findings = gather(folder, campaign, store, classifier, stage)
-        page = render(findings, store, stage)
+        evidence = evidence_of(folder, campaign, store, classifier, stage)
+        findings = findings_of(folder, campaign, store, classifier)
+        page = render(findings, evidence, store, stage)
     with writing_to(target):
         write_report(page, target)
-    for missing in findings.missing.values():
+    for missing in evidence.missing.values():
         print(f"missing    {visible(missing)}")
     print(f"report     {visible(str(target))}")

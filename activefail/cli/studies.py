@@ -79,7 +79,7 @@ def compare(
 def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | None) -> None:
     from activefail.campaign.opening import open_campaign
     from activefail.comparison.static import compare as compare_samplings
-    from activefail.execution.executor import local_executor
+    from activefail.execution.local import local_executor
 
     with (
         open_campaign(folder, write=True, code=code) as (campaign, store),

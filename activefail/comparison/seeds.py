@@ -28,8 +28,8 @@ from activefail.campaign.stored_sets import simulated_outcomes
 from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError, SimulationError
 from activefail.estimate import Estimate
-from activefail.execution.executor import local_executor
-from activefail.execution.processes import begin_worker, starting_processes
+from activefail.execution.local import local_executor
+from activefail.execution.starting import begin_worker, starting_processes
 from activefail.files import replacing
 from activefail.record.layout import refuse_links
 from activefail.record.run_folder import check_empty

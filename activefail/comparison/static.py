@@ -13,7 +13,7 @@ from activefail.campaign.loop import one_thread, standing
 from activefail.campaign.stored_sets import simulated_set
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
-from activefail.record.batch import Store
+from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train

@@ -9,7 +9,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Self
 
 from activefail.errors import ActivefailError, InputError, SimulationError
-from activefail.execution.executor import answer, as_told
+from activefail.execution.answering import answer, shown_fault
 from activefail.execution.processes import Guards
 from activefail.simulators.interface import WORKER_DIED, Results, Simulator, unanswered
 from activefail.space import Array
@@ -171,7 +171,7 @@ class DaskExecutor:
                 ) from answer
             case _:
                 results, fault = answer
-        self.first_fault = self.first_fault or as_told(fault)
+        self.first_fault = self.first_fault or shown_fault(fault)
         return results
 
     def __enter__(self) -> Self:

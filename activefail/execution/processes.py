@@ -7,14 +7,11 @@ import select
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from multiprocessing import resource_tracker, spawn
+from contextlib import suppress
 from multiprocessing.reduction import ForkingPickler
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -36,6 +33,7 @@ from activefail.execution.frames import (
     unpack_error,
     unpack_text,
 )
+from activefail.execution.starting import ignoring_ctrl_c, preparation, python_command, search_path
 from activefail.execution.supervisor import NO_PROCESS, STATUS
 from activefail.execution.worker import LOST, Answer
 from activefail.simulators.interface import (
@@ -116,10 +114,10 @@ class _Worker:
             self._connection, theirs = socket.socketpair()
             self._leash, held = socket.socketpair()
             ask_for_senders(self._connection)
-            with theirs, held, _deaf_to_ctrl_c():
+            with theirs, held, ignoring_ctrl_c():
                 descriptors = (theirs.fileno(), held.fileno())
                 self._supervisor = subprocess.Popen(
-                    [*_python(), "-c", _PROGRAM, str(os.getpid()), *map(str, descriptors), *_search_path()],
+                    [*python_command(), "-c", _PROGRAM, str(os.getpid()), *map(str, descriptors), *search_path()],
                     stdin=subprocess.DEVNULL,
                     pass_fds=descriptors,
                     start_new_session=True,
@@ -139,7 +137,7 @@ class _Worker:
         """
         data = bytes(ForkingPickler.dumps(simulator))
         # The main module is run anew there, which takes time, and only where something of it is needed.
-        content = bytes(ForkingPickler.dumps((answer, _like_here(main=b"__main__" in data), data)))
+        content = bytes(ForkingPickler.dumps((answer, preparation(main=b"__main__" in data), data)))
         try:
             if self._process is None:
                 self._ask(Asks.GREETING, self._secret, _START_LIMIT, 0)
@@ -419,93 +417,6 @@ class Guards:
         """Let go of all workers; nobody waits for them."""
         for guard in self._all:
             guard.close()
-
-
-@contextmanager
-def starting_processes() -> Iterator[None]:
-    """Processes that are started within take no modules from the current folder and never hear a Ctrl-C.
-
-    Around what makes locks or pools, too: the first lock starts a process that keeps count of them.
-    """
-    with _without_this_folder():
-        # Its start would unblock what is blocked then.
-        resource_tracker.ensure_running()
-        with _deaf_to_ctrl_c():
-            yield
-
-
-@contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Processes that are started within never hear a Ctrl-C, not even while they load their libraries.
-
-    A terminal sends it to all of them, and it is for the parent to judge. One that comes meanwhile is heard at the end.
-    """
-    heard = False
-
-    def hear(number: int, frame: object) -> None:
-        nonlocal heard
-        heard = True
-
-    # Blocked for those that are started, who inherit this; and heard by another thread, it must not break off a start.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, hear) if main else None
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        if main:
-            signal.signal(signal.SIGINT, handler)
-        if heard:
-            signal.raise_signal(signal.SIGINT)
-
-
-_SAFE_PATH, _OURS = "PYTHONSAFEPATH", "activefail"
-"""A variable of Python's, and what it is set to where it is not the user's."""
-
-
-@contextmanager
-def _without_this_folder() -> Iterator[None]:
-    """For a process that is started as `python -c`, which would look for Python's own modules here first.
-
-    The current folder may be a run folder that comes from someone else, with a `multiprocessing.py` in it.
-    """
-    ours = not os.environ.get(_SAFE_PATH)
-    if ours:
-        os.environ[_SAFE_PATH] = _OURS
-    try:
-        yield
-    finally:
-        if ours:
-            del os.environ[_SAFE_PATH]
-
-
-def begin_worker() -> None:
-    """What a process does first that was started so: a program of Python's that it starts has its own folder back."""
-    if os.environ.get(_SAFE_PATH) == _OURS:
-        del os.environ[_SAFE_PATH]
-
-
-def _python() -> list[str]:
-    """Python as this process was started, but never looking for modules in the current folder first.
-
-    That may be a run folder which comes from someone else, with a `pickle.py` in it.
-    """
-    flags: list[str] = subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined]
-    return [sys.executable, *flags, "-P"]
-
-
-def _search_path() -> list[str]:
-    """Where this process finds modules."""
-    places: list[object] = spawn.get_preparation_data("")["sys_path"]
-    return [place for place in places if isinstance(place, str)]
-
-
-def _like_here(main: bool) -> dict[str, Any]:
-    """What makes another process like this one: its arguments, and its main module if asked for."""
-    known = spawn.get_preparation_data("")
-    wanted = ("sys_argv", "orig_dir", *(("init_main_from_name", "init_main_from_path") if main else ()))
-    return {name: known[name] for name in wanted if name in known}
 
 
 def _ending(code: int) -> str:

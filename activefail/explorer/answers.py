@@ -13,15 +13,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from activefail.bearing.design import GRAVITY, Model, Tolerance
+from activefail.bearing.motion import Motion, describe_outcome
 from activefail.bearing.simulation import Response
+from activefail.campaign import quantities
+from activefail.campaign.findings import Findings, at_the_boundary
+from activefail.campaign.prediction import Prediction, interval, predict
+from activefail.campaign.quantities import plain, words
 from activefail.errors import InputError
-from activefail.figures import quantities
 from activefail.figures.contours import bar_of_contours, filled_contours
 from activefail.figures.curves import plot_fragility
 from activefail.figures.marks import outcome_colour
 from activefail.figures.motion import (
-    Motion,
-    describe_outcome,
     extent,
     plate_outline,
     plot_histories,
@@ -30,10 +32,8 @@ from activefail.figures.motion import (
     slider_vertices,
     vertex_states,
 )
-from activefail.figures.quantities import plain, words
 from activefail.figures.style import styled
 from activefail.figures.svg import inline
-from activefail.report.findings import Findings, Prediction, at_the_boundary, interval, predict, simulated
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
 from activefail.visible import visible
@@ -278,7 +278,7 @@ class Answers:
     def _simulated(self, point: Sequence[float]) -> tuple[DfpSimulator, Response]:
         if not isinstance(self.campaign.simulator, DfpSimulator):
             raise InputError("This campaign's simulator has no bearing to show.")
-        return self.campaign.simulator, simulated(self.campaign.simulator, np.array(point))
+        return self.campaign.simulator, self.campaign.simulator.response(np.array(point))
 
 
 def _place(upper: Axes, lower: Axes) -> dict[str, float]:

@@ -16,17 +16,16 @@ from PIL import Image
 
 from activefail.bearing import Response
 from activefail.bearing.design import GRAVITY
+from activefail.bearing.motion import Motion, seconds
 from activefail.errors import ActivefailError, InputError
 from activefail.figures import style
 from activefail.figures.motion import (
     LIMIT_LINE,
     PLATE_LINES,
     BearingDrawing,
-    Motion,
     extent,
     figure_legend,
     mark_events,
-    seconds,
     titled_figure,
 )
 

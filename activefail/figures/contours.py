@@ -13,12 +13,13 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY, TABLE_1
+from activefail.campaign.findings import Findings
+from activefail.campaign.prediction import Prediction, predict
+from activefail.campaign.quantities import Quantity, plain, quantity, variables, words
 from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.marks import outcome_handles, scatter_outcomes
 from activefail.figures.planes import PLANES, SLICE, Plane
-from activefail.figures.quantities import Quantity, plain, quantity, variables, words
 from activefail.figures.style import GREY, styled
-from activefail.report.findings import Findings, Prediction, predict
 from activefail.space import Array
 
 GRID = 44

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from activefail.campaign.quantities import Quantity, plain, words
 from activefail.figures.marks import outcome_colour, outcome_marker
-from activefail.figures.quantities import Quantity, plain, words
 from activefail.figures.style import GREY, LIGHT_GREY, styled
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier

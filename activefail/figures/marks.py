@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from activefail.figures.quantities import plain, words
+from activefail.campaign.quantities import plain, words
 from activefail.figures.style import BLACK, BLUE, GREEN, ORANGE, OUTCOME_COLOURS, PURPLE, SKY_BLUE, VERMILION
 from activefail.space import Array
 

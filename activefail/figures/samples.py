@@ -10,8 +10,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
+from activefail.campaign.quantities import Quantity, plain, words
 from activefail.figures.marks import outcome_colour, outcome_handles, scatter_outcomes
-from activefail.figures.quantities import Quantity, plain, words
 from activefail.figures.style import BLACK, GREY, styled
 from activefail.space import Array
 

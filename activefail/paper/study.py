@@ -23,7 +23,7 @@ from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
 from activefail.comparison.score import expected_calibration_error
 from activefail.errors import SimulationError
-from activefail.execution.processes import starting_processes
+from activefail.execution.starting import starting_processes
 from activefail.features import feature_map, paper_features
 from activefail.paper import published
 from activefail.paper.methods import LENGTH_SCALE, expectation_propagation, laplace, logistic_regression

@@ -7,8 +7,9 @@ from urllib.parse import quote, unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from activefail.errors import DamagedError
 from activefail.record.batch import COLUMNS, Schema, answers_of, results_of
-from activefail.record.hdf5 import DamagedError, Image, encode, opened
+from activefail.record.hdf5 import Image, encode, opened
 from activefail.record.segment import SCHEMA_VERSION, chain_start, check_version, read_columns
 from activefail.simulators.interface import Results
 from activefail.space import Array

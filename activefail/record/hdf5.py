@@ -1,27 +1,23 @@
-"""Files of the record: arrays as HDF5 built in memory, behind a block that betrays any changed bit, written durably.
+"""Files of the record: arrays as HDF5 built in memory, behind a block that betrays any changed bit.
 
 A file is a 512-byte HDF5 user block (text: magic, format version, length and SHA-256 of what follows, and the block's
 own SHA-256 in its last 64 bytes) and then plain HDF5, so that any HDF5 tool opens it. HDF5 itself never touches the
 disk: it dies of SIGSEGV on a full one and returns wrong values for a flipped bit.
 """
 
-import errno
 import hashlib
 import io
-import os
 import re
 import secrets
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from activefail.errors import StoreError
-from activefail.files import temporary_beside
+from activefail.errors import DamagedError, StoreError
 from activefail.visible import visible
 
 FORMAT = 1
@@ -31,17 +27,6 @@ MAGIC = "activefail record"
 BLOCK_BYTES = 512
 DIGEST_BYTES = 64
 CHUNK_BYTES = 1 << 20
-WRITE_BYTES = 1 << 20
-NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
-_NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
-
-
-class DamagedError(StoreError):
-    """A file is not what was written, or holds what activefail never writes; the text completes "<file> ..."."""
-
-
-class SyncError(StoreError):
-    """fsync failed: the kernel may have dropped the pages, so neither a retry nor a later commit can be trusted."""
 
 
 def encode(content: Mapping[str, NDArray[Any] | str], attributes: Mapping[str, str]) -> bytes:
@@ -212,134 +197,3 @@ def opened(data: bytes) -> Iterator[Image]:
             yield Image(root, len(data))
     except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
         raise DamagedError(f"does not hold what activefail writes ({visible(str(error))})") from error
-
-
-def publish(path: Path, data: bytes) -> None:
-    """Write a new file durably; it is there, whole, from the moment of os.link on.
-
-    Raises:
-        SyncError: if fsync failed.
-        StoreError: if the file exists already, or with the system's reason.
-    """
-    temporary = _write_temporary(path, data)
-    try:
-        # Unlike a rename, a link fails if the name is taken: it fences a second writer even without the lock.
-        os.link(temporary, path)
-    except FileExistsError:
-        raise StoreError(f"{path} exists already: another writer got there first. Open the folder again.") from None
-    except OSError as error:
-        hint = " The folder's file system must support hard links." if error.errno in NO_LINKS else ""
-        raise StoreError(_refused(path, error) + hint) from error
-    finally:
-        with suppress(OSError):
-            os.unlink(temporary)
-    sync_folder(path.parent)
-
-
-def replace(path: Path, data: bytes) -> None:
-    """Write a file durably in the place of an older one, for content that can be rebuilt.
-
-    Raises:
-        SyncError: if fsync failed.
-        StoreError: with the system's reason; the older file is still there.
-    """
-    temporary = _write_temporary(path, data)
-    try:
-        os.replace(temporary, path)
-    except OSError as error:
-        with suppress(OSError):
-            os.unlink(temporary)
-        raise StoreError(_refused(path, error)) from error
-    sync_folder(path.parent)
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, each durable in the one above it before the next is made.
-
-    The nearest one that is there already may have been made a moment ago, by a program that was interrupted: its name
-    is made durable too, where the folder above it may be read.
-
-    Raises:
-        SyncError: if fsync failed.
-        OSError: if one cannot be made.
-    """
-    missing = not folder.is_dir()
-    if missing:
-        if folder.parent.is_dir() or not os.path.lexists(folder.parent):
-            make_folder(folder.parent)
-        try:
-            os.mkdir(folder)
-        except FileExistsError:
-            if not folder.is_dir():
-                raise
-    try:
-        sync_folder(folder.parent)
-    except SyncError as error:
-        # Whoever made it may have rights above it that we have not.
-        if missing or getattr(error.__cause__, "errno", None) not in _NO_RIGHT_TO_SYNC:
-            raise
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable.
-
-    Raises:
-        SyncError: if that fails.
-    """
-    try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-    except OSError as error:
-        raise SyncError(_unsynced(folder, error)) from error
-
-
-def _write_temporary(path: Path, data: bytes) -> Path:
-    """Write and fsync `data` under a temporary name beside `path`; nothing is left of it if that fails."""
-    temporary = temporary_beside(path)
-    try:
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        try:
-            _write_all(descriptor, data)
-            _sync_file(descriptor, path)
-            size = os.fstat(descriptor).st_size
-        finally:
-            os.close(descriptor)
-        if size != len(data):
-            raise StoreError(f"Cannot write {path}: {size} bytes are on the disk, {len(data)} were written.")
-    except (OSError, StoreError) as error:
-        with suppress(OSError):
-            os.unlink(temporary)
-        if isinstance(error, OSError):
-            raise StoreError(_refused(path, error)) from error
-        raise
-    return temporary
-
-
-def _write_all(descriptor: int, data: bytes) -> None:
-    rest = memoryview(data)
-    while rest:
-        written = os.write(descriptor, rest[:WRITE_BYTES])
-        if written == 0:
-            raise OSError(errno.EIO, "the system writes nothing more")
-        rest = rest[written:]
-
-
-def _sync_file(descriptor: int, path: Path) -> None:
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        raise SyncError(_unsynced(path, error)) from error
-
-
-def _refused(path: Path, error: OSError) -> str:
-    return f"Cannot write {path}: {error.strerror or error}. What was there before is whole; resume when it is cured."
-
-
-def _unsynced(path: Path, error: OSError) -> str:
-    return (
-        f"Cannot make {path} durable: {error.strerror or error} (fsync). The disk may be failing, so this run writes "
-        f"nothing more; what was acknowledged before is whole. Check the disk, then resume."
-    )

@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from activefail.errors import StoreError
+from activefail.errors import DamagedError, StoreError
 from activefail.record.batch import Schema
-from activefail.record.hdf5 import DamagedError
 from activefail.record.segment import Segment, decode_segment
 from activefail.visible import visible
 

@@ -21,12 +21,11 @@ from typing import Any, Self
 from numpy.typing import NDArray
 
 from activefail import __version__
-from activefail.errors import InputError, StoreError
-from activefail.files import TEMPORARY, read_regular
+from activefail.errors import DamagedError, InputError, StoreError, SyncError
+from activefail.files import TEMPORARY, make_folder, publish, read_regular, replace, sync_folder
 from activefail.record import compaction
 from activefail.record.attachments import decode_set, decode_state, encode_set, encode_state
-from activefail.record.batch import STATES_KEPT, Batch, Schema, check_set, checked_state, own_copy
-from activefail.record.hdf5 import DamagedError, SyncError, make_folder, publish, replace, sync_folder
+from activefail.record.batch import Batch, Schema, own_copy
 from activefail.record.layout import FOLDERS, LARGEST_SETTINGS, LOCK, SETTINGS, refuse_links
 from activefail.record.lock import FolderLock
 from activefail.record.recovery import (
@@ -41,8 +40,8 @@ from activefail.record.recovery import (
     set_aside,
 )
 from activefail.record.segment import Segment, chain_start, encode_segment
+from activefail.record.store import STATES_KEPT, check_set, checked_state
 from activefail.simulators.interface import Results
-from activefail.simulators.user_code import FEATURES_KEY, SIMULATOR_KEY
 from activefail.space import Array
 from activefail.visible import visible
 
@@ -219,7 +218,8 @@ class FolderStore:
         # A merged segment may hold several, one after the other.
         before = {name: [*compaction.history(text, 0).values()][-1] for name, text in provenance.items()}
         changed = {name: now for name, now in self._provenance.items() if before.get(name, now) != now}
-        code = {name: changed.pop(name) for name in (SIMULATOR_KEY, FEATURES_KEY) if name in changed}
+        # An entry that is named after a key of the settings is the digest of the user's code that the key names.
+        code = {name: changed.pop(name) for name in list(changed) if "." in name}
         for name, now in code.items():
             self._warn(
                 f"Your own code has changed since the last batch, {_named(self.settings, name)} ({name}) or what it "

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail import __version__
-from activefail.errors import StoreError
+from activefail.errors import DamagedError, StoreError
 from activefail.record.batch import COLUMNS, Batch, Schema, batch_of, columns_of, results_of
-from activefail.record.hdf5 import DamagedError, Image, encode, opened
+from activefail.record.hdf5 import Image, encode, opened
 from activefail.visible import visible
 
 SCHEMA_VERSION = 1

@@ -14,26 +14,29 @@ from numpy.typing import NDArray
 
 from activefail import __version__
 from activefail.acquisition.criteria import bald
+from activefail.bearing.motion import Motion, describe_outcome
+from activefail.campaign import quantities
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.findings import Findings, at_the_boundary
 from activefail.campaign.loop import standing
+from activefail.campaign.prediction import predict
 from activefail.campaign.provenance import provenance
+from activefail.campaign.quantities import significant, words
 from activefail.campaign.settings import PythonFeatures, Sampling
 from activefail.campaign.summary import Plan, Summary
 from activefail.comparison.static import Score
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
-from activefail.figures import quantities
 from activefail.figures.contours import coordinates, plot_outcome_planes
 from activefail.figures.curves import plot_learning_curves
 from activefail.figures.length_scales import LONG, length_scales, plot_length_scales
-from activefail.figures.motion import Motion, describe_outcome, plot_snapshots
+from activefail.figures.motion import plot_snapshots
 from activefail.figures.planes import PLANES, plot_reliability
-from activefail.figures.quantities import significant, words
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.files import replacing, target_of
-from activefail.record.batch import Store
-from activefail.report.findings import Curve, Findings, at_the_boundary, predict, simulated
+from activefail.record.store import Store
+from activefail.report.evidence import Curve, Evidence
 from activefail.shares import interval_percent, percent
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Parameter
@@ -99,8 +102,8 @@ def _counts(findings: Findings) -> dict[str, NDArray[np.int64]]:
     return {title: np.bincount(code[rows], minlength=k + 1) for title, rows in groups.items()}
 
 
-def _curve(findings: Findings) -> dict[str, Any]:
-    curve = findings.curve
+def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
+    curve = evidence.curve
     if curve is None:
         return {"picture": None, "rows": []}
     boundary = words(findings.boundary)
@@ -205,8 +208,8 @@ def _planes(findings: Findings) -> list[Picture]:
     return pictures
 
 
-def _reliability(findings: Findings) -> Picture | None:
-    found = findings.reliability
+def _reliability(findings: Findings, evidence: Evidence) -> Picture | None:
+    found = evidence.reliability
     if found is None:
         return None
     beyond = findings.beyond
@@ -279,7 +282,7 @@ def _gallery(findings: Findings) -> list[Picture]:
         return []
     pictures = []
     for number, (row, why) in enumerate(at_the_boundary(findings), start=1):
-        response = simulated(findings.campaign.simulator, findings.X[row])
+        response = findings.campaign.simulator.response(findings.X[row])
         try:
             Motion(response)
         except InputError:
@@ -356,20 +359,20 @@ def _same_again(findings: Findings, sampling: Sampling) -> str:
     return f"{said}."
 
 
-def _in_short(findings: Findings, done: int) -> list[tuple[str, str]]:
+def _in_short(findings: Findings, evidence: Evidence, done: int) -> list[tuple[str, str]]:
     """The numbers that a reader in a hurry wants."""
     boundary = words(findings.boundary)
     lines = [("simulations", str(done))]
-    if findings.curve is not None:
-        last = max(findings.curve.scores, key=lambda score: (score.sampling == "active", score.simulations))
-        lines.append((f"right about {boundary}", f"{_right(last, findings.curve)} simulations"))
+    if evidence.curve is not None:
+        last = max(evidence.curve.scores, key=lambda score: (score.sampling == "active", score.simulations))
+        lines.append((f"right about {boundary}", f"{_right(last, evidence.curve)} simulations"))
         lines += _recall_lines(last, "")
-        static = [s for s in findings.curve.scores if s.sampling == "static" and s.simulations == last.simulations]
+        static = [s for s in evidence.curve.scores if s.sampling == "static" and s.simulations == last.simulations]
         if static and last not in static:
-            lines.append(("static sampling of that size", f"{_right(static[0], findings.curve)} ones"))
+            lines.append(("static sampling of that size", f"{_right(static[0], evidence.curve)} ones"))
             lines += _recall_lines(static[0], ", static sampling")
-    if findings.error is not None:
-        error = findings.error
+    if evidence.error is not None:
+        error = evidence.error
         lines.append(
             (
                 "verified error",
@@ -396,7 +399,7 @@ def _features_need_code(campaign: Campaign) -> bool:
     return isinstance(campaign.settings.classifier.features, PythonFeatures)
 
 
-def _judging(findings: Findings, folder: str, code: str) -> list[str]:
+def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> list[str]:
     """The commands by which a campaign was judged as the page says, and the page's own.
 
     Args:
@@ -404,16 +407,16 @@ def _judging(findings: Findings, folder: str, code: str) -> list[str]:
         code: what a command that simulates has to be given, so that it may run the campaign's own code.
     """
     commands = []
-    if findings.curve is not None and findings.curve.source == "compare":
-        budgets = ",".join(str(n) for n in sorted({score.simulations for score in findings.curve.scores}))
-        test = findings.curve.test_size + findings.curve.unanswered
+    if evidence.curve is not None and evidence.curve.source == "compare":
+        budgets = ",".join(str(n) for n in sorted({score.simulations for score in evidence.curve.scores}))
+        test = evidence.curve.test_size + evidence.curve.unanswered
         commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}{code}")
-    if findings.error is not None:
-        commands.append(f"activefail verify {folder} --simulations {findings.error.asked}{code}")
+    if evidence.error is not None:
+        commands.append(f"activefail verify {folder} --simulations {evidence.error.asked}{code}")
     return [*commands, f"activefail report {folder}{code if _features_need_code(findings.campaign) else ''}"]
 
 
-def render(findings: Findings, store: Store, stage: Callable[[str], None] = lambda _: None) -> str:
+def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable[[str], None] = lambda _: None) -> str:
     """The page as HTML."""
     campaign, folder = findings.campaign, findings.folder
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
@@ -429,7 +432,7 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
     numbers: dict[str, Any] = {
         "title": visible(settings.description or folder.name),
         "version": __version__,
-        "in_short": _in_short(findings, done),
+        "in_short": _in_short(findings, evidence, done),
         "run": _what_was_run(findings, done),
         "variables": [
             {"quantity": names, "low": significant(p.low), "high": significant(p.high), "spread": spread(p)}
@@ -449,20 +452,23 @@ def render(findings: Findings, store: Store, stage: Callable[[str], None] = lamb
             "Shares of the outcomes, with the number of simulations in each bar. The seed design shows how frequent an "
             "outcome is in the design space; what the learner chose is a mixture, as both sides of a boundary are.",
         ),
-        "curve": _curve(findings),
+        "curve": _curve(findings, evidence),
         "pairs": _pairs(findings, scales),
         "planes": _planes(findings),
-        "reliability": _reliability(findings),
+        "reliability": _reliability(findings, evidence),
         "scales": _scales(findings, scales),
         "uncertain": _uncertain(findings),
         "pool": len(findings.pool),
         "beyond": findings.beyond,
-        "missing": findings.missing,
+        "missing": evidence.missing,
         "done": done,
         "unseen": Summary.of(settings.text(), outcomes, store.batches).unseen_warning,
         "left": max(0, settings.sampling.budget - done),
         "folder": run_folder,
-        "commands": [f"activefail run campaign.toml --out {run_folder}{budget}", *_judging(findings, run_folder, code)],
+        "commands": [
+            f"activefail run campaign.toml --out {run_folder}{budget}",
+            *_judging(findings, evidence, run_folder, code),
+        ],
         "same": _same_again(findings, settings.sampling),
         "code": code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),

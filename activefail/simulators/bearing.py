@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from activefail.bearing import outcome as o
-from activefail.bearing.design import TABLE_1, Bearing, Model, Tolerance
-from activefail.bearing.simulation import simulate
+from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
+from activefail.bearing.simulation import Response, simulate, simulate_one
 from activefail.errors import InputError
 from activefail.simulators.interface import Results
 from activefail.space import Array, DesignSpace
@@ -64,3 +64,14 @@ class DfpSimulator:
         """Simulate designs, (n, d), on the calling thread."""
         answers = simulate(self.space.table(X, TABLE_1.names), self.model, self.tolerance, threads=1)
         return Results(answers.label, answers.cause, answers.margins, answers.seconds)
+
+    def response(self, design: Array) -> Response:
+        """The motion of one design, (d,), to the end of the run."""
+        row = self.space.table(design[None], TABLE_1.names)[0].tolist()
+        return simulate_one(
+            Bearing.from_row(row, self.model.slider_diameter),
+            Pulse.from_table(*row[7:]),
+            self.model,
+            self.tolerance,
+            to_the_end=True,
+        )

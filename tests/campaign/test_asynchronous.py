@@ -19,9 +19,11 @@ from activefail.campaign.asynchronous import Course, resumed
 from activefail.campaign.learning import classifier_state, current_classifier, in_initial_design, learn, training_rows
 from activefail.campaign.loop import Observer, Progress, one_thread, run
 from activefail.errors import InputError, SimulationError
-from activefail.execution.executor import ProcessExecutor, ThreadExecutor
-from activefail.record.batch import ACTIVE, SEED, MemoryStore, Store
+from activefail.execution.local import ProcessExecutor, ThreadExecutor
+from activefail.record.batch import ACTIVE, SEED
+from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
+from activefail.record.store import Store
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 

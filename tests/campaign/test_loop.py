@@ -20,9 +20,11 @@ from activefail.campaign.loop import Observer, Progress, one_thread, run, standi
 from activefail.campaign.opening import open_campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import ACTIVE, SEED, Batch, MemoryStore, Store
+from activefail.execution.local import ThreadExecutor
+from activefail.record.batch import ACTIVE, SEED, Batch
+from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 from activefail.surrogate import fitting

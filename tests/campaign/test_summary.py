@@ -14,7 +14,7 @@ from campaign.stub import Disc, disc
 from activefail.campaign.loop import run
 from activefail.campaign.settings import parse_settings
 from activefail.campaign.summary import Plan, Summary, read_summary
-from activefail.execution.executor import ThreadExecutor
+from activefail.execution.local import ThreadExecutor
 from activefail.record import compaction
 from activefail.record.batch import SEED, Batch
 from activefail.record.run_folder import FolderStore

@@ -12,8 +12,8 @@ from activefail.campaign.learning import search_for_unseen
 from activefail.campaign.loop import Observer, run
 from activefail.campaign.settings import parse_settings
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import MemoryStore
+from activefail.execution.local import ThreadExecutor
+from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
 
 

@@ -27,8 +27,8 @@ from activefail.campaign.verification import (
     verify_by_rule,
 )
 from activefail.errors import InputError
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import MemoryStore
+from activefail.execution.local import ThreadExecutor
+from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
 from activefail.surrogate import fitting
 

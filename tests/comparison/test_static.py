@@ -9,8 +9,8 @@ from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import Observer, one_thread, run, standing
 from activefail.comparison.static import Score, compare, default_budgets, recalls, score
 from activefail.errors import InputError
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import MemoryStore
+from activefail.execution.local import ThreadExecutor
+from activefail.record.memory import MemoryStore
 from activefail.space import Array
 from activefail.surrogate.classifier import train
 

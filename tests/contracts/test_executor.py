@@ -20,13 +20,8 @@ from threadpoolctl import threadpool_info
 
 from activefail.errors import SimulationError
 from activefail.execution.dask import DaskExecutor
-from activefail.execution.executor import (
-    AsynchronousExecutor,
-    Executor,
-    ProcessExecutor,
-    ThreadExecutor,
-    local_executor,
-)
+from activefail.execution.executor import AsynchronousExecutor, Executor
+from activefail.execution.local import ProcessExecutor, ThreadExecutor, local_executor
 from activefail.record.batch import Schema
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array, DesignSpace, Parameter

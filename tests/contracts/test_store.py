@@ -9,8 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from activefail.errors import InputError, StoreError
-from activefail.record.batch import ACTIVE, SEED, Batch, MemoryStore, Schema, Store
+from activefail.record.batch import ACTIVE, SEED, Batch, Schema
+from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 
 SCHEMA = Schema(("radius", "mu"), ("none", "impact", "failure"), ("", "uplift"), ("drift", "gap", "force"))

@@ -24,9 +24,10 @@ from activefail.campaign.asynchronous import resumed
 from activefail.campaign.loop import Observer, Progress, one_thread, run
 from activefail.errors import InputError, SimulationError
 from activefail.execution.dask import DaskExecutor
-from activefail.execution.executor import ThreadExecutor
-from activefail.record.batch import MemoryStore, columns_of
-from activefail.simulators.custom import PythonSimulator
+from activefail.execution.local import ThreadExecutor
+from activefail.record.batch import columns_of
+from activefail.record.memory import MemoryStore
+from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
 from activefail.space import Array, DesignSpace, Parameter
 

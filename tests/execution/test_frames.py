@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from campaign.stub import Disc
 
-from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
+from activefail.errors import ActivefailError, BusyError, DamagedError, InputError, SimulationError, StoreError
 from activefail.execution.frames import (
     MOST_TEXT,
     BrokenFrameError,
@@ -28,7 +28,6 @@ from activefail.execution.frames import (
     unpack_error,
     unpack_text,
 )
-from activefail.record.hdf5 import DamagedError
 from activefail.simulators.interface import RAISED, Results, unanswered
 
 pytestmark = pytest.mark.faults

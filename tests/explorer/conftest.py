@@ -8,12 +8,12 @@ import pytest
 from patience import until
 from report.test_report import ran, settings
 
+from activefail.campaign.findings import Findings, findings_of
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
-from activefail.report.findings import Findings, glance
 
 
 @pytest.fixture(scope="session")
@@ -21,7 +21,7 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
     folder = tmp_path_factory.mktemp("explore") / "run"
     ran(folder, settings(budget=40))
     with open_campaign(folder, write=False) as (campaign, store), one_thread():
-        return glance(folder, campaign, store, current_classifier(campaign, store, write=False))
+        return findings_of(folder, campaign, store, current_classifier(campaign, store, write=False))
 
 
 @pytest.fixture(scope="session")

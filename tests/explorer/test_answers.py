@@ -13,16 +13,17 @@ from report.test_report import other, ran, settings
 from typer.testing import CliRunner
 
 from activefail.bearing import Bearing, Pulse, simulate_one
+from activefail.campaign.findings import findings_of
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import one_thread
 from activefail.campaign.opening import open_campaign
+from activefail.campaign.prediction import predict
 from activefail.cli.app import app
 from activefail.errors import InputError
 from activefail.explorer import answers as explorer_answers
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
 from activefail.record.run_folder import FolderStore
-from activefail.report.findings import glance, predict
 
 FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 
@@ -70,7 +71,9 @@ def test_the_command_line_of_a_bearing_simulates_that_very_one(tmp_path):
     unusual = "bearing = { slider_density = 5000.0, restitution = 'assembly', loss_of_confinement = false }"
     ran(tmp_path / "run", settings(budget=20, more=unusual))
     with open_campaign(tmp_path / "run", write=False) as (campaign, store), one_thread():
-        answers = Answers(glance(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False)))
+        answers = Answers(
+            findings_of(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False))
+        )
     said = answers.simulate([4.0 / 3.0 + 2.0, *FAILING[1:]])
     assert said["command"] == (
         "activefail simulate --t-b 3.333333333333333 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 "
@@ -167,7 +170,7 @@ def test_another_simulator_is_explored_without_bearings(dimension, tmp_path):
     campaign = disc() if dimension == 2 else other(1)
     ran(tmp_path / "run", campaign)
     with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store, one_thread():
-        found = glance(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False))
+        found = findings_of(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False))
     answers = Answers(found)
     text = page(answers.about())
     assert "Simulate this bearing" not in text

@@ -34,11 +34,10 @@ from record.test_store import (
 
 from activefail.campaign.assembly import Campaign, initial_designs
 from activefail.campaign.settings import parse_settings
-from activefail.errors import StoreError
+from activefail.errors import DamagedError, StoreError
 from activefail.record import hdf5 as image
 from activefail.record.attachments import decode_set, decode_state
 from activefail.record.batch import SEED, Batch
-from activefail.record.hdf5 import DamagedError
 from activefail.record.run_folder import FolderStore
 from activefail.record.segment import decode_segment
 

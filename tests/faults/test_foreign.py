@@ -28,7 +28,7 @@ from activefail.errors import InputError, StoreError
 from activefail.record.attachments import decode_state, encode_state
 from activefail.record.batch import SEED, Batch, Schema
 from activefail.record.run_folder import FolderStore
-from activefail.simulators.custom import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
+from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import DesignSpace, Parameter
 from activefail.visible import quoted, visible

@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 from faults.harness import few
 
+from activefail import files
 from activefail.record import compaction, recovery
-from activefail.record import hdf5 as image
 from activefail.record import run_folder as store_module
 from activefail.record.batch import Batch, Schema
 from activefail.record.run_folder import FolderStore
@@ -224,7 +224,7 @@ def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tupl
         (tmp_path / "disk").mkdir()
         disk = Disk(tmp_path / "disk")
         with pytest.MonkeyPatch.context() as patch:
-            for module in (image, store_module, recovery):
+            for module in (files, store_module, recovery):
                 patch.setattr(module, "os", disk)
             with FolderStore.create(tmp_path / "disk" / RUN, SETTINGS, SCHEMA) as store:
                 disk.told.append("created")
@@ -300,17 +300,17 @@ def test_the_model_finds_what_a_program_without_fsync_would_lose(
     course: Callable[[], tuple[list[Moment], str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without: str
 ) -> None:
     if without == "files":
-        monkeypatch.setattr(image, "_sync_file", lambda descriptor, path: None)
+        monkeypatch.setattr(files, "_sync_file", lambda descriptor, path: None)
     elif without == "folders above":
 
         def made(folder: Path) -> None:
             for above in (folder.parent.parent, folder.parent, folder):
-                image.os.mkdir(above)
-            image.sync_folder(folder.parent)
+                files.os.mkdir(above)
+            files.sync_folder(folder.parent)
 
         monkeypatch.setattr(store_module, "make_folder", made)
     else:
-        for module in (image, store_module):
+        for module in (files, store_module):
             monkeypatch.setattr(module, "sync_folder", lambda folder: None)
     moments, _ = course()
     last = moments[-1]

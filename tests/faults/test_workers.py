@@ -23,7 +23,7 @@ from activefail.campaign.loop import run, standing
 from activefail.errors import SimulationError
 from activefail.execution import frames
 from activefail.execution import processes as workers
-from activefail.execution.executor import ProcessExecutor
+from activefail.execution.local import ProcessExecutor
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import NUMERICAL_FAILURE, Simulator, cause_name
 from activefail.space import Array
@@ -363,7 +363,7 @@ def test_what_a_simulation_has_started_ends_where_its_worker_is_renewed(tmp_path
 LEADING = """
 import numpy as np
 from faults.simulators import Leaving
-from activefail.execution.executor import ProcessExecutor
+from activefail.execution.local import ProcessExecutor
 ProcessExecutor(2).run(Leaving(then={then!r}, folder={folder!r}), np.zeros((2, 2)))
 """
 

@@ -14,10 +14,10 @@ from PIL import Image
 
 from activefail.bearing import Bearing, Pulse, Response, simulate_one
 from activefail.bearing.design import GRAVITY
+from activefail.bearing.motion import Motion
 from activefail.errors import ActivefailError, InputError
 from activefail.figures import animation
 from activefail.figures.animation import HOLD, MOST_FRAMES, default_slow_motion, render, save_animation
-from activefail.figures.motion import Motion
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from activefail.bearing import Bearing, Pulse, Response, Tolerance, simulate_one
 from activefail.bearing.contact import gap
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import lever
+from activefail.bearing.motion import LONGEST_STEP, Motion
 from activefail.bearing.outcome import observe
 from activefail.errors import InputError
 from activefail.figures import motion as m
@@ -80,7 +81,7 @@ def test_histories_share_one_axis_of_time_and_mark_what_befell(failure, no_impac
         assert len({panel.get_xlim() for panel in panels}) == 1
         assert set(panels[1].get_legend_handles_labels()[1]) == events
         (curve, *_) = panels[3].get_lines()
-        assert curve.get_xdata()[-1] == pytest.approx(m.Motion(response).end)
+        assert curve.get_xdata()[-1] == pytest.approx(Motion(response).end)
 
 
 def test_the_title_states_the_outcome_its_cause_and_the_design_with_units(response):
@@ -107,7 +108,7 @@ def test_only_moments_that_came_are_marked(failure, impact, no_impact):
 
 
 def test_gaps_and_rim_forces_are_those_of_the_event_functions(failure):
-    motion = m.Motion(failure)
+    motion = Motion(failure)
     gaps, rims = motion.contacts(motion.steps)
     seen = [observe(motion.system, q, v) for q, v in zip(failure.q, failure.v, strict=True)]
     np.testing.assert_allclose(gaps.max(axis=1), [o.confinement_gap for o in seen], rtol=0.0, atol=1e-12)
@@ -115,10 +116,10 @@ def test_gaps_and_rim_forces_are_those_of_the_event_functions(failure):
 
 
 def test_a_motion_passes_through_the_accepted_steps_and_divides_long_ones(no_impact):
-    motion = m.Motion(no_impact)
+    motion = Motion(no_impact)
     t = motion.fine_times()
-    assert np.diff(no_impact.t).max() > m.LONGEST_STEP
-    assert np.diff(t).max() <= m.LONGEST_STEP * (1.0 + 1e-9)
+    assert np.diff(no_impact.t).max() > LONGEST_STEP
+    assert np.diff(t).max() <= LONGEST_STEP * (1.0 + 1e-9)
     assert (np.diff(t) > 0.0).all()
     assert np.abs(t[np.searchsorted(t, motion.steps - 1e-12)] - motion.steps).max() < 1e-12
     np.testing.assert_allclose(motion.position(no_impact.t), no_impact.q, rtol=0.0, atol=1e-12)
@@ -126,7 +127,7 @@ def test_a_motion_passes_through_the_accepted_steps_and_divides_long_ones(no_imp
 
 
 def test_an_interpolated_velocity_is_the_rate_of_the_interpolated_position(impact):
-    motion = m.Motion(impact)
+    motion = Motion(impact)
     t = motion.fine_times()
     middle, half = 0.5 * (t[1:] + t[:-1]), 1e-5
     rate = (motion.position(middle + half) - motion.position(middle - half))[:, 3] / (2.0 * half)
@@ -136,7 +137,7 @@ def test_an_interpolated_velocity_is_the_rate_of_the_interpolated_position(impac
 def test_the_plotted_loop_has_the_stiffness_and_the_friction_of_the_bearing(no_impact):
     (curve, *_) = m.plot_response(no_impact).axes[5].get_lines()
     x, force = np.asarray(curve.get_xydata()).T
-    motion = m.Motion(no_impact)
+    motion = Motion(no_impact)
     v = motion.velocity(motion.fine_times())[:, 3]
     sliding = np.abs(v) > 0.1
     terms = np.column_stack((x[sliding], np.sign(v[sliding])))
@@ -151,7 +152,7 @@ def test_the_plotted_loop_has_the_stiffness_and_the_friction_of_the_bearing(no_i
 def test_the_drawn_slider_has_its_vertices_where_the_kernels_have_them(failure, share):
     time = failure.t[0] + share * (failure.t[-1] - failure.t[0])
     drawing = m.draw_bearing(Figure().subplots(), failure, time)
-    motion = m.Motion(failure)
+    motion = Motion(failure)
     q = motion.position(time)
     corners = drawing.slider.get_xy()[[0, m.ARC_POINTS - 1, 2 * m.ARC_POINTS - 1, m.ARC_POINTS]]
     expected = [q[:2] + lever(motion.system, vertex, q[2]) for vertex in range(4)]
@@ -166,7 +167,7 @@ def test_the_last_drawn_state_is_the_failing_one(failure):
 
 
 def test_a_drawn_plate_is_the_kernels_dish_with_their_rim():
-    motion = m.Motion(simulate_one(FAILING, Pulse(0.5, 0.1)))
+    motion = Motion(simulate_one(FAILING, Pulse(0.5, 0.1)))
     plate = motion.system.bottom
     outline = m.plate_outline(FAILING)
     dish = outline[3:-3]
@@ -196,7 +197,7 @@ def test_a_mirrored_pulse_gives_the_mirrored_picture(failure):
 
 
 def test_the_vertices_that_press_on_a_rim_are_marked_while_a_rim_carries_force(failure):
-    motion = m.Motion(failure)
+    motion = Motion(failure)
     _, rims = motion.contacts(motion.steps)
     for time, rim in zip(motion.steps.tolist(), rims, strict=True):
         states = m.vertex_states(motion, motion.position(time))
@@ -207,7 +208,7 @@ def test_the_vertices_that_press_on_a_rim_are_marked_while_a_rim_carries_force(f
 def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
     bearing = Bearing.from_table(2.676, 0.05454, 0.5592, 0.3724, 0.05096, 56.82, 1.737e9)
     response = simulate_one(bearing, Pulse(3.178, 0.618 * GRAVITY))
-    motion = m.Motion(response)
+    motion = Motion(response)
     assert response.cause == "escape"
     assert m.OVER_RIM in m.vertex_states(motion, response.q[-1])
     assert m.OVER_RIM not in m.vertex_states(motion, response.q[-2])
@@ -216,8 +217,8 @@ def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
 def test_overlapping_plates_are_owned_up_to():
     low = Bearing.from_table(2.6, 0.05, 0.6, 0.35, 0.2, 45.0, 2e9)
     pulse = Pulse(0.5, 0.1)
-    assert "model lets only slider and plate meet" in m.footnote(m.Motion(simulate_one(low, pulse)))
-    assert "model lets" not in m.footnote(m.Motion(simulate_one(FAILING, pulse)))
+    assert "model lets only slider and plate meet" in m.footnote(Motion(simulate_one(low, pulse)))
+    assert "model lets" not in m.footnote(Motion(simulate_one(FAILING, pulse)))
 
 
 def test_snapshots_show_rest_touch_the_way_and_the_end_unless_told_otherwise(failure, impact, no_impact):

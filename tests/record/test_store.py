@@ -21,7 +21,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from activefail.errors import BusyError, InputError, StoreError
+from activefail import files
+from activefail.errors import BusyError, DamagedError, InputError, StoreError
 from activefail.files import replacing
 from activefail.record import compaction, recovery
 from activefail.record import hdf5 as image
@@ -118,7 +119,7 @@ def faults() -> Iterator[Callable[..., Faults]]:
     def install(fault: Callable[[str, tuple[Any, ...], int], Any] | None) -> Faults:
         patch.undo()
         proxy = Faults(fault or (lambda *_: None))
-        patch.setattr(image, "os", proxy)
+        patch.setattr(files, "os", proxy)
         patch.setattr(store_module, "os", proxy)
         patch.setattr(recovery, "os", proxy)
         return proxy
@@ -449,9 +450,9 @@ def test_a_file_cut_at_any_length_is_noticed(tmp_path: Path) -> None:
     data = segment_file(tmp_path / "run", 0).read_bytes()
     image.verify(data)
     for length in range(len(data)):
-        with pytest.raises(image.DamagedError):
+        with pytest.raises(DamagedError):
             image.verify(data[:length])
-    with pytest.raises(image.DamagedError):
+    with pytest.raises(DamagedError):
         image.verify(data + b"\0")
 
 
@@ -467,7 +468,7 @@ def test_any_changed_bit_is_noticed_before_hdf5_sees_it(tmp_path: Path, monkeypa
     bits = [8 * i + j for i in range(512) for j in range(8)] + [8 * i + i % 8 for i in range(512, len(data))]
     for bit in bits:
         data[bit // 8] ^= 1 << bit % 8
-        with pytest.raises(image.DamagedError), image.opened(bytes(data)):
+        with pytest.raises(DamagedError), image.opened(bytes(data)):
             pass
         data[bit // 8] ^= 1 << bit % 8
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.findings import findings_of
 from activefail.campaign.learning import current_classifier
 from activefail.campaign.loop import Observer, one_thread, run
 from activefail.campaign.opening import create_run, open_campaign
@@ -20,12 +21,12 @@ from activefail.campaign.settings import parse_settings
 from activefail.comparison.static import Recall, Score
 from activefail.csv_table import writing
 from activefail.errors import InputError
-from activefail.execution.executor import ThreadExecutor
+from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
 from activefail.figures import contours, quantities, samples, svg
 from activefail.figures.marks import outcome_colour
 from activefail.record.run_folder import FolderStore
-from activefail.report import findings, page
+from activefail.report import evidence, page
 from activefail.space import Parameter
 
 SECTIONS = (
@@ -78,7 +79,8 @@ class Page(HTMLParser):
 def made(campaign: Campaign, folder: Path, store: FolderStore) -> str:
     with one_thread():
         classifier = current_classifier(campaign, store, write=False)
-        return page.render(findings.gather(folder, campaign, store, classifier), store)
+        judged = evidence.evidence_of(folder, campaign, store, classifier)
+        return page.render(findings_of(folder, campaign, store, classifier), judged, store)
 
 
 def ran(folder: Path, campaign: Campaign, budget: int | None = None, batches: int | None = None) -> None:
@@ -238,12 +240,12 @@ def test_scores_that_no_comparison_could_have_had_are_refused_by_row(tmp_path, c
     path = tmp_path / "scores.csv"
     with writing(path, columns) as write:
         write([good.row()])
-    assert findings.read_scores(path, outcomes) == ([good], 0)
+    assert evidence.read_scores(path, outcomes) == ([good], 0)
     spoilt = [value if name == column else cell for name, cell in zip(columns, good.row(), strict=True)]
     with writing(path, columns) as write:
         write([spoilt])
     with pytest.raises(InputError, match=r"scores\.csv: row 1"):
-        findings.read_scores(path, outcomes)
+        evidence.read_scores(path, outcomes)
 
 
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
@@ -424,10 +426,10 @@ def test_a_table_that_compare_did_not_write_is_refused_by_row(tmp_path):
     path = tmp_path / "scores.csv"
     path.write_text(",".join([*Score.columns(), "test_unanswered"]) + "\nactive,x,1,1,1,1,1,1\n")
     with pytest.raises(InputError, match=r"scores\.csv: row 1"):
-        findings.read_scores(path, ("no_impact", "impact", "failure"))
+        evidence.read_scores(path, ("no_impact", "impact", "failure"))
     path.write_text("")
     with pytest.raises(InputError, match="has no rows"):
-        findings.read_scores(path, ("no_impact", "impact", "failure"))
+        evidence.read_scores(path, ("no_impact", "impact", "failure"))
 
 
 # --- colours -----------------------------------------------------------------------------------------------------

@@ -22,8 +22,10 @@ from patience import PATIENCE, Clock
 
 from activefail.campaign.opening import create_run, read_campaign
 from activefail.errors import InputError
-from activefail.execution.executor import ProcessExecutor, answer
-from activefail.simulators.custom import CommandSimulator, PythonSimulator
+from activefail.execution.answering import answer
+from activefail.execution.local import ProcessExecutor
+from activefail.simulators.command import CommandSimulator
+from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER
 from activefail.space import DesignSpace, Parameter
 

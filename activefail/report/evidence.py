@@ -1,40 +1,30 @@
-"""What a campaign has found, gathered from its run folder for the report; nothing in the folder is changed."""
+"""What judges a campaign's classifier, read from its run folder for the report; nothing in the folder is changed."""
 
 import csv
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
-from activefail.bearing.design import TABLE_1, Bearing, Pulse
-from activefail.bearing.simulation import Response, simulate_one
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import first_rows, in_initial_design, initial_sets
 from activefail.campaign.loop import standing
-from activefail.campaign.verification import ErrorEstimate, expected_error, leave_one_out, verify
+from activefail.campaign.verification import ErrorEstimate, leave_one_out, verify
 from activefail.comparison.static import Recall, Score, default_budgets, score
 from activefail.errors import InputError
-from activefail.figures.quantities import words
 from activefail.files import read_regular
-from activefail.record.batch import ACTIVE, Store
-from activefail.simulators.bearing import DfpSimulator
+from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Moments, train
+from activefail.surrogate.classifier import Classifier, train
 from activefail.visible import visible
 
-CONFIDENCE = 0.95
-"""Of every interval that the report and the explorer show of a probability."""
-
-_Z = 1.959964
-_POOL = 2**12
 _LARGEST_TABLE = 10_000_000
 _BUDGETS = 5
 
@@ -67,106 +57,6 @@ class Reliability:
     probability: Array
     beyond: NDArray[np.bool_]
     source: str
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What a classifier says of n designs.
-
-    Attributes:
-        probabilities: (n, number of outcomes).
-        low, high: (n,) interval of the probability of being beyond the sought boundary, by the latent's uncertainty.
-        beyond: (n,) that probability.
-        mean, sd: (n,) of its latent.
-    """
-
-    probabilities: Array
-    low: Array
-    high: Array
-    beyond: Array
-    mean: Array
-    sd: Array
-
-
-@dataclass(frozen=True)
-class Findings:
-    """A campaign, what it has simulated and what it has learned.
-
-    Attributes:
-        X: (n, d) designs simulated so far, numerical failures included.
-        outcome: (n,) int8; iteration: (n,).
-        chosen: (n,) bool, by the learner; the others are of the seed design.
-        curve, reliability, error: None where nothing in the folder tells; `missing` says how to get it.
-        pool, pool_prediction: designs of the space, the most uncertain of which are listed.
-        missing: by section, which command adds it.
-    """
-
-    folder: Path
-    campaign: Campaign
-    classifier: Classifier
-    X: Array
-    outcome: NDArray[np.int8]
-    iteration: NDArray[np.int64]
-    chosen: NDArray[np.bool_]
-    curve: Curve | None
-    reliability: Reliability | None
-    error: ErrorEstimate | None
-    expected: float
-    pool: Array
-    pool_prediction: Prediction
-    missing: dict[str, str]
-
-    @property
-    def boundary(self) -> str:
-        """The outcome whose boundary is (mainly) sought."""
-        return self.campaign.settings.acquisition.main_boundary
-
-    @property
-    def beyond(self) -> str:
-        """What is beyond that boundary, in words."""
-        worst = self.boundary == self.campaign.simulator.outcomes[-1]
-        return words(self.boundary) if worst else f"{words(self.boundary)} or worse"
-
-    @property
-    def influence(self) -> Array:
-        """How much the prediction hangs on each variable, (d,): its mean change when the variable is drawn anew."""
-        pool = self.pool[:1024]
-        before = predict(self.campaign, self.classifier, pool).beyond
-        changes = []
-        for column in range(self.campaign.space.dimension):
-            moved = pool.copy()
-            # Rolled by half the sample: drawn anew without a random number.
-            moved[:, column] = np.roll(pool[:, column], len(pool) // 2)
-            changes.append(float(np.abs(predict(self.campaign, self.classifier, moved).beyond - before).mean()))
-        return np.array(changes)
-
-    @property
-    def answered(self) -> NDArray[np.bool_]:
-        """Which simulations have an answer, (n,)."""
-        return np.asarray(self.outcome != NUMERICAL_FAILURE)
-
-
-def interval(moments: Moments) -> tuple[Array, Array]:
-    """95 % interval of the probability Φ(f) by the uncertainty of the latent f, (n,) each.
-
-    Widened to hold the probability that is told, the mean of Φ(f): next to 0 and 1 a long tail can pull that out of it.
-    """
-    low, high = (np.asarray(ndtr(moments.mean + sign * _Z * moments.sd)) for sign in (-1.0, 1.0))
-    return np.minimum(low, moments.probability), np.maximum(high, moments.probability)
-
-
-def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
-    """What the classifier says of designs, (n, d)."""
-    F = campaign.features(X)
-    latents = [latent.moments(F) for latent in classifier.latents]
-    moments = latents[campaign.severity - 1]
-    return Prediction(
-        classifier.weighed(latents),
-        *interval(moments),
-        moments.probability,
-        moments.mean,
-        moments.sd,
-    )
 
 
 def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
@@ -336,36 +226,29 @@ def _verified(
     return None
 
 
-def glance(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
-    """What a campaign with at least one simulation has found, without what it was judged by."""
-    batches = store.batches
-    pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
-    return Findings(
-        folder,
-        campaign,
-        classifier,
-        np.concatenate([batch.designs for batch in batches]),
-        np.concatenate([batch.results.outcome for batch in batches]),
-        np.concatenate([np.full(len(batch), batch.iteration) for batch in batches]),
-        np.concatenate([batch.origin == ACTIVE for batch in batches]),
-        None,
-        None,
-        None,
-        expected_error(campaign, classifier),
-        pool,
-        predict(campaign, classifier, pool),
-        {},
-    )
+@dataclass(frozen=True)
+class Evidence:
+    """What a run folder holds that judges its campaign's classifier.
+
+    Attributes:
+        curve, reliability, error: None where nothing in the folder tells; `missing` says how to get it.
+        missing: by section, which command adds it.
+    """
+
+    curve: Curve | None
+    reliability: Reliability | None
+    error: ErrorEstimate | None
+    missing: dict[str, str]
 
 
-def gather(
+def evidence_of(
     folder: Path,
     campaign: Campaign,
     store: Store,
     classifier: Classifier,
     stage: Callable[[str], None] = lambda _: None,
-) -> Findings:
-    """Everything that the report shows of a campaign with at least one simulation."""
+) -> Evidence:
+    """What judges the classifier of a campaign with at least one simulation."""
     stage("reading what was compared and verified")
     curve, note = _curve(campaign, store, folder, stage)
     missing = {} if note is None else {"curve": note}
@@ -375,50 +258,4 @@ def gather(
     error = _verified(campaign, store, folder, classifier, store.batches[-1].iteration)
     if error is None:
         missing["error"] = "the error of the classifier was not verified"
-    found = glance(folder, campaign, store, classifier)
-    return replace(found, curve=curve, reliability=reliability, error=error, missing=missing)
-
-
-def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
-    """Simulated designs worth a drawing, with why: at the sought boundary on both sides, and at the first one below."""
-    campaign = findings.campaign
-    severity, outcome = campaign.severity, findings.outcome
-    F = campaign.features(findings.X)
-    at = np.abs(findings.classifier.latents[severity - 1].moments(F).standardised)
-    name = words(campaign.simulator.outcomes[severity])
-    thing = "bearing" if isinstance(campaign.simulator, DfpSimulator) else "design"
-    chosen: list[tuple[int, str]] = []
-    beyond, short = np.flatnonzero(outcome >= severity), np.flatnonzero((outcome < severity) & findings.answered)
-    if len(beyond):
-        first = int(beyond[np.argmin(at[beyond])])
-        chosen.append((first, f"The simulated {thing} beyond the {name} boundary that is nearest to it"))
-        if len(short):
-            # The likest of the others, among those near the boundary too.
-            near = short[np.argsort(at[short])[: max(10, len(short) // 10)]]
-            second = int(near[np.argmin(np.linalg.norm(F[near] - F[first], axis=1))])
-            chosen.append(
-                (second, f"A simulated {thing} with much the same features, on the other side of the boundary")
-            )
-    elif len(short):
-        chosen.append((int(short[np.argmin(at[short])]), f"The simulated {thing} nearest to the {name} boundary"))
-    mildest = np.flatnonzero(outcome == 0)
-    if severity > 1 and len(mildest):
-        touch = np.abs(findings.classifier.latents[0].moments(F[mildest]).standardised)
-        third = int(mildest[np.argmin(touch)])
-        if third not in [row for row, _ in chosen]:
-            chosen.append(
-                (third, f"The {thing} with {words(campaign.simulator.outcomes[0])} that came nearest to more")
-            )
-    return chosen
-
-
-def simulated(simulator: DfpSimulator, design: Array) -> Response:
-    """The motion of a design of a campaign, (d,), to the end of the run."""
-    row = simulator.space.table(design[None], TABLE_1.names)[0].tolist()
-    return simulate_one(
-        Bearing.from_row(row, simulator.model.slider_diameter),
-        Pulse.from_table(*row[7:]),
-        simulator.model,
-        simulator.tolerance,
-        to_the_end=True,
-    )
+    return Evidence(curve, reliability, error, missing)

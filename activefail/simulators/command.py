@@ -1,4 +1,4 @@
-"""Simulators of one's own: a function of Python, or a program that is run once for each design."""
+"""A program that is run once for each design."""
 
 import hashlib
 import json
@@ -11,112 +11,29 @@ import signal
 import string
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from activefail.errors import ActivefailError, InputError
-from activefail.files import end_of, read_regular
-from activefail.record.hdf5 import make_folder
+from activefail.errors import InputError
+from activefail.files import end_of, make_folder, read_regular
+from activefail.simulators.answers import designs_by_name, read_answer
 from activefail.simulators.interface import Results, UnusableAnswerError
-from activefail.simulators.user_code import SIMULATOR_KEY, load_function, look_beside
 from activefail.space import Array, DesignSpace
 
 _TOLD = 300
 """Characters of a program's last words that a message repeats."""
 
+
 LONGEST_NUMBER = 100
 """Largest width and precision of a format in a command: memory and time grow with both."""
 
+
 LARGEST_ANSWER = 1_000_000
 """Bytes that the file of an answer may have."""
-
-
-@dataclass(frozen=True)
-class PythonSimulator:
-    """A function that answers one design, and runs in processes of its own.
-
-    It is given a dictionary with the values of the variables and the fixed quantities, and returns the name of the
-    outcome, or a dictionary with "outcome" and, where there are any, "margins", a dictionary of numbers. What it raises
-    costs that simulation alone.
-
-    Attributes:
-        space: of the designs.
-        reference: of the function, "module:function".
-        code: folder of its module and of those that it imports; None if it may not be run.
-        outcomes, margins: what it may answer.
-        source: digest that its module must have, also on another machine; "" if any will do (see `load_function`).
-        folder: of the run, in which no code is looked for.
-        renew: simulations that one process may run; any number if None.
-    """
-
-    space: DesignSpace
-    reference: str
-    code: Path | None
-    outcomes: tuple[str, ...]
-    margins: tuple[str, ...]
-    source: str = ""
-    folder: Path | None = None
-    renew: int | None = None
-
-    causes = ("",)
-    releases_gil = False
-
-    def load(self) -> str:
-        """The digest of the source of the function's module, once it is imported.
-
-        Raises:
-            InputError: if there is no such function, or it may not be run.
-        """
-        return load_function(self.reference, self.code, SIMULATOR_KEY, self.folder)[1]
-
-    def prepare(self) -> None:
-        """Import the function's module, which is no part of a simulation's time.
-
-        Raises:
-            InputError: as `load` does.
-        """
-        _loaded(self.reference, self.code, self.source, self.folder)
-        if self.code is not None:
-            # What it imports as it runs; another one's may have been looked for since.
-            look_beside(self.code)
-
-    def run(self, X: Array) -> Results:
-        """Answer designs, (n, d), one after the other.
-
-        Raises:
-            InputError: as `load` does.
-            UnusableAnswerError: if what it returns is no answer.
-        """
-        function = _loaded(self.reference, self.code, self.source, self.folder)
-        answers = []
-        for design in designs_by_name(self.space, X):
-            began = time.perf_counter()
-            try:
-                said = function(design)
-            except ActivefailError as error:
-                # Raised in the user's code, it is no error of ours and costs this simulation alone.
-                raise RuntimeError(f"{type(error).__name__}: {error}").with_traceback(error.__traceback__) from None
-            answers.append(_read_answer(said, self.outcomes, self.margins, time.perf_counter() - began))
-        return Results.concatenate(answers)
-
-
-@cache
-def _loaded(
-    reference: str, code: Path | None, source: str, folder: Path | None
-) -> Callable[[dict[str, float]], object]:
-    """The function, imported once in a process for each source that it has had."""
-    function, found = load_function(reference, code, SIMULATOR_KEY, folder)
-    if source and found != source:
-        raise InputError(
-            f"{SIMULATOR_KEY}: the module of {reference}, or one that it imports from its folder, is another one here "
-            f"than where the campaign was started."
-        )
-    return function
 
 
 @dataclass(frozen=True)
@@ -248,7 +165,7 @@ class CommandSimulator:
             said = json.loads(written)
         except (ValueError, RecursionError) as malformed:
             raise UnusableAnswerError(f"{out} is not JSON: {malformed}") from None
-        return _read_answer(said, self.outcomes, self.margins, seconds)
+        return read_answer(said, self.outcomes, self.margins, seconds)
 
 
 @contextmanager
@@ -273,39 +190,3 @@ class _Number(float):
 
     def __format__(self, form: str) -> str:
         return format(float(self), form) if form else repr(float(self))
-
-
-def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, float]]:
-    """Designs, (n, d), as a dictionary each: variables and fixed quantities."""
-    return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in np.asarray(X).tolist()]
-
-
-def _read_answer(said: object, outcomes: tuple[str, ...], margins: tuple[str, ...], seconds: float) -> Results:
-    """What a simulator of one's own said of one design, as a record holds it."""
-    if isinstance(said, str):
-        said = {"outcome": said}
-    if not isinstance(said, Mapping):
-        raise UnusableAnswerError(f"the answer must be an outcome or a table with one, got {said!r}")
-    unknown = set(said) - {"outcome", "margins"}
-    if unknown:
-        raise UnusableAnswerError(f"the answer may hold outcome and margins, got {sorted(map(str, unknown))[0]!r} too")
-    outcome, told = said.get("outcome"), said.get("margins", {})
-    if outcome not in outcomes:
-        raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
-    if not isinstance(told, Mapping):
-        raise UnusableAnswerError(f"margins: must be a table of {', '.join(margins) or 'nothing'}, got {told!r}")
-    for name in told:
-        if name not in margins:
-            raise UnusableAnswerError(
-                f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
-            )
-    values = [told.get(name, np.nan) for name in margins]
-    for name, value in zip(margins, values, strict=True):
-        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-            raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
-    return Results(
-        np.array([outcomes.index(outcome)], dtype=np.int8),
-        np.zeros(1, dtype=np.int8),
-        np.array([values], dtype=np.float64).reshape(1, len(margins)),
-        np.array([seconds]),
-    )

@@ -1,0 +1,191 @@
+"""The motion of one simulated bearing between the solver's steps, and what is said of it in words."""
+
+import math
+
+import numpy as np
+from numba import njit
+from scipy.interpolate import CubicHermiteSpline
+
+from activefail.bearing.contact import gap, vertex_force
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.dynamics import System, lever, seen_by_plate, speed_seen_by_plate, system
+from activefail.bearing.pulse import ground_acceleration
+from activefail.bearing.simulation import Response
+from activefail.errors import InputError
+from activefail.space import Array
+
+LONGEST_STEP = 0.01
+"""Longer steps of a history are divided for smooth lines [s]."""
+
+
+@njit(cache=True, error_model="numpy")
+def _watch(system, q, v, gaps, rims):
+    """Confinement gap [m] and normal rim force [N] along a motion.
+
+    q, v: (n, 5); gaps, rims: (n, 2), written; column 0 the bottom plate, column 1 the top plate.
+    """
+    for row in range(len(q)):
+        for side in range(2):
+            plate = system.bottom if side == 0 else system.top
+            least, on_rim = math.inf, 0.0
+            for vertex in (2 * side, 2 * side + 1):
+                r_x, r_z = lever(system, vertex, q[row, 2])
+                u, w = seen_by_plate(vertex, r_x, r_z, q[row])
+                du, dw = speed_seen_by_plate(vertex, r_x, r_z, v[row])
+                least = min(least, gap(u, w, plate))
+                on_rim += vertex_force(u, w, du, dw, plate).rim
+            gaps[row, side] = least
+            rims[row, side] = on_rim
+
+
+class Motion:
+    """A response as a continuous motion: cubic Hermite through the accepted steps, of q with v and of v with a.
+
+    Raises:
+        InputError: if the response has fewer than two steps, which a simulation that gave up at once has.
+    """
+
+    def __init__(self, response: Response) -> None:
+        if len(response.t) < 2:
+            raise InputError(
+                f"There is no motion to draw: the simulation ended at its start ({response.outcome}, {response.cause})."
+            )
+        # A last step may be cut to almost nothing, over which the spline's coefficients overflow.
+        keep = np.append(np.diff(response.t) > 1e-9, True)
+        self.response = response
+        self.system: System = system(response.bearing, response.pulse, response.model)
+        self.steps: Array = response.t[keep]
+        self._q = CubicHermiteSpline(self.steps, response.q[keep], response.v[keep])
+        self._v = CubicHermiteSpline(self.steps, response.v[keep], response.a[keep])
+
+    @property
+    def start(self) -> float:
+        """Time of the first step [s]."""
+        return float(self.steps[0])
+
+    @property
+    def end(self) -> float:
+        """Time of the last step [s]; the failure's, where there is one."""
+        return float(self.steps[-1])
+
+    @property
+    def stirs(self) -> float:
+        """A little before the top plate first moves by a hundredth of the capacity [s]; the start if it never does."""
+        moved = np.abs(self.response.q[:, 3]) > 0.01 * self.response.bearing.displacement_capacity
+        if not moved.any():
+            return self.start
+        first = float(self.response.t[moved.argmax()])
+        return max(self.start, first - max(0.1, 0.05 * (self.end - first)))
+
+    def position(self, t: Array | float) -> Array:
+        """Coordinates at times t of shape S [s], shape S x 5; beyond its ends the motion stands still."""
+        q: Array = self._q(np.clip(t, self.start, self.end))
+        return q
+
+    def velocity(self, t: Array | float) -> Array:
+        """Velocities at times t of shape S [s], shape S x 5."""
+        v: Array = self._v(np.clip(t, self.start, self.end))
+        return v
+
+    def fine_times(self) -> Array:
+        """The accepted steps, those longer than `LONGEST_STEP` divided evenly."""
+        parts = np.maximum(np.ceil(np.diff(self.steps) / LONGEST_STEP).astype(np.int64), 1)
+        first, length = np.repeat(self.steps[:-1], parts), np.repeat(np.diff(self.steps) / parts, parts)
+        within = np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)
+        return np.append(first + within * length, self.end)
+
+    def ground(self, t: Array) -> Array:
+        """Ground acceleration at times t, shape (n,) [m/s²]."""
+        pulse = self.response.pulse
+        return np.array([ground_acceleration(instant, pulse.amplitude, pulse.period) for instant in t.tolist()])
+
+    def contacts(self, t: Array) -> tuple[Array, Array]:
+        """Confinement gaps [m] and rim forces [N] at times t, shape (n,): two arrays (n, 2), bottom and top plate."""
+        gaps, rims = np.empty((len(t), 2)), np.empty((len(t), 2))
+        _watch(self.system, self.position(t), self.velocity(t), gaps, rims)
+        return gaps, rims
+
+    def force_ratio(self, t: Array) -> Array:
+        """Horizontal force of the slider on the top plate / M g, (ẍ_t + ü_g)/g, at times t, shape (n,) [-].
+
+        Linear between the accepted steps: the force of stiff contacts at an interpolated position would be noise.
+        """
+        accepted = (self.response.a[:, 3] + self.ground(self.response.t)) / GRAVITY
+        return np.interp(t, self.response.t, accepted)
+
+
+def describe_outcome(response: Response) -> str:
+    """What happened, in a sentence."""
+    margins = response.margins
+    cause = response.cause.replace("_", " ")
+    match response.outcome:
+        case "no_impact":
+            peak = margins["peak_displacement_ratio"]
+            return f"No impact: peak displacement {peak:.2f} of the capacity"
+        case "impact":
+            return (
+                f"Rim impact without failure: first touch at {seconds(margins['first_touch_time'])} "
+                f"with {margins['first_touch_velocity']:.2f} m/s"
+            )
+        case "failure":
+            after = margins["failure_time"] - margins["first_touch_time"]
+            return f"Failure by {cause} at {seconds(margins['failure_time'])}, {after:.2f} s after the first rim touch"
+        case _:
+            return f"Numerical failure ({cause}): no statement about the bearing"
+
+
+def describe_design(response: Response) -> str:
+    """The bearing and the pulse in one line, with units, as mathtext."""
+    bearing, pulse = response.bearing, response.pulse
+    period = 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
+    exponent = math.floor(math.log10(bearing.stiffness))
+    return "   ".join(
+        (
+            rf"$T_b$ {period:.2f} s",
+            rf"$\mu$ {bearing.mu:.3f}",
+            rf"$D_{{tot}}$ {bearing.displacement_capacity:.3f} m",
+            rf"$D_{{sl}}$ {bearing.slider_diameter:.3f} m",
+            rf"$h_{{sl}}$ {bearing.slider_height:.3f} m",
+            rf"$h_{{rim}}$ {1e3 * bearing.rim_height:.0f} mm",
+            rf"$p$ {bearing.pressure / 1e6:.1f} MPa",
+            rf"$k$ {bearing.stiffness / 10.0**exponent:.2f}$\cdot 10^{{{exponent}}}$ N/m$^{{1.5}}$",
+            rf"$T_p$ {pulse.period:.2f} s",
+            rf"$A_p$ {minus(f'{pulse.amplitude / GRAVITY:.3f}')} g",
+        )
+    )
+
+
+def minus(number: str) -> str:
+    """A number with a typographical minus."""
+    return number.replace("-", "−")
+
+
+def seconds(time: float) -> str:
+    """A time of the motion, as it stands in a text."""
+    return minus(f"t = {time:.3f} s")
+
+
+def instants(response: Response) -> dict[str, float]:
+    """Four moments worth a look, by name, in the order of time [s]."""
+    motion, margins = Motion(response), response.margins
+    chosen = {"at rest": motion.start}
+    touch = margins["first_touch_time"]
+    t = motion.fine_times()
+    x_t = motion.position(t)[:, 3]
+    if response.outcome == "failure":
+        chosen["first rim touch"] = touch
+        chosen["half-way to failure"] = 0.5 * (touch + margins["failure_time"])
+        chosen["failure"] = margins["failure_time"]
+    elif math.isfinite(touch):
+        gaps = motion.contacts(t)[0].max(axis=1)
+        chosen["first rim touch"] = touch
+        if gaps.max() > 0.0:
+            chosen["largest uplift"] = float(t[gaps.argmax()])
+        else:
+            chosen["largest displacement"] = float(t[np.abs(x_t).argmax()])
+        chosen["end of the run"] = motion.end
+    else:
+        chosen["furthest to the left"] = float(t[x_t.argmin()])
+        chosen["furthest to the right"] = float(t[x_t.argmax()])
+        chosen["end of the run"] = motion.end
+    return dict(sorted(chosen.items(), key=lambda item: item[1]))

@@ -1,0 +1,123 @@
+"""What a campaign has found so far: its simulations, its classifier, and designs worth a look."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.prediction import Prediction, predict
+from activefail.campaign.quantities import words
+from activefail.campaign.verification import expected_error
+from activefail.record.batch import ACTIVE
+from activefail.record.store import Store
+from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier
+
+_POOL = 2**12
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A campaign, what it has simulated and what it has learned.
+
+    Attributes:
+        X: (n, d) designs simulated so far, numerical failures included.
+        outcome: (n,) int8; iteration: (n,).
+        chosen: (n,) bool, by the learner; the others are of the seed design.
+        pool, pool_prediction: designs of the space, the most uncertain of which are listed.
+    """
+
+    folder: Path
+    campaign: Campaign
+    classifier: Classifier
+    X: Array
+    outcome: NDArray[np.int8]
+    iteration: NDArray[np.int64]
+    chosen: NDArray[np.bool_]
+    expected: float
+    pool: Array
+    pool_prediction: Prediction
+
+    @property
+    def boundary(self) -> str:
+        """The outcome whose boundary is (mainly) sought."""
+        return self.campaign.settings.acquisition.main_boundary
+
+    @property
+    def beyond(self) -> str:
+        """What is beyond that boundary, in words."""
+        worst = self.boundary == self.campaign.simulator.outcomes[-1]
+        return words(self.boundary) if worst else f"{words(self.boundary)} or worse"
+
+    @property
+    def influence(self) -> Array:
+        """How much the prediction hangs on each variable, (d,): its mean change when the variable is drawn anew."""
+        pool = self.pool[:1024]
+        before = predict(self.campaign, self.classifier, pool).beyond
+        changes = []
+        for column in range(self.campaign.space.dimension):
+            moved = pool.copy()
+            # Rolled by half the sample: drawn anew without a random number.
+            moved[:, column] = np.roll(pool[:, column], len(pool) // 2)
+            changes.append(float(np.abs(predict(self.campaign, self.classifier, moved).beyond - before).mean()))
+        return np.array(changes)
+
+    @property
+    def answered(self) -> NDArray[np.bool_]:
+        """Which simulations have an answer, (n,)."""
+        return np.asarray(self.outcome != NUMERICAL_FAILURE)
+
+
+def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
+    """What a campaign with at least one simulation has found."""
+    batches = store.batches
+    pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
+    return Findings(
+        folder,
+        campaign,
+        classifier,
+        np.concatenate([batch.designs for batch in batches]),
+        np.concatenate([batch.results.outcome for batch in batches]),
+        np.concatenate([np.full(len(batch), batch.iteration) for batch in batches]),
+        np.concatenate([batch.origin == ACTIVE for batch in batches]),
+        expected_error(campaign, classifier),
+        pool,
+        predict(campaign, classifier, pool),
+    )
+
+
+def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
+    """Simulated designs worth a drawing, with why: at the sought boundary on both sides, and at the first one below."""
+    campaign = findings.campaign
+    severity, outcome = campaign.severity, findings.outcome
+    F = campaign.features(findings.X)
+    at = np.abs(findings.classifier.latents[severity - 1].moments(F).standardised)
+    name = words(campaign.simulator.outcomes[severity])
+    thing = "bearing" if isinstance(campaign.simulator, DfpSimulator) else "design"
+    chosen: list[tuple[int, str]] = []
+    beyond, short = np.flatnonzero(outcome >= severity), np.flatnonzero((outcome < severity) & findings.answered)
+    if len(beyond):
+        first = int(beyond[np.argmin(at[beyond])])
+        chosen.append((first, f"The simulated {thing} beyond the {name} boundary that is nearest to it"))
+        if len(short):
+            # The likest of the others, among those near the boundary too.
+            near = short[np.argsort(at[short])[: max(10, len(short) // 10)]]
+            second = int(near[np.argmin(np.linalg.norm(F[near] - F[first], axis=1))])
+            chosen.append(
+                (second, f"A simulated {thing} with much the same features, on the other side of the boundary")
+            )
+    elif len(short):
+        chosen.append((int(short[np.argmin(at[short])]), f"The simulated {thing} nearest to the {name} boundary"))
+    mildest = np.flatnonzero(outcome == 0)
+    if severity > 1 and len(mildest):
+        touch = np.abs(findings.classifier.latents[0].moments(F[mildest]).standardised)
+        third = int(mildest[np.argmin(touch)])
+        if third not in [row for row, _ in chosen]:
+            chosen.append(
+                (third, f"The {thing} with {words(campaign.simulator.outcomes[0])} that came nearest to more")
+            )
+    return chosen

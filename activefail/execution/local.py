@@ -1,0 +1,155 @@
+"""Executors on this machine: threads for compiled simulators, worker processes for all others."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from threading import Lock
+from typing import Self
+
+from activefail.errors import SimulationError
+from activefail.execution.answering import answer, shown_fault
+from activefail.execution.processes import Guards
+from activefail.simulators.interface import (
+    Results,
+    Simulator,
+    unanswered,
+)
+from activefail.space import Array
+
+_ROWS_A_CALL = 16
+"""Most rows of one call: short calls show progress and leave little to wait for on an interrupt."""
+
+
+class _LocalExecutor:
+    """Threads of this process that each see to one simulation, or a few, at a time."""
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._pool = ThreadPoolExecutor(workers)
+        self._come: SimpleQueue[tuple[int, Future[Results]]] = SimpleQueue()
+        self._lock = Lock()
+        self.first_fault = ""
+
+    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+        """Simulate designs, (n, d) (see Executor)."""
+        n = len(X)
+        if n == 0:
+            return unanswered(simulator, 0)
+        rows = self._rows(n)
+        try:
+            parts = [self._submitted(simulator, X[first : first + rows]) for first in range(0, n, rows)]
+            for part in as_completed(parts):
+                done = len(part.result())
+                if progress is not None:
+                    progress(done)
+        except BaseException:
+            self._stop()
+            raise
+        return Results.concatenate([part.result() for part in parts])
+
+    def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
+        """Have a design, (d,), simulated (see Executor)."""
+        future = self._submitted(simulator, x[None])
+        future.add_done_callback(lambda done: self._come.put((ticket, done)))
+
+    def answered(self, seconds: float) -> list[tuple[int, Results]]:
+        """Tickets and answers that came (see Executor)."""
+        answers = []
+        try:
+            with suppress(Empty):
+                answers.append(self._come.get(timeout=seconds))
+                while True:
+                    answers.append(self._come.get_nowait())
+            return [(ticket, future.result()) for ticket, future in answers]
+        except BaseException:
+            self._stop()
+            raise
+
+    def _submitted(self, simulator: Simulator, X: Array) -> Future[Results]:
+        try:
+            return self._pool.submit(self._see_to, simulator, X)
+        except RuntimeError as error:  # the system starts no more threads
+            raise SimulationError(f"A simulation cannot be started: {error}. Fewer --workers may do.") from None
+
+    def _see_to(self, simulator: Simulator, X: Array) -> Results:
+        results, fault = self._answer(simulator, X)
+        if fault:
+            with self._lock:
+                self.first_fault = self.first_fault or shown_fault(fault)
+        return results
+
+    def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
+        raise NotImplementedError
+
+    def _rows(self, n: int) -> int:
+        """Of n designs, how many are handed to a thread at a time."""
+        raise NotImplementedError
+
+    def _stop(self) -> None:
+        """Begin nothing any more, and wait for nothing."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+
+class ThreadExecutor(_LocalExecutor):
+    """Threads that simulate, for compiled simulators that release the interpreter's lock."""
+
+    def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
+        return answer(simulator, X)
+
+    def __exit__(self, *exception: object) -> None:
+        # A second Ctrl-C may have met one of the pool's own locks, so that a thread waits for ever: after an exception
+        # nobody waits for it, and those that simulate end by themselves.
+        self._pool.shutdown(wait=exception[0] is None, cancel_futures=True)
+
+    def _rows(self, n: int) -> int:
+        return max(1, min(_ROWS_A_CALL, n // (4 * self._workers)))
+
+
+class ProcessExecutor(_LocalExecutor):
+    """Spawned processes, for simulators that hold the interpreter's lock; the simulator is pickled to them.
+
+    Each is handed one design at a time, so that what befalls it costs one simulation.
+
+    Args:
+        workers: side by side.
+        time_limit: seconds that one simulation may take; for ever if None.
+    """
+
+    def __init__(self, workers: int, time_limit: float | None = None) -> None:
+        super().__init__(workers)
+        self._guards = Guards(answer, time_limit)
+
+    def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
+        return self._guards.of_this_thread().answer(simulator, X)
+
+    def _rows(self, n: int) -> int:
+        return 1
+
+    def _stop(self) -> None:
+        super()._stop()
+        self._guards.stop()
+
+    def __exit__(self, *exception: object) -> None:
+        self._guards.stop()
+        super().__exit__(*exception)
+        self._guards.close()
+
+
+def local_executor(
+    simulator: Simulator, workers: int | None = None, time_limit: float | None = None
+) -> ThreadExecutor | ProcessExecutor:
+    """The executor that suits a simulator on this machine; all cores when `workers` is None.
+
+    Args:
+        time_limit: seconds that one simulation may take; a compiled simulator bounds its own steps and needs none.
+    """
+    workers = workers or os.cpu_count() or 1
+    return ThreadExecutor(workers) if simulator.releases_gil else ProcessExecutor(workers, time_limit)

@@ -1,0 +1,81 @@
+"""A record in memory, for tests and for campaigns that nobody keeps."""
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from numpy.typing import NDArray
+
+from activefail.errors import StoreError
+from activefail.record.batch import Batch, Schema, copied, own_copy
+from activefail.record.store import STATES_KEPT, check_set, checked_state
+from activefail.simulators.interface import Results
+from activefail.space import Array
+
+
+class MemoryStore:
+    """A record that lasts as long as this object."""
+
+    def __init__(self, schema: Schema) -> None:
+        self.schema = schema
+        self._batches: tuple[Batch, ...] = ()
+        self._states: dict[int, dict[str, NDArray[Any]]] = {}
+        self._sets: dict[str, tuple[Array, Results]] = {}
+        self._open = True
+
+    @property
+    def batches(self) -> tuple[Batch, ...]:
+        """All committed batches, in order."""
+        return self._batches
+
+    def commit(self, batch: Batch) -> None:
+        """Append a batch (see Store)."""
+        self._check_open()
+        self._batches = (*self._batches, own_copy(batch, self.schema))
+
+    def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep named arrays (see Store)."""
+        self._check_open()
+        kept = [i for i in sorted(self._states) if i < iteration][1 - STATES_KEPT :]
+        self._states = {i: self._states[i] for i in kept} | {iteration: checked_state(iteration, arrays)}
+
+    def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
+        """The newest state (see Store)."""
+        if not self._states:
+            return None
+        iteration = max(self._states)
+        return iteration, {name: array.copy() for name, array in self._states[iteration].items()}
+
+    def reject_state(self, iteration: int, reason: str) -> None:
+        """Forget a state (see Store)."""
+        self._states.pop(iteration, None)
+
+    def write_set(self, name: str, X: Array, results: Results) -> None:
+        """Keep a set (see Store)."""
+        self._check_open()
+        check_set(name, X, results, self.schema)
+        self._sets[name] = X.copy(), copied(results)
+
+    def read_set(self, name: str) -> tuple[Array, Results] | None:
+        """The set, or None (see Store)."""
+        if name not in self._sets:
+            return None
+        X, results = self._sets[name]
+        return X.copy(), copied(results)
+
+    def set_names(self) -> list[str]:
+        """Names of the sets (see Store)."""
+        return sorted(self._sets)
+
+    def close(self) -> None:
+        """Refuse further writing."""
+        self._open = False
+
+    def _check_open(self) -> None:
+        if not self._open:
+            raise StoreError("This store is closed.")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
