@@ -6,11 +6,9 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.motion import Motion, describe_outcome
@@ -20,7 +18,7 @@ from activefail.campaign.findings import Findings, at_the_boundary
 from activefail.campaign.prediction import Prediction, interval, predict
 from activefail.campaign.quantities import plain, words
 from activefail.errors import InputError
-from activefail.figures.contours import bar_of_contours, filled_contours
+from activefail.figures.contours import plot_variable_plane
 from activefail.figures.curves import plot_fragility
 from activefail.figures.marks import outcome_colour
 from activefail.figures.motion import (
@@ -32,11 +30,13 @@ from activefail.figures.motion import (
     slider_vertices,
     vertex_states,
 )
-from activefail.figures.style import styled
 from activefail.figures.svg import inline
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
 from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _GRID, _CURVE, _FRAMES = 36, 81, 240
 
@@ -199,16 +199,11 @@ class Answers:
         uncertain = shown == "uncertainty"
         values = found.high - found.low if uncertain else found.probabilities[:, self.outcomes.index(shown)]
         title = f"P({plain(words(shown))})" if not uncertain else f"uncertainty of P({plain(self._findings.beyond)})"
-        with self._drawing, styled():
-            figure = Figure(figsize=(4.0, 3.4), layout="constrained")
-            axes = figure.add_subplot()
-            shades = filled_contours(axes, grid_x, grid_y, values.reshape(grid_x.shape), uncertain)
-            axes.set(xlabel=self._quantities[x].axis, ylabel=self._quantities[y].axis)
-            axes.set(xlim=(low[x], high[x]), ylim=(low[y], high[y]))
-            bar_of_contours(figure, axes, shades, title, uncertain)
-            axes.set_title(f"{title}; thick line: one half" if not uncertain else title)
+        with self._drawing:
+            axes_of = self._quantities[x], self._quantities[y]
+            figure = plot_variable_plane(axes_of, (along_x, along_y), values.reshape(grid_x.shape), title, uncertain)
             svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
-        return {"svg": str(svg), "axes": _place(axes, axes)}
+        return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
 
     def fragility(self, point: Sequence[float], along: int) -> Answer:
         """The probability of what is beyond the sought boundary against a variable, as a figure."""
@@ -281,7 +276,7 @@ class Answers:
         return self.campaign.simulator, self.campaign.simulator.response(np.array(point))
 
 
-def _place(upper: Axes, lower: Axes) -> dict[str, float]:
+def _place(upper: "Axes", lower: "Axes") -> dict[str, float]:
     """Where axes are within their figure, as shares of its width from the left and of its height from above."""
     top, bottom = upper.get_position(), lower.get_position()
     return {"left": top.x0, "right": top.x1, "top": 1.0 - top.y1, "bottom": 1.0 - bottom.y0}

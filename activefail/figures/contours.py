@@ -190,6 +190,33 @@ def bar_of_contours(
     bar.set_label("width of the 95 % interval [–]" if uncertainty else f"{title} [–]")
 
 
+def plot_variable_plane(
+    quantities: tuple[Quantity, Quantity],
+    along: tuple[Array, Array],
+    values: Array,
+    title: str,
+    uncertainty: bool = False,
+) -> Figure:
+    """A probability, or the uncertainty of one, in the plane of two variables.
+
+    Args:
+        quantities: of the two axes.
+        along: (n,) and (m,) values on them.
+        values: (m, n) between 0 and 1.
+        title: what the values are.
+        uncertainty: whether they are an uncertainty.
+    """
+    x, y = along
+    with styled():
+        figure = Figure(figsize=(4.0, 3.4), layout="constrained")
+        axes = figure.add_subplot()
+        shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
+        axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+        bar_of_contours(figure, axes, shades, title, uncertainty)
+        axes.set_title(title if uncertainty else f"{title}; thick line: one half")
+    return figure
+
+
 def _limits(column: Array, whole: bool) -> tuple[float, float]:
     """A column's range, or where nine tenths of it are: the ratios' long tails would leave the boundary in a corner."""
     low, high = np.quantile(column, [0.0, 1.0 if whole else 0.9])

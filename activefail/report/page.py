@@ -4,12 +4,11 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from activefail import __version__
@@ -42,6 +41,9 @@ from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Parameter
 from activefail.visible import quoted, visible
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 MOST_PAIRED = 6
 """Features of the pair plot at the most: those with the shortest length scales."""
 
@@ -65,7 +67,7 @@ class Picture:
     wide: bool = False
 
 
-def _picture(figure: Figure, name: str, alternative: str, caption: str | Markup) -> Picture:
+def _picture(figure: "Figure", name: str, alternative: str, caption: str | Markup) -> Picture:
     return Picture(inline(figure, name, alternative), caption, float(figure.get_size_inches()[0]) > 8.0)
 
 
