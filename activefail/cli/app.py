@@ -16,8 +16,8 @@ import typer
 from typer.core import TyperCommand
 
 from activefail.cli.common import INTERRUPTED
-from activefail.cli.screen import OUTPUT, visible_output
 from activefail.errors import ActivefailError, InputError, place_of, reason_of
+from activefail.screen import OUTPUT, visible_output
 
 app = typer.Typer(
     help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",

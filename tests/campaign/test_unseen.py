@@ -8,8 +8,10 @@ import pytest
 from commandline import activefail
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.learning import search_for_unseen
-from activefail.campaign.loop import Observer, run
+from activefail.campaign.history import History
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer
+from activefail.campaign.proposing import search_for_unseen
 from activefail.campaign.settings import parse_settings
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.execution.local import ThreadExecutor
@@ -48,7 +50,7 @@ def campaign_on(simulator, criterion="eavc", budget=60, more="", seed=0):
         space.x = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
         space.y = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
         """
-    return Campaign.with_simulator(parse_settings(text, "rare"), simulator)
+    return Campaign.of(parse_settings(text, "rare"), simulator=simulator)
 
 
 def taken(campaign, store=None):
@@ -79,7 +81,7 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
     more += "sampling.asynchronous = true" if asynchronous else ""
     campaign = campaign_on(NeverFails(), budget=40, more=more.replace("sampling.asynchronous = true", ""))
     if asynchronous:
-        campaign = Campaign.with_simulator(campaign.settings.changed({"sampling.asynchronous": True}), NeverFails())
+        campaign = Campaign.of(campaign.settings.changed({"sampling.asynchronous": True}), simulator=NeverFails())
     store, seen = taken(campaign)
     assert sum(len(batch) for batch in store.batches) == 40
     assert store.set_names() == []
@@ -90,10 +92,10 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
 def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen():
     campaign = campaign_on(FourBranch())
     store, _ = taken(campaign)
-    missing = search_for_unseen(campaign, store.batches[:6])
+    missing = search_for_unseen(campaign, History.of(store.batches[:6]))
     assert missing.outcomes == ("failure",)
     assert np.array_equal(missing.known, np.concatenate([batch.designs for batch in store.batches[:6]]))
-    assert search_for_unseen(campaign, store.batches) is None
+    assert search_for_unseen(campaign, History.of(store.batches)) is None
 
 
 def test_the_same_campaign_searches_at_the_same_designs_again():

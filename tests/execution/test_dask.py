@@ -21,7 +21,8 @@ from faults.simulators import Meddling, Remembering
 from patience import PATIENCE
 
 from activefail.campaign.asynchronous import resumed
-from activefail.campaign.loop import Observer, Progress, one_thread, run
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer, Progress
 from activefail.errors import InputError, SimulationError
 from activefail.execution.dask import DaskExecutor
 from activefail.execution.local import ThreadExecutor
@@ -30,6 +31,7 @@ from activefail.record.memory import MemoryStore
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
 from activefail.space import Array, DesignSpace, Parameter
+from activefail.surrogate.threads import one_thread
 
 distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")
 
