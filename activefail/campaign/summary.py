@@ -19,7 +19,7 @@ from activefail.campaign.boundaries import boundary_shares
 from activefail.campaign.stored_sets import name_of_look, name_of_verification
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.errors import StoreError
-from activefail.files import read_regular
+from activefail.files import check_dots, read_regular
 from activefail.record.batch import ACTIVE, SEED, Batch
 from activefail.record.layout import LARGEST_SETTINGS, SETTINGS, refuse_links
 from activefail.record.recovery import is_segment, plain_files
@@ -63,6 +63,7 @@ class Plan:
         Raises:
             ValueError: if this is no such text.
         """
+        check_dots(text)
         settings = tomllib.loads(text)
         match settings:
             case {
@@ -175,8 +176,8 @@ class Summary:
 
     @property
     def unseen_warning(self) -> str:
-        """What the user must know where no simulation ended in some outcome; empty otherwise, and at the beginning."""
-        if self.initial.sum() < self.plan.initial:
+        """What the user must know where no simulation ended in some outcome; empty otherwise, and before any did."""
+        if self.done == 0:
             return ""
         unseen = unseen_outcomes(self.outcomes, self.counts)
         answered, unanswered = int(self.initial[:-1].sum()), int(self.initial[-1])

@@ -69,6 +69,10 @@ def _main() -> None:
         app()
     except ActivefailError as error:
         _end(str(error), 2 if isinstance(error, InputError) else 1)
+    except ImportError as error:
+        _end(f"a library cannot be loaded: {error}. Is it installed, and is there memory enough for it?", 1)
+    except MemoryError:
+        _end("out of memory; what was recorded is safe", 1)
     except BrokenPipeError:
         # `| head`, say.
         _silence()

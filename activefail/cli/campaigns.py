@@ -16,6 +16,7 @@ from activefail.cli.common import (
     Workers,
     check_output,
     make_executor,
+    show_unseen,
     show_warnings,
 )
 from activefail.display import campaign_display, error_text, progress_bar, stop_on_signals
@@ -23,7 +24,6 @@ from activefail.shares import percent
 from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:
-    from activefail.campaign.summary import Summary
     from activefail.execution.executor import AsynchronousExecutor
     from activefail.run import Run
 
@@ -135,14 +135,8 @@ def _take(run: "Run", executor: "AsynchronousExecutor", terms: _Terms) -> None:
             f"the {visible(run.boundary)} boundary is verified with {100 * rule.confidence:g} % confidence, over all "
             f"looks"
         )
-    _show_unseen(run.summary)
+    show_unseen(run.summary)
     print(f"results    {visible(str(run.folder))}")
-
-
-def _show_unseen(summary: "Summary") -> None:
-    """A warning on the error stream where a campaign never saw an outcome."""
-    if warning := summary.unseen_warning:
-        print(f"warning: {visible(warning)}", file=sys.stderr)
 
 
 def status(folder: RunFolder) -> None:
@@ -159,7 +153,7 @@ def status(folder: RunFolder) -> None:
     print(f"campaign   {visible(summary.plan.description or folder.name)}")
     for title, text in summary.lines:
         print(f"{title:<10} {text}")
-    _show_unseen(summary)
+    show_unseen(summary)
     if summary.done < summary.plan.budget:
         again = f"activefail resume {quoted(folder)}{' --code FOLDER' if summary.plan.own_code else ''}"
         print(f"continue   {again}")
@@ -183,6 +177,7 @@ def predict(
         show_warnings(opened.store)
         with progress_bar("predicting") as begin:
             outside = opened.predict_table(csv, out, begin)
+        show_unseen(opened.summary)
     if outside:
         print(f"warning: outside the campaign's ranges, where it extrapolates: {outside} designs", file=sys.stderr)
     print(f"written to {visible(str(out))}")
@@ -209,7 +204,7 @@ def verify(
         "misclassified, in parts of unequal weight"
     )
     print(f"expected   {percent(error.expected, 2)} by the classifier's own probabilities, which have no interval")
-    _show_unseen(summary)
+    show_unseen(summary)
 
 
 def export(

@@ -13,6 +13,7 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.campaign.summary import Summary
     from activefail.execution.executor import AsynchronousExecutor
     from activefail.record.run_folder import FolderStore
 
@@ -62,7 +63,9 @@ def make_executor(
         raise InputError("--scheduler: required for --executor dask.")
     if workers is not None:
         raise InputError("--workers: is for --executor local; a Dask cluster has the workers that it has.")
-    return DaskExecutor(scheduler, campaign.time_limit, lambda line: print(line, file=sys.stderr, flush=True))
+    from activefail.campaign.provenance import simulation_versions
+
+    return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)
 
 
 def check_output(option: str, path: Path | None) -> None:
@@ -97,6 +100,12 @@ def writing_to(path: Path) -> Iterator[None]:
 def show_stage(text: str) -> None:
     """What is being done, on the error stream."""
     print(text, file=sys.stderr, flush=True)
+
+
+def show_unseen(summary: "Summary") -> None:
+    """A warning on the error stream where a campaign never saw an outcome."""
+    if warning := summary.unseen_warning:
+        print(f"warning: {visible(warning)}", file=sys.stderr)
 
 
 def show_warnings(store: "FolderStore") -> None:

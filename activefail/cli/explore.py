@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, show_stage, show_warnings
+from activefail.cli.common import Code, RunFolder, show_stage, show_unseen, show_warnings
 
 
 def explore(
@@ -28,6 +28,7 @@ def explore(
             show_stage("learning")
             findings = opened.findings
             show_warnings(opened.store)
+            show_unseen(opened.summary)
         server = ExplorerServer(host, port, Answers(findings))
         print(f"explorer   {server.address}  (Ctrl-C ends it)", flush=True)
         try:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import INTERRUPTED, Code, check_output, show_stage, show_warnings, writing_to
+from activefail.cli.common import INTERRUPTED, Code, check_output, show_stage, show_unseen, show_warnings, writing_to
 from activefail.display import stop_on_signals
 from activefail.errors import InputError
 from activefail.visible import visible
@@ -85,6 +85,7 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
     with open_run(folder, write=True, code=code) as opened, writing_to(results):
         show_warnings(opened.store)
         scores = opened.compare(sizes, test, show_stage)
+        show_unseen(opened.summary)
     print("\n".join(score_lines(scores, opened.boundary)))
     print(f"table      {visible(str(results / 'scores.csv'))}")
     print(f"curves     {visible(str(results / 'learning_curves.png'))} and .svg")

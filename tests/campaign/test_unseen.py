@@ -16,6 +16,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.execution.local import ThreadExecutor
 from activefail.record.memory import MemoryStore
+from activefail.run import create_run
 from activefail.simulators.interface import Results
 
 
@@ -157,6 +158,18 @@ def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_wha
         assert "7.4 %" in one.err
     assert activefail("report", folder, "--out", page).code == 0
     assert warning in html.unescape(page.read_text())
+    assert activefail("export", folder, "--csv", tmp_path / "designs.csv").code == 0
+    predicted = activefail("predict", folder, "--csv", tmp_path / "designs.csv", "--out", tmp_path / "predicted.csv")
+    assert (predicted.code, f"warning: {warning}" in predicted.err) == (0, True)
+
+
+def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_path):
+    with create_run(tmp_path / "run", gentle[0].with_name("gentle.toml")) as begun:
+        assert begun.summary.unseen_warning == ""
+        assert begun.take(budget=12).finished
+    for one in (activefail("status", tmp_path / "run"), activefail("resume", tmp_path / "run", "--budget", "12")):
+        assert "warning: None of the campaign's 12 simulations ended in impact or failure." in one.err
+        assert "17.5 %: 12 initial designs" in one.err  # 1 − 0.1^(1/12)
 
 
 def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is_simulated(gentle, tmp_path):
