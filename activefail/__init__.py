@@ -15,14 +15,30 @@ if TYPE_CHECKING:
         simulate,
         simulate_one,
     )
+    from activefail.run import Run, create_run, open_run
 
 __version__ = "0.1.0"
 
-__all__ = ["TABLE_1", "Bearing", "Model", "Pulse", "Response", "Responses", "Tolerance", "simulate", "simulate_one"]
+__all__ = [
+    "TABLE_1",
+    "Bearing",
+    "Model",
+    "Pulse",
+    "Response",
+    "Responses",
+    "Run",
+    "Tolerance",
+    "create_run",
+    "open_run",
+    "simulate",
+    "simulate_one",
+]
+
+_OF_RUN = ("Run", "create_run", "open_run")
 
 
 def __getattr__(name: str) -> Any:
     # Lazily: the command line shows its help without loading numba.
     if name in __all__:
-        return getattr(import_module("activefail.bearing"), name)
+        return getattr(import_module("activefail.run" if name in _OF_RUN else "activefail.bearing"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,123 @@
+"""The run folder as a Python object: what the commands do, it does."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, record
+
+import activefail as af
+from activefail.errors import BusyError, InputError
+
+PLATE = """
+def run(design):
+    return "failure" if design["x"] + design["y"] > 1.3 else "safe"
+"""
+
+SETTINGS = """
+seed = 3
+sampling = { initial = 20, budget = 30, batch = 5 }
+simulator = { python = "plate:run", outcomes = ["safe", "failure"] }
+[space]
+x = { low = 0, high = 1 }
+y = { low = 0, high = 1 }
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plate")
+    (folder / "plate.py").write_text(PLATE)
+    (folder / "plate.toml").write_text(SETTINGS)
+    return folder / "plate.toml"
+
+
+@pytest.fixture(scope="module")
+def taken(file: Path) -> Path:
+    """A run folder, taken to its budget in Python."""
+    folder = file.with_name("run")
+    with af.create_run(folder, file) as run:
+        assert run.summary.done == 0
+        taken = run.take()
+    assert (taken.finished, taken.progress.done, taken.first_fault) == (True, 30, "")
+    return folder
+
+
+def test_a_run_in_python_is_the_run_of_the_command_line(file: Path, taken: Path, tmp_path: Path) -> None:
+    assert activefail("run", file, "--out", tmp_path / "run").code == 0
+    assert record(tmp_path / "run") == record(taken)
+    assert (tmp_path / "run" / "campaign.toml").read_bytes() == (taken / "campaign.toml").read_bytes()
+
+
+def test_a_run_that_is_taken_in_parts_is_the_same(file: Path, taken: Path, tmp_path: Path) -> None:
+    with af.create_run(tmp_path / "run", file) as run:
+        assert run.take(budget=7).progress.done == 7
+    with af.open_run(tmp_path / "run", write=True, code=file.parent) as run:
+        assert run.take(budget=25).progress.done == 25
+        assert run.take().finished
+    assert record(tmp_path / "run") == record(taken)
+
+
+def test_an_open_run_says_what_it_holds(taken: Path, file: Path) -> None:
+    with af.open_run(taken) as run:
+        assert (len(run.history), run.summary.done, run.space.names) == (30, 30, ("x", "y"))
+        assert (run.boundary, run.settings.seed) == ("failure", 3)
+        assert run.resume_command() == f"activefail resume {taken} --code FOLDER"
+        p = run.classifier.probabilities(np.array([[0.1, 0.1], [0.95, 0.95]]))
+        assert p[0, 1] < 0.1 < 0.9 < p[1, 1]
+        assert run.classifier is run.classifier
+        assert run.findings.boundary == "failure"
+    with af.open_run(taken, code=file.parent) as run:
+        assert run.resume_command(40, 0.5, True) == (
+            f"activefail resume {taken} --code {file.parent} --ignore-stop --budget 40 --numerical-failures 0.5"
+        )
+
+
+def test_the_classifier_follows_the_record(file: Path, tmp_path: Path) -> None:
+    with af.create_run(tmp_path / "run", file) as run:
+        with pytest.raises(InputError, match="has no simulations to learn from yet; `activefail resume"):
+            run.learn()
+        run.take(budget=20)
+        first = run.classifier
+        run.take(budget=25)
+        assert run.classifier is not first
+        assert len(run.classifier.latents[0].trained.labels) == 25
+
+
+def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, tmp_path: Path) -> None:
+    with af.open_run(taken, write=True, code=file.parent) as run:
+        error = run.verify(60)
+        assert 0.0 <= error.low <= error.error <= error.high <= 1.0
+        assert {score.sampling for score in run.compare([20, 30], 100)} == {"active", "static"}
+        assert (taken / "compare" / "scores.csv").is_file()
+        assert run.export_table(tmp_path / "designs.csv") == 30
+        assert run.predict_table(tmp_path / "designs.csv", tmp_path / "predicted.csv") == 0
+        judged = run.report(tmp_path / "report.html").error
+        assert (judged.error, judged.low, judged.high) == (error.error, error.low, error.high)
+        assert "failure" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("budget", "rule"), [(1, "budget: must be at least 2, got 1"), (29, "at least the 30 simulations that are done")]
+)
+def test_a_budget_that_cannot_be_is_refused(taken: Path, file: Path, budget: int, rule: str) -> None:
+    with af.open_run(taken, write=True, code=file.parent) as run, pytest.raises(InputError, match=rule):
+        run.take(budget=budget)
+
+
+def test_a_folder_has_one_writer_and_holds_one_campaign(taken: Path, file: Path) -> None:
+    with af.open_run(taken, write=True, code=file.parent):
+        with pytest.raises(BusyError):
+            af.open_run(taken, write=True, code=file.parent)
+        with af.open_run(taken) as reader:
+            assert len(reader.history) == 30
+    with pytest.raises(InputError, match="holds a campaign already; `activefail resume"):
+        af.create_run(taken, file)
+
+
+def test_to_import_the_package_loads_none_of_what_is_heavy() -> None:
+    heavy = ["torch", "scipy", "numba", "h5py", "matplotlib", "pydantic"]
+    program = f"import sys, activefail; activefail.__all__; print([name for name in {heavy} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout == "[]\n"
