@@ -181,8 +181,11 @@ class Run:
         """The classifier of all recorded simulations (see `learn`)."""
         return self.learn()
 
-    def learn(self) -> "Classifier":
+    def learn(self, stage: Callable[[str], None] = lambda _: None) -> "Classifier":
         """Learn from all recorded simulations, once; a run that is open for writing saves what it had to learn.
+
+        Args:
+            stage: is told when learning begins.
 
         Raises:
             InputError: if there is no simulation with an answer to learn from.
@@ -195,6 +198,7 @@ class Run:
             raise InputError(
                 f"{self.folder}: has no simulations to learn from yet; `{self.resume_command()}` continues it."
             )
+        stage("learning")
         with one_thread():
             self._classifier = current_classifier(self.campaign, self.store, self._write)
         return self._classifier

@@ -25,7 +25,7 @@ def explore(
     with one_thread():
         with open_run(folder, code=code) as opened:
             show_warnings(opened.store)
-            show_stage("learning")
+            opened.learn(show_stage)
             findings = opened.findings
             show_warnings(opened.store)
             show_unseen(opened.summary)

@@ -29,8 +29,7 @@ def report(
         raise InputError(f"--out: the folder {target.absolute().parent} does not exist.")
     with open_run(folder, code=code) as opened:
         show_warnings(opened.store)
-        show_stage("learning")
-        opened.learn()
+        opened.learn(show_stage)
         show_warnings(opened.store)
         with writing_to(target):
             evidence = opened.report(target, show_stage)

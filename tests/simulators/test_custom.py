@@ -121,6 +121,7 @@ UNUSABLE = {
     "3": "must be an outcome or a table with one, got 3",
     "None": "must be an outcome or a table with one, got None",
     "{}": "outcome: must be one of safe, damage, failure, got None",
+    "{'outcome': __import__('unittest.mock').mock.ANY}": "outcome: must be one of safe, damage, failure, got <ANY>",
     "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
     "['safe']": "must be an outcome or a table with one",
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
