@@ -302,6 +302,20 @@ def test_single_designs_are_answered_once_each_with_their_tickets(executor: Asyn
     assert bits(Results.concatenate([answers[100 + i] for i in range(30)])) == bits(Disc().run(X))
 
 
+def test_a_batch_is_answered_while_single_designs_run_and_takes_none_of_their_answers(
+    executor: AsynchronousExecutor,
+) -> None:
+    X = designs(12)
+    for ticket in range(4):
+        executor.start(Slow(), ticket, X[ticket])
+    assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+    answers: dict[int, Results] = {}
+    with within(600):
+        while len(answers) < 4:
+            answers |= dict(executor.answered(0.5))
+    assert bits(Results.concatenate([answers[ticket] for ticket in range(4)])) == bits(Disc().run(X[:4]))
+
+
 def test_where_nothing_is_answered_the_wait_ends_in_time(executor: AsynchronousExecutor) -> None:
     with within(600):
         assert executor.answered(0.05) == []
