@@ -38,7 +38,7 @@ class Executor(Protocol):
 
     **The end.** Leaving the context cancels what has not begun, and ends the worker processes that the executor has
     started on this machine. What is running in threads is waited for, unless an exception has ended the context. On a
-    cluster it runs to its end or its time limit, and nobody hears of it.
+    cluster it runs to its end or its time limit, and its result is discarded.
     """
 
     @property

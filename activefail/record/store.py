@@ -38,7 +38,7 @@ class Store(Protocol):
     are the store's and read-only. The arrays that `latest_state` and `read_set` return are the caller's own. All come
     back bit for bit, NaN payloads and signed zeros too.
 
-    **Exceptions.** After InputError nothing has changed, and the store can be used on. After StoreError what was not
+    **Exceptions.** After InputError nothing has changed, and the store stays usable. After StoreError what was not
     acknowledged is not in the record, everything acknowledged is, and the call can be repeated, with one exception:
     where fsync failed (SyncError) or a write was interrupted, the store refuses every later write with StoreError;
     opened again, the record holds all acknowledged batches and perhaps the last one.

@@ -399,6 +399,33 @@ def test_what_progress_raises_reaches_the_caller_and_the_rest_is_not_simulated()
     assert sum(rows) <= 32
 
 
+def test_leaving_an_executor_by_an_exception_waits_for_nothing_and_begins_nothing_more() -> None:
+    rows: list[int] = []
+    begun, go = threading.Event(), threading.Event()
+
+    class Held(Disc):
+        def run(self, X: Array) -> Results:
+            rows.append(len(X))
+            begun.set()
+            assert go.wait(600)
+            return super().run(X)
+
+    def leave(executor: AsynchronousExecutor) -> None:
+        with executor:
+            for ticket, x in enumerate(designs(5)):
+                executor.start(Held(), ticket, x)
+            assert begun.wait(600)
+            raise KeyError
+
+    executor = ThreadExecutor(1)
+    with within(600), pytest.raises(KeyError):
+        leave(executor)
+    go.set()
+    for thread in executor._pool._threads:
+        thread.join()
+    assert rows == [1]
+
+
 @pytest.mark.parametrize(
     ("simulator", "cause", "says"),
     [
