@@ -224,7 +224,7 @@ class DesignSpace:
         return np.asarray(np.all((self.low <= X) & (self.high >= X), axis=1))
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
-        """A Latin hypercube of n designs, shape (n, d) (McKay 1979; scipy.stats.qmc)."""
+        """A Latin hypercube of n designs, shape (n, d) ([McKayEtAl1979]; scipy.stats.qmc)."""
         from scipy.stats import qmc
 
         return self.from_unit(qmc.LatinHypercube(self.dimension, rng=rng).random(n))

@@ -113,7 +113,7 @@ def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -
 def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion: LookAhead) -> NDArray[np.intp]:
     """Rows of q of the first n points, each the criterion's best given those before it; the others are references.
 
-    Chosen points are fantasised as in `greedy_batch`. Values are brought up to date lazily (Minoux 1978): what a
+    Chosen points are fantasised as in `greedy_batch`. Values are brought up to date lazily [Minoux1978]: what a
     candidate was worth before a choice is taken for a bound of what it is worth after. Where few references depend on
     each other it is one; elsewhere a batch loses a per cent or so.
 

@@ -22,7 +22,7 @@ def _nodes(number: int) -> tuple[list[float], list[float]]:
 
 
 def _density_integral(a: Array, b: Array, rho: Array, number: int) -> Array:
-    """∫₀^ρ φ₂(a, b; r) dr by Gauss-Legendre (Drezner and Wesolowsky 1990)."""
+    """∫₀^ρ φ₂(a, b; r) dr by Gauss-Legendre [DreznerWesolowsky1990]."""
     half_squares, product = -0.5 * (a * a + b * b), a * b
     total = np.zeros(rho.shape)
     for node, weight in zip(*_nodes(number), strict=True):
@@ -33,7 +33,7 @@ def _density_integral(a: Array, b: Array, rho: Array, number: int) -> Array:
 
 
 def _nearly_dependent(a: Array, b: Array, rho: Array) -> Array:
-    """BVN(a, b; ρ) for |ρ| near 1: the limit less an integral whose singular part is known (Genz 2004, section 2)."""
+    """BVN(a, b; ρ) for |ρ| near 1: the limit less an integral whose singular part is known [Genz2004, section 2]."""
     # As upper tails of (h, k) with a positive correlation.
     h, k = -a, np.where(rho > 0.0, -b, b)
     hk = h * k
@@ -85,7 +85,7 @@ def label_covariance(a: Array, b: Array, rho: Array) -> Array:
 def bivariate_cdf(a: Array, b: Array, rho: Array) -> Array:
     """BVN(a, b; ρ) = P(x < a, y < b) of standard normals with correlation ρ; absolute error below 1e-10.
 
-    Sources: Drezner and Wesolowsky 1990, Genz 2004.
+    Sources: [DreznerWesolowsky1990], [Genz2004].
 
     Args:
         a, b, rho: of shapes that broadcast; −1 < ρ < 1.

@@ -2,6 +2,9 @@
 
 A design is a point of the unit cube over the physical variables (`DesignSpace.from_unit`); the features are computed
 inside, in torch. That needs a feature map with a `formula`. The values are those of `criteria`.
+
+The campaign's loop does not use them: it proposes by `activefail.acquisition.batch`, which searches the design space
+without gradients. These are for users of BoTorch. Their model is `Latent.model`, a BoTorch `ApproximateGPyTorchModel`.
 """
 
 import math
@@ -56,7 +59,7 @@ class TorchFeatures(torch.nn.Module):
 
 
 class _LabelCovariance(torch.autograd.Function):
-    """`bivariate.label_covariance` with its closed derivatives (those of BVN: Genz 2004, section 2)."""
+    """`bivariate.label_covariance` with its closed derivatives (those of BVN: [Genz2004, section 2])."""
 
     @staticmethod
     def forward(ctx: Any, a: Tensor, b: Tensor, rho: Tensor) -> Tensor:

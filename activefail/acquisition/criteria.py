@@ -10,7 +10,7 @@ P = Φ(b), b = −μ_q/σ_q, of being safe, that side after a label 1 or 0 is sa
 
     P¹ = Z/π,  P⁰ = (P − Z)/(1 − π),  Z = BVN(a, b; ρ),  ρ = −Σ_q*/(σ_q √(1+σ_*²))
 
-(Letham et al. 2022). In terms of the covariance D = Z − πP: P¹ = P + D/π, P⁰ = P − D/(1 − π).
+[LethamEtAl2022]. In terms of the covariance D = Z − πP: P¹ = P + D/π, P⁰ = P − D/(1 − π).
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ Pointwise: TypeAlias = Callable[[Array, Array], Array]
 """(mean, sd) -> value."""
 
 _C2 = 0.5 * np.pi * np.log(2.0)
-"""C² of the Gaussian that approximates the entropy of a probit likelihood (Houlsby et al. 2011, section 4)."""
+"""C² of the Gaussian that approximates the entropy of a probit likelihood [HoulsbyEtAl2011, section 4]."""
 
 _LEAST = 1e-12
 """Least probability of a label, and least standard deviation of a reference, that is divided by."""
@@ -59,7 +59,7 @@ def entropy(mean: Array, sd: Array) -> Array:
 def u(mean: Array, sd: Array) -> Array:
     """−|μ|/σ, which ranks as the probability of the latent's less probable sign.
 
-    Source: Echard et al. 2011, eq. 12 (U, which is minimised there).
+    Source: [EchardEtAl2011, eq. 12] (U, which is minimised there).
     """
     return np.asarray(-np.abs(mean) / np.maximum(sd, _LEAST))
 
@@ -67,7 +67,7 @@ def u(mean: Array, sd: Array) -> Array:
 def straddle(mean: Array, sd: Array) -> Array:
     """1.96 σ − |μ|: by how much the latent's 95 % interval reaches across the boundary.
 
-    Source: Bryan et al. 2005, eq. 3.
+    Source: [BryanEtAl2005, eq. 3].
     """
     return np.asarray(1.96 * sd - np.abs(mean))
 
@@ -75,7 +75,7 @@ def straddle(mean: Array, sd: Array) -> Array:
 def bald(mean: Array, sd: Array) -> Array:
     """h(p) − C/√(σ²+C²)·exp(−μ²/(2(σ²+C²))): what the label tells about the latent [bit].
 
-    Source: Houlsby et al. 2011, eq. 4.
+    Source: [HoulsbyEtAl2011, eq. 4].
     """
     variance = sd**2 + _C2
     expected = np.sqrt(_C2 / variance) * np.exp(-(mean**2) / (2.0 * variance))
@@ -120,7 +120,7 @@ def _expected_fall(uncertainty: Callable[[Array], Array]) -> Callable[[Array, Ar
 def eavc(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array, covariance: Array) -> Array:
     """π·|E_q[P − P¹]| + (1−π)·|E_q[P − P⁰]| = 2·|E_q[D]|: expected absolute change of the safe volume, a share of all.
 
-    Source: Letham et al. 2022 (EAVC); the second form follows from P − P¹ = −D/π, P − P⁰ = D/(1−π).
+    Source: [LethamEtAl2022] (EAVC); the second form follows from P − P¹ = −D/π, P − P⁰ = D/(1−π).
 
     Args:
         mean, sd: (n,) of the latent at candidates.
@@ -134,7 +134,7 @@ def eavc(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array, cov
 def globalmi(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array, covariance: Array) -> Array:
     """E_q[h(P) − π·h(P¹) − (1−π)·h(P⁰)]: what the label tells about the side of a random design [bit].
 
-    Source: Letham et al. 2022 (GlobalMI). Arguments as for `eavc`.
+    Source: [LethamEtAl2022] (GlobalMI). Arguments as for `eavc`.
     """
     fall = _expected_fall(binary_entropy)
     return _average_over_references(fall, mean, sd, reference_mean, reference_sd, covariance)
@@ -143,7 +143,7 @@ def globalmi(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array,
 def sur(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array, covariance: Array) -> Array:
     """E_q[m(P) − π·m(P¹) − (1−π)·m(P⁰)], m(p) = min(p, 1−p): expected fall of the misclassified share.
 
-    Source: Bect et al. 2012, stepwise uncertainty reduction with the probability of misclassification. Zero, not only
+    Source: [BectEtAl2012], stepwise uncertainty reduction with the probability of misclassification. Zero, not only
     small, where neither label would change a reference's side. Arguments as for `eavc`.
     """
     fall = _expected_fall(misclassification)

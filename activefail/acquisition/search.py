@@ -16,7 +16,7 @@ def search(space: DesignSpace, known: Array, first: int, q: int, rng: np.random.
     """q designs, (q, d), far from all that are known and from each other, and further out than the space's own.
 
     An outcome that a Latin hypercube has missed is rare, and rare outcomes mostly lie where several variables are far
-    from their means. So each design is the candidate farthest from its nearest neighbour (maximin; Johnson et al. 1990)
+    from their means. So each design is the candidate farthest from its nearest neighbour (maximin; [JohnsonEtAl1990])
     in the variables' standardised values, and candidates have one width after the other of `WIDENINGS`.
 
     Args:

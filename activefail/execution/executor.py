@@ -16,7 +16,30 @@ from activefail.space import Array
 
 
 class Executor(Protocol):
-    """Runs the simulations of a batch."""
+    """Runs the simulations of a batch; a context manager that ends its workers.
+
+    **Order.** Row i of the results answers row i of the designs, whoever computed it and in whatever order the answers
+    came. The results are the simulator's own, bit for bit, but for `seconds`.
+
+    **What fails.** A simulation that raises, returns nothing usable, kills its worker, or exceeds its time limit is one
+    numerical failure: outcome NUMERICAL_FAILURE, a cause of EXECUTION_CAUSES, margins NaN. The other simulations of the
+    batch keep their answers, and the executor goes on. An ActivefailError of the simulator is no numerical failure: it
+    reaches the caller.
+
+    **Threads and processes.** One thread calls an executor, the one that leads the campaign. Where
+    `simulator.releases_gil`, `Simulator.run` is called in threads, several at a time. Otherwise the simulator is
+    pickled to worker processes, and each is given one design at a time; a failure in a process that has simulated
+    before is tried once more in a fresh one.
+
+    **Arrays.** The designs stay the caller's, who leaves them unchanged until they are answered. The results are the
+    caller's.
+
+    **Exceptions.** After an exception the caller leaves the context and uses the executor no more.
+
+    **The end.** Leaving the context cancels what has not begun, and ends the worker processes that the executor has
+    started on this machine. What is running in threads is waited for, unless an exception has ended the context. On a
+    cluster it runs to its end or its time limit, and its result is discarded.
+    """
 
     @property
     def first_fault(self) -> str:
@@ -24,13 +47,21 @@ class Executor(Protocol):
         ...
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
-        """Simulate designs, (n, d); `progress` is called with the number of rows just done.
+        """Simulate designs; may be called again, with another simulator too.
 
-        The results come in the order of the designs, whoever computed them. A simulation that raises, gives no usable
-        answer, or costs its worker is a numerical failure with a cause.
+        Args:
+            simulator: that answers.
+            X: (n, d), n >= 0. No design needs no worker.
+            progress: called in the caller's thread with the number of rows just done, in sum n. What it raises reaches
+                the caller.
+
+        Returns:
+            Results of the n designs, in their order.
 
         Raises:
-            SimulationError: if the workers cannot do it at all; they are not asked again then.
+            SimulationError: if the workers cannot do it at all: they cannot load the simulator, or cannot be started or
+                reached.
+            ActivefailError: what the simulator raised on purpose.
         """
         ...
 
@@ -39,18 +70,31 @@ class Executor(Protocol):
 
 
 class AsynchronousExecutor(Executor, Protocol):
-    """Runs simulations one after the other as they are asked for, too."""
+    """An executor that also runs single simulations, as they are asked for.
+
+    `run` may be called while single simulations are running. It neither waits for them nor takes their answers.
+    """
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
-        """Have a design, (d,), simulated as soon as a worker is free, in the order of these calls."""
+        """Have a design, (d,), simulated as soon as a worker is free, in the order of these calls; returns at once.
+
+        Args:
+            simulator: that answers.
+            ticket: by which the answer is known; the caller gives no ticket twice.
+            x: the design, which the caller leaves unchanged until it is answered.
+
+        Raises:
+            SimulationError: if it cannot be started.
+        """
         ...
 
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
-        """Tickets and answers, of one design each, that came since this was asked last, in the order of their coming.
+        """Tickets and answers, of one design each, that came since the last call, in the order of their arrival.
 
-        Waits up to so many seconds for a first one.
+        Each ticket comes once. Waits up to so many seconds for the first answer, and returns an empty list where none
+        came.
 
         Raises:
-            SimulationError: as `run` does.
+            SimulationError, ActivefailError: as `run` does.
         """
         ...

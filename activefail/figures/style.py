@@ -22,7 +22,7 @@ YELLOW = "#F0E442"
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
-"""The palette of Okabe and Ito (2008)."""
+"""The palette of [OkabeIto2008]."""
 
 GREY = "#6B7280"
 LIGHT_GREY = "#D5DAE1"

@@ -1,4 +1,4 @@
-"""Gaussian process classification as in Rasmussen and Williams (2006): Laplace's method and expectation propagation.
+"""Gaussian process classification as in [RasmussenWilliams2006]: Laplace's method and expectation propagation.
 
 Both end in a Gaussian posterior of the latent f ~ GP(m, k) with one Gaussian factor for each point, proportional to
 N(f | m, K) ∏ exp(νᵢfᵢ − τᵢfᵢ²/2). So they share its algebra, its predictions and the gradient of the evidence. Nothing

@@ -79,7 +79,7 @@ class LogisticFit:
 def separable(Z: Array, y: Labels) -> bool:
     """Whether some β ≠ 0 has ±Zβ ≥ 0 for all points, the sign that of the label: complete or quasi-complete separation.
 
-    Exactly then logistic regression has no maximum (Albert and Anderson 1984). By the linear program of Konis (2007):
+    Exactly then logistic regression has no maximum [AlbertAnderson1984]. By the linear program of [Konis2007]:
     the largest sum of ±Zβ for β in a unit box is zero without separation.
 
     Args:

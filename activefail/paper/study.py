@@ -194,7 +194,7 @@ def split(rng: np.random.Generator, n: int) -> tuple[NDArray[np.intp], NDArray[n
 
 
 def calibration_slope(p: Array, y: NDArray[np.bool_]) -> float:
-    """Cox's (1958) slope: the coefficient of the predicted log odds, (n,), in a logistic regression of what came."""
+    """Cox's slope [Cox1958]: the coefficient of the predicted log odds, (n,), in a logistic regression of what came."""
     log_odds = logit(np.clip(p, 1e-12, 1.0 - 1e-12))
     return float(logistic_regression(log_odds[:, None], y).coefficients[0])
 

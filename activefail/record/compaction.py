@@ -1,7 +1,7 @@
 """Compaction: many small segments become a few large ones, at a cost per design that grows with the logarithm alone.
 
 Of a hundred thousand files each takes milliseconds to open; of one file that grows with every batch each commit would
-rewrite all. So segments are merged by levels, as log-structured stores do (O'Neil et al. 1996): 64 of one level become
+rewrite all. So segments are merged by levels, as log-structured stores do [ONeilEtAl1996]: 64 of one level become
 one of the next, and no design is rewritten more than a few times.
 """
 

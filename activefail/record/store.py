@@ -17,14 +17,39 @@ STATES_KEPT = 3
 
 
 class Store(Protocol):
-    """Where a campaign is recorded; a context manager that closes itself.
+    """Where a campaign is recorded: batches, states of what was learned, and sets of designs beside the campaign.
 
-    The arrays of `batches` are read-only and the store's own; those of states and sets are the caller's.
+    **Durability.** A batch is kept from the moment `commit` returns; a state and a set from the moment `write_state`
+    and `write_set` return. Kept means: it survives the process, where the store outlives it, and the loss of power,
+    where the disk honours fsync. `MemoryStore` keeps everything as long as the object lives.
+
+    **Readers.** Batches, states and sets are seen whole or not at all. A reader of a folder in which another process
+    writes has the batches that were committed when it was opened: a prefix of the writer's, never more later on. States
+    and sets are read when they are asked for; a state that was learned from a batch that the reader does not know is
+    skipped.
+
+    **Writers.** At most one store writes to a record. A second one is refused when it is opened or, on a file system
+    without locks, when it commits.
+
+    **Threads and processes.** One thread calls a store at a time, any thread. A store is not pickled and not used after
+    a fork.
+
+    **Arrays.** A store copies what it is given before it returns; the caller keeps its arrays. The arrays of `batches`
+    are the store's and read-only. The arrays that `latest_state` and `read_set` return are the caller's own. All come
+    back bit for bit, NaN payloads and signed zeros too.
+
+    **Exceptions.** After InputError nothing has changed, and the store stays usable. After StoreError what was not
+    acknowledged is not in the record, everything acknowledged is, and the call can be repeated, with one exception:
+    where fsync failed (SyncError) or a write was interrupted, the store refuses every later write with StoreError;
+    opened again, the record holds all acknowledged batches and perhaps the last one.
+
+    **Closing.** A store is a context manager that closes itself and lets exceptions pass. A closed store refuses to
+    write with StoreError and can still be read.
     """
 
     @property
     def batches(self) -> tuple[Batch, ...]:
-        """All committed batches, in order."""
+        """All committed batches, in the order of their commits; a later commit does not change a tuple given before."""
         ...
 
     def commit(self, batch: Batch) -> None:
@@ -32,48 +57,61 @@ class Store(Protocol):
 
         Raises:
             InputError: if the batch is not of the store's schema.
-            StoreError: if it cannot be kept; no reader ever sees a part of it.
+            StoreError: if it cannot be kept, or the store may not write; no reader ever sees a part of it.
         """
         ...
 
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep named float64 or int64 arrays, learned from the batches so far; the last three states stay.
+        """Keep named arrays, learned from the batches so far; durable when this returns.
 
-        States of later iterations are dropped: they belong to a course that this campaign did not take.
+        It replaces a state of the same iteration. States of later iterations are dropped: they belong to a course that
+        this campaign did not take. Of the others the newest three stay. Losing a state loses time only, as it can be
+        learned again.
+
+        Args:
+            iteration: that the state includes; at least 0.
+            arrays: float64 or int64, of any shape, under any names that are not empty.
 
         Raises:
-            InputError: if an array has another type or a name is empty.
-            StoreError: if they cannot be written.
+            InputError: if an array has another type, a name is empty or the iteration is negative.
+            StoreError: if they cannot be written, or the store may not write; the older states stay.
         """
         ...
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
-        """The newest state that can be read and was learned from batches of this record, with its iteration."""
+        """The newest state and its iteration, of those that are whole, not rejected and learned from these batches."""
         ...
 
     def reject_state(self, iteration: int, reason: str) -> None:
-        """Skip the state of an iteration from now on, until it is written anew; `reason` completes "<file> ..."."""
+        """Skip the state of an iteration in this object from now on, until it is written anew.
+
+        Allowed on a store that may not write: the record does not change.
+
+        Args:
+            iteration: of the state; one that does not exist is no error.
+            reason: completes "<file> ..." in a warning.
+        """
         ...
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
-        """Keep designs X, shape (n, d), and their results beside the campaign, in the place of an older set.
+        """Keep designs X, shape (n, d), and their results beside the campaign, in the place of a set of this name.
 
         Raises:
             InputError: if the name is not made of letters, digits, `_` and `-`, or the set is not of the schema.
-            StoreError: if it cannot be written.
+            StoreError: if it cannot be written, or the store may not write; the older set stays.
         """
         ...
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
-        """The set, or None if there is none that is whole."""
+        """The set, or None if there is none that is whole and of this campaign."""
         ...
 
     def set_names(self) -> list[str]:
-        """Names of the sets, sorted; whether they are whole is for `read_set` to say."""
+        """Names of the sets, sorted; `read_set` says whether one is whole."""
         ...
 
     def close(self) -> None:
-        """Write nothing more and let another writer in; what was read stays."""
+        """Write nothing more and let another writer in. A second call does nothing."""
         ...
 
     def __enter__(self) -> Self: ...

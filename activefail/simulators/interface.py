@@ -38,11 +38,16 @@ class UnusableAnswerError(Exception):
 class Results:
     """What a simulator answered for n designs.
 
+    The arrays are not copied: a slice and the columns given share memory. Whoever receives results owns the arrays.
+
     Attributes:
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
         cause: (n,) int8, index into the simulator's causes, or one of EXECUTION_CAUSES.
         margins: (n, k) float64, one column for each of the simulator's margins; NaN where one has no meaning.
-        seconds: (n,) float64, wall time of each simulation [s].
+        seconds: (n,) float64, wall time of each simulation [s]; finite, at least 0.
+
+    Raises:
+        ValueError: if the columns differ in length, or the margins do not have two axes.
     """
 
     outcome: NDArray[np.int8]
@@ -74,7 +79,25 @@ class Results:
 
 
 class Simulator(Protocol):
-    """Anything that answers designs with outcomes in order of severity."""
+    """Anything that answers designs with outcomes in order of severity.
+
+    **Names.** `outcomes`, `causes` and `margins` do not change in the life of a simulator, and no name comes twice in
+    one of them. The record keeps indices into them.
+
+    **Rows.** The answer to a design depends on that design alone: not on the rows beside it, nor on earlier calls. The
+    same design gives the same bits, but for `seconds`. A resumed campaign is bit-identical only with such a simulator.
+
+    **Threads and processes.** Where `releases_gil`, `run` is called from several threads at once. Otherwise it is
+    called in worker processes, with one design at a time. A simulator can be pickled, and gives the same answers then.
+    Where it has a method `prepare`, a worker process calls this once before the first simulation, whose time limit does
+    not count it.
+
+    **Arrays.** `run` neither changes X, which may be read-only, nor keeps it. The results are the caller's.
+
+    **Exceptions.** An ActivefailError ends the campaign. Any other exception costs its simulation alone: a call for
+    several designs that raises is repeated row by row, and a row that raises is a numerical failure with the cause
+    `raised` or `out_of_memory`. So are rows whose answer the record cannot hold, with the cause `unusable_answer`.
+    """
 
     @property
     def outcomes(self) -> tuple[str, ...]:
@@ -88,7 +111,7 @@ class Simulator(Protocol):
 
     @property
     def margins(self) -> tuple[str, ...]:
-        """Names of the margins."""
+        """Names of the margins; may be empty."""
         ...
 
     @property
@@ -97,7 +120,15 @@ class Simulator(Protocol):
         ...
 
     def run(self, X: Array) -> Results:
-        """Simulate the designs X, shape (n, d); rows do not depend on each other."""
+        """Simulate designs.
+
+        Args:
+            X: (n, d) float64, n >= 0; columns and units of the design space.
+
+        Returns:
+            Results of the n designs, in their order. A row that the simulator itself gives up has the outcome
+            NUMERICAL_FAILURE and one of the simulator's causes.
+        """
         ...
 
 

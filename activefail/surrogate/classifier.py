@@ -1,4 +1,9 @@
-"""The campaign's classifier: a GPyTorch variational GP for each boundary between outcomes, and their probabilities."""
+"""The campaign's classifier: a variational GP for each boundary between outcomes, and their probabilities.
+
+Training (`fitting`) and prediction (`Readout`) are matrices of this package's own. `Latent.model` is the same posterior
+as a BoTorch `ApproximateGPyTorchModel` around an ordinary GPyTorch `ApproximateGP`; tests hold the two to each other.
+The campaign's loop does not use it: BoTorch's acquisition functions do (`activefail.acquisition.botorch`).
+"""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,8 @@
 """The prior of a latent: a constant mean and an ARD covariance with priors of its own.
 
-GPyTorch's covariance is what a trained classifier has; its values and derivatives as they are used in training are
-here once more, since GPyTorch takes five times as long for the same numbers.
+Training and prediction use the values and derivatives of this module. `covariance_module` is the same covariance in
+GPyTorch, for the model that BoTorch gets; GPyTorch takes five times as long for the same numbers. Tests hold the values
+and derivatives to GPyTorch's.
 """
 
 import math
@@ -24,7 +25,7 @@ unit width."""
 def _lengthscale_prior(dimension: int) -> tuple[float, float]:
     """Mean and deviation of a length scale's logarithm.
 
-    They grow with the root of the dimension (Hvarfner et al. 2024), in units of the features' spread.
+    They grow with the root of the dimension [HvarfnerEtAl2024], in units of the features' spread.
     """
     return math.sqrt(2.0) + 0.5 * math.log(dimension), math.sqrt(3.0)
 

@@ -1,7 +1,8 @@
 """How a variational GP classifier is trained: its sites to their fixed point, its hyperparameters by L-BFGS.
 
 The hyperparameters are learned on the bound that the sites attain, whose gradient needs no derivative of the sites.
-Up to `EXACT` points the posterior is that of all points; beyond, it is projected on inducing points.
+Up to `EXACT` points the posterior is that of all points; beyond, it is projected on inducing points. GPyTorch takes no
+part in training or prediction; `activefail.surrogate.classifier.Latent.model` hands it the result.
 """
 
 import math
@@ -257,7 +258,7 @@ def _evaluate_projected(
     # At the optimum the bound changes through the marginals alone, N(μ + Vᵀv, rest + Vᵀ A⁻¹ V), where rest falls by the
     # squares of V.
     by_V = torch.outer(state.alpha, state.gradient) + (V - torch.cholesky_solve(V, state.cholesky_b)) * state.curvature
-    # V = L⁻¹ k(Z, X), and L is the factor of k(Z, Z) (Murray 2016).
+    # V = L⁻¹ k(Z, X), and L is the factor of k(Z, Z) [Murray2016].
     by_Kzx = torch.linalg.solve_triangular(L.mT, by_V, upper=True)
     lower = (-(L.mT @ (by_Kzx @ V.mT).tril())).tril()
     lower.diagonal().mul_(0.5)

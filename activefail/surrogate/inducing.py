@@ -4,6 +4,9 @@ What a projection on inducing points loses of the bound is, to first order, ½ �
 unexplained, weighted by the precision of each point's site. So they are chosen greedily by that product, a pivoted
 Cholesky factorisation of W^½ K W^½, until the sum is small. Points deep inside a region have next to no precision and
 get next to no inducing points; unweighted, four times as many are needed for the same bound.
+
+GPyTorch's model of the result (`activefail.surrogate.classifier.Latent.model`) has these points as its inducing points;
+tests hold its posterior and bound to those here.
 """
 
 import math

@@ -1,7 +1,10 @@
 """The best Gaussian posterior for a given prior: a Gaussian site for each training point, iterated to its fixed point.
 
-It has the form S = (K⁻¹ + W)⁻¹ with a diagonal W (Opper and Archambeau 2009): two numbers a point instead of n²/2. They
-are found by damped natural-gradient steps (Khan and Lin 2017).
+It has the form S = (K⁻¹ + W)⁻¹ with a diagonal W [OpperArchambeau2009]: two numbers a point instead of n²/2. They
+are found by damped natural-gradient steps [KhanLin2017].
+
+The algebra is this package's own, on dense matrices. Tests hold the posterior and its bound to GPyTorch's. They also
+check that GPyTorch's optimiser, started there, does not better the bound (`tests/surrogate/test_fitting.py`).
 """
 
 import math
@@ -77,7 +80,7 @@ def posterior(prior: Tensor | Projection, prior_mean: float, labels: Tensor, sit
 
     Args:
         prior: K at the training points, (n, n), or its projection on inducing points. The bound is then that of
-            Titsias (2009; for other likelihoods Hensman et al. 2015), at most the one with K.
+            [Titsias2009] (for other likelihoods [HensmanEtAl2015]), at most the one with K.
     """
     if isinstance(prior, Projection):
         return _projected_posterior(prior, prior_mean, labels, sites)
@@ -160,7 +163,7 @@ def solve_sites(
     """Iterate the sites to where the bound moves by less than `tolerance` [nats]; at most `most` steps.
 
     A step that lowers the bound is halved: with large output scales a fixed damping can circle for ever. Near the
-    optimum, where plain steps gain a constant factor each, they are extrapolated (Anderson 1965); an extrapolation
+    optimum, where plain steps gain a constant factor each, they are extrapolated [Anderson1965]; an extrapolation
     that lowers the bound is not taken.
     """
     state = posterior(prior, prior_mean, labels, sites)

@@ -302,6 +302,20 @@ def test_single_designs_are_answered_once_each_with_their_tickets(executor: Asyn
     assert bits(Results.concatenate([answers[100 + i] for i in range(30)])) == bits(Disc().run(X))
 
 
+def test_a_batch_is_answered_while_single_designs_run_and_takes_none_of_their_answers(
+    executor: AsynchronousExecutor,
+) -> None:
+    X = designs(12)
+    for ticket in range(4):
+        executor.start(Slow(), ticket, X[ticket])
+    assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+    answers: dict[int, Results] = {}
+    with within(600):
+        while len(answers) < 4:
+            answers |= dict(executor.answered(0.5))
+    assert bits(Results.concatenate([answers[ticket] for ticket in range(4)])) == bits(Disc().run(X[:4]))
+
+
 def test_where_nothing_is_answered_the_wait_ends_in_time(executor: AsynchronousExecutor) -> None:
     with within(600):
         assert executor.answered(0.05) == []
@@ -383,6 +397,33 @@ def test_what_progress_raises_reaches_the_caller_and_the_rest_is_not_simulated()
     with within(600), Stopping(1) as executor, pytest.raises(KeyboardInterrupt):
         executor.run(Noting(), designs(1600), stop)
     assert sum(rows) <= 32
+
+
+def test_leaving_an_executor_by_an_exception_waits_for_nothing_and_begins_nothing_more() -> None:
+    rows: list[int] = []
+    begun, go = threading.Event(), threading.Event()
+
+    class Held(Disc):
+        def run(self, X: Array) -> Results:
+            rows.append(len(X))
+            begun.set()
+            assert go.wait(600)
+            return super().run(X)
+
+    def leave(executor: AsynchronousExecutor) -> None:
+        with executor:
+            for ticket, x in enumerate(designs(5)):
+                executor.start(Held(), ticket, x)
+            assert begun.wait(600)
+            raise KeyError
+
+    executor = ThreadExecutor(1)
+    with within(600), pytest.raises(KeyError):
+        leave(executor)
+    go.set()
+    for thread in executor._pool._threads:
+        thread.join()
+    assert rows == [1]
 
 
 @pytest.mark.parametrize(

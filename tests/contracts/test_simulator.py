@@ -98,6 +98,15 @@ def test_asked_again_a_simulator_gives_the_same_bits_and_leaves_the_designs_alon
     assert X.tobytes() == before.tobytes()
 
 
+def test_the_results_are_the_callers_to_change(kind: Kind) -> None:
+    X = kind.designs(12)
+    results = kind.simulator.run(X)
+    before = bits(results)
+    for column in (results.outcome, results.cause, results.margins, results.seconds):
+        column[:] = 1
+    assert bits(kind.simulator.run(X)) == before
+
+
 def test_a_pickled_simulator_gives_the_same_answers(kind: Kind) -> None:
     X = kind.designs(6)
     assert bits(pickle.loads(pickle.dumps(kind.simulator)).run(X)) == bits(kind.simulator.run(X))

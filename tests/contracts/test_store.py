@@ -202,6 +202,108 @@ def test_a_closed_store_refuses_writing_and_still_shows_its_batches(kind: Kind) 
     assert len(store.batches) == 1
 
 
+def test_a_commit_does_not_change_the_batches_that_were_given_before(kind: Kind) -> None:
+    kind.store.commit(batch(4, 0))
+    given = kind.store.batches
+    kind.store.commit(batch(3, 1, 1))
+    assert len(given) == 1
+    assert [len(one) for one in kind.store.batches] == [4, 3]
+
+
+def test_what_the_caller_does_to_a_state_or_set_that_it_was_given_does_not_reach_the_store(kind: Kind) -> None:
+    kind.store.write_state(0, {"a": np.zeros(3)})
+    kind.store.write_set("test", np.zeros((2, 2)), results(2, 0))
+    for _ in range(2):
+        state, kept = kind.store.latest_state(), kind.store.read_set("test")
+        assert state is not None
+        assert kept is not None
+        assert not state[1]["a"].any()
+        assert not kept[0].any()
+        state[1]["a"][:] = kept[0][:] = kept[1].margins[:] = 77.0
+        assert bits(kept[1].seconds) == bits(results(2, 0).seconds)
+
+
+def test_the_last_three_states_stay_and_a_rejected_one_is_skipped_until_it_is_written_anew(kind: Kind) -> None:
+    for iteration in range(5):
+        kind.store.write_state(iteration, {"i": np.array(iteration)})
+    store = kind.reopen()
+    for iteration in (4, 3, 2):
+        found = store.latest_state()
+        assert found is not None
+        assert found[0] == iteration
+        store.reject_state(iteration, "predicts nothing")
+    store.reject_state(99, "was never there")
+    assert store.latest_state() is None
+    store.write_state(4, {"i": np.array(7)})
+    found = store.latest_state()
+    assert found is not None
+    assert found[1]["i"] == 7
+
+
+def test_a_state_of_a_negative_iteration_is_refused(kind: Kind) -> None:
+    with pytest.raises(InputError, match="iteration >= 0"):
+        kind.store.write_state(-1, {"a": np.zeros(1)})
+
+
+def test_sets_are_named_in_order(kind: Kind) -> None:
+    for name in ("validation-0", "look-2", "test_1"):
+        kind.store.write_set(name, np.zeros((2, 2)), results(2, 0))
+    assert kind.reopen().set_names() == ["look-2", "test_1", "validation-0"]
+
+
+def test_a_closed_store_still_reads_states_and_sets_and_skips_those_that_are_rejected(kind: Kind) -> None:
+    kind.store.write_state(1, {"a": np.zeros(1)})
+    kind.store.write_set("test", np.zeros((2, 2)), results(2, 0))
+    store = kind.reopen()
+    store.close()
+    assert store.latest_state() is not None
+    assert store.read_set("test") is not None
+    assert store.set_names() == ["test"]
+    store.reject_state(1, "predicts nothing")
+    assert store.latest_state() is None
+
+
+def test_an_exception_passes_through_a_store_and_closes_it(kind: Kind) -> None:
+    with pytest.raises(ZeroDivisionError), kind.store as store:
+        raise ZeroDivisionError
+    with pytest.raises(StoreError, match="closed"):
+        store.commit(batch(1, 0))
+
+
+def test_a_reader_of_a_folder_sees_the_batches_of_its_opening_and_no_later_ones(tmp_path: Path) -> None:
+    with FolderStore.create(tmp_path / "run", "seed = 1\n", SCHEMA) as writer:
+        writer.commit(batch(2, 0))
+        writer.write_state(0, {"i": np.array(0)})
+        with FolderStore.open(tmp_path / "run", write=False) as reader:
+            writer.commit(batch(3, 1, 1))
+            assert [batch_bits(one) for one in reader.batches] == [batch_bits(one) for one in writer.batches[:1]]
+            writer.write_state(1, {"i": np.array(1)})
+            found = reader.latest_state()
+            assert found is not None
+            assert found[0] == 0
+            with pytest.raises(StoreError, match="reading only"):
+                reader.commit(batch(1, 2))
+
+
+def test_after_a_write_that_was_interrupted_a_store_refuses_to_write_until_it_is_opened_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    with FolderStore.create(tmp_path / "run", "seed = 1\n", SCHEMA) as store:
+        store.commit(batch(2, 0))
+        with monkeypatch.context() as patch:
+            patch.setattr("activefail.record.run_folder.publish", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                store.commit(batch(2, 1))
+        with pytest.raises(StoreError, match="interrupted"):
+            store.commit(batch(2, 1))
+    with FolderStore.open(tmp_path / "run", write=True) as store:
+        assert len(store.batches) == 1
+        store.commit(batch(2, 1))
+
+
 @pytest.mark.parametrize(
     ("designs", "origin", "iteration"),
     [
