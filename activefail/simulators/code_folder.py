@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
-from types import MappingProxyType, ModuleType
-
-_NONE: Mapping[Path, str] = MappingProxyType({})
+from types import ModuleType
 
 
 class _FolderFinder:
@@ -38,8 +36,7 @@ class _FolderFinder:
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """The module or package of that name, if it lies in the folder; Python itself finds what a package holds."""
-        spec = None if path is not None else PathFinder.find_spec(name)
-        if spec is not None:
+        if path is None and (spec := PathFinder.find_spec(name)) is not None:
             place = next(iter(spec.submodule_search_locations or []), spec.origin)
             if place and Path(place).parent == self.folder:
                 self._found.add(name)
@@ -56,7 +53,7 @@ class _FolderFinder:
         sys.meta_path.remove(self)
 
 
-def import_from(folder: Path, sources: Mapping[Path, str] = _NONE) -> None:
+def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
     """Let imports find the modules of a folder, and no longer those of the folder before it.
 
     Python knows modules by name alone, and two campaigns may each have a helper of one name.
