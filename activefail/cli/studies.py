@@ -107,7 +107,7 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
     from activefail.comparison.static import Score
     from activefail.csv_table import writing
     from activefail.figures.curves import plot_learning_curves
-    from activefail.files import replacing
+    from activefail.figures.style import save
     from activefail.record.layout import COMPARISON
 
     results = folder / COMPARISON
@@ -118,8 +118,7 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
             write([[*score.row(), test - score.test_designs] for score in scores])
         figure = plot_learning_curves(scores, boundary, scores[0].test_designs)
         for suffix in ("png", "svg"):
-            with replacing(results / f"learning_curves.{suffix}", "xb") as file:
-                figure.savefig(file, format=suffix)
+            save(figure, results / f"learning_curves.{suffix}")
     print(f"table      {visible(str(results / 'scores.csv'))}")
     print(f"curves     {visible(str(results / 'learning_curves.png'))} and .svg")
 

@@ -1,11 +1,17 @@
-"""How the project's pictures look: colours that colour-blind readers tell apart, and one set of matplotlib's settings.
+"""How the project's pictures look and are saved: colours that colour-blind readers tell apart, one set of settings.
 
-Constants only, so that naming a colour does not import matplotlib; `styled` does when it is entered.
+Naming a colour does not import matplotlib; `styled` does when it is entered.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from activefail.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -60,3 +66,13 @@ def styled() -> Iterator[None]:
 
     with matplotlib.rc_context(RC):
         yield
+
+
+def save(figure: "Figure", path: Path, metadata: Mapping[str, Any] | None = None) -> None:
+    """Write a figure in the format of a path's suffix; the file takes its name only once it is whole.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    with replacing(path, "xb") as file:
+        figure.savefig(file, format=path.suffix.removeprefix("."), metadata=metadata)
