@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from activefail.errors import InputError
+from activefail.errors import InputError, description_of
 from activefail.simulators.code_folder import digest_of, import_from, sha256, sources_of
 from activefail.visible import visible
 
@@ -57,7 +57,7 @@ def load_function(
             f"folders is not run. Name another folder, or that one itself if you trust it: --code FOLDER."
         ) from None
     except (Exception, SystemExit) as error:  # a script that ends itself must not end us, and in silence
-        reason = visible(f"{type(error).__name__}: {error}")
+        reason = visible(description_of(error))
         raise InputError(f"{key}: {module_name} cannot be imported: {reason}.") from error
     function = getattr(module, name, None)
     if not callable(function):
