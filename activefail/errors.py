@@ -2,6 +2,10 @@
 
 import errno
 import resource
+import signal
+import sysconfig
+import traceback
+from pathlib import Path
 
 
 class ActivefailError(Exception):
@@ -41,9 +45,39 @@ def reason_of(error: OSError) -> str:
     return reason
 
 
+def signal_name(number: int) -> str:
+    """The name of a signal, such as SIGKILL, or its number: Python has no names for most real-time signals."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def description_of(error: BaseException) -> str:
+    """An error's class and message. The message may be the user's code, too, and fail itself."""
+    name = type(error).__name__
+    try:
+        return f"{name}: {error}"
+    except (Exception, SystemExit) as again:
+        return f"{name}, whose message cannot be read ({type(again).__name__})"
+
+
 def place_of(error: BaseException) -> str:
-    """Where something was raised, as " (file:line)": what a user needs to find it in code of their own."""
-    place, trace = "", error.__traceback__
-    while trace is not None:
-        place, trace = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})", trace.tb_next
-    return place
+    """Where an error was raised, as " (file:line)".
+
+    Of the frames that were left, the innermost one in the user's code; the innermost one of all if none is the user's.
+    """
+    places = [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
+    users = [(file, line) for file, line in places if _is_users(file)]
+    return "".join(f" ({file}:{line})" for file, line in (users or places)[-1:])
+
+
+def _is_users(file: str) -> bool:
+    """Whether a file of Python code belongs neither to Python, nor to a library, nor to activefail."""
+    path = Path(file)
+    libraries = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), Path(__file__).parent)
+    return (
+        not file.startswith("<")  # code without a file
+        and not {"site-packages", "dist-packages"}.intersection(path.parts)
+        and not any(path.is_relative_to(library) for library in libraries)
+    )

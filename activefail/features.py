@@ -11,7 +11,7 @@ import numpy as np
 from activefail.bearing.collision import COLLISION_FEATURES, collision_features
 from activefail.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.bearing.sliding import SLIDING_FEATURES, sliding_features
-from activefail.errors import InputError, place_of
+from activefail.errors import InputError, description_of, place_of
 from activefail.expressions import parse_expression
 from activefail.space import Array, DesignSpace
 from activefail.visible import visible
@@ -102,7 +102,7 @@ class OwnFeatures:
             answer = self.function(X.copy(), space)
         except Exception as error:
             raise InputError(
-                visible(f"classifier.features: {self.name} raised {type(error).__name__}: {error}{place_of(error)}.")
+                visible(f"classifier.features: {self.name} raised {description_of(error)}{place_of(error)}.")
             ) from error
         try:
             F = np.asarray(answer, dtype=np.float64)

@@ -987,6 +987,18 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 
 
 @pytest.mark.faults
+def test_a_second_ctrl_c_ends_a_comparison_over_seeds_in_the_middle_of_its_arms(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
+    words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
+    with holding("activefail.comparison.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
+        running.wait()
+        running.process.send_signal(signal.SIGINT)
+        wait_for(running.process.stderr, "stopping after this batch")
+        err = struck_as_by_a_terminal(running.process)
+    assert err.splitlines()[-1].startswith(f"stopped; what was scored is kept in {tmp_path / 'compared'}.")
+
+
+@pytest.mark.faults
 def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_on(folder: Path) -> None:
     words = ("compare", folder, "--test", "10")
     with holding("activefail.comparison.static:train", *words) as running:

@@ -83,7 +83,7 @@ def _main() -> None:
     except OSError as error:
         if error.filename == OUTPUT:
             _silence()
-        _end(_told(error), 2 if error.errno in _NO_NAMES else 1)
+        _end(_description_of(error), 2 if error.errno in _NO_NAMES else 1)
     finally:
         # It is ending. What is cleared away at exit has nothing to lose, and a Ctrl-C more ends it without a traceback.
         for again in _coming_again:
@@ -155,7 +155,7 @@ def _unraisable(dropped: "sys.UnraisableHookArgs") -> None:
         sys.__unraisablehook__(dropped)
 
 
-def _told(error: OSError) -> str:
+def _description_of(error: OSError) -> str:
     """The file that the system refused, or where the program called the system, and the reason."""
     return f"{error.filename or f'a system call failed{place_of(error)}'}: {reason_of(error)}"
 

@@ -121,8 +121,8 @@ def _compare_seeds(
         file.absolute().parent,
     )
 
-    with writing_to(out), stop_on_signals() as stop:
-        try:
+    try:
+        with writing_to(out), stop_on_signals() as stop:
             scores = compare_seeds(
                 plan,
                 out,
@@ -131,14 +131,12 @@ def _compare_seeds(
                 lambda done, all_: show_stage(f"{done} of {all_} arms scored"),
                 stop,
             )
-        except KeyboardInterrupt:
-            scores = None
-        if scores is None:
-            print(
-                f"stopped; what was scored is kept in {visible(str(out))}. The same command goes on.", file=sys.stderr
-            )
-            raise typer.Exit(INTERRUPTED)
-        page = write_comparison(plan, scores, out)
+            page = None if scores is None else write_comparison(plan, scores, out)
+    except KeyboardInterrupt:
+        scores = page = None
+    if scores is None or page is None:
+        print(f"stopped; what was scored is kept in {visible(str(out))}. The same command goes on.", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED)
     print("\n".join(comparison_lines(scores)))
     print(f"page       {visible(str(page))}")
 

@@ -5,14 +5,10 @@ comparison that was interrupted goes on where it stopped.
 """
 
 import json
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +24,10 @@ from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.campaign.stored_sets import name_of_static_set, name_of_test_set, simulated_outcomes
 from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
-from activefail.errors import InputError, SimulationError
+from activefail.errors import InputError
 from activefail.estimate import Estimate
 from activefail.execution.local import local_executor
-from activefail.execution.starting import begin_worker, starting_processes
+from activefail.execution.pool import ProcessPool, stopping
 from activefail.files import replacing
 from activefail.record.layout import refuse_links
 from activefail.record.run_folder import check_empty
@@ -145,20 +141,6 @@ class _Job:
     code: Path | None
 
 
-_stop: Event | None = None
-
-
-def _begin_worker(stop: Event) -> None:
-    global _stop
-    _stop = stop
-    begin_worker()
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-def _stopping() -> bool:
-    return _stop is not None and _stop.is_set()
-
-
 def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, NDArray[np.int8]]]:
     """Take an arm's campaign to its budget; what it had at each checkpoint. Nothing when asked to stop."""
     folder = job.folder / "runs" / job.arm.name
@@ -168,7 +150,7 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
         open_campaign(folder, write=True, code=job.code) as (recorded, store),
         local_executor(recorded.simulator, 1, recorded.time_limit) as executor,
     ):
-        if not run(recorded, store, executor, job.arm.size, Observer(stop=_stopping)):
+        if not run(recorded, store, executor, job.arm.size, Observer(stop=stopping)):
             return
         history = History.of(store.batches)
         for n in job.checkpoints:
@@ -186,7 +168,7 @@ def _score_arm(job: _Job) -> list[Score] | None:
             rows = iter([(job.arm.size, *job.static)])
         scores = []
         for n, X, outcome in rows:
-            if _stopping():
+            if stopping():
                 return None
             classifier = train(
                 X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel
@@ -304,46 +286,23 @@ def compare_seeds(
     if left:
         test, static = _simulated(plan, folder, stage)
         stage("campaigns and classifiers")
-        context = multiprocessing.get_context("spawn")
-        with starting_processes():
-            asked = context.Event()
-            pool = ProcessPoolExecutor(jobs, context, _begin_worker, (asked,))
-        with pool:
-            with starting_processes():  # with which they start; the parent says when to stop
-                futures = {
-                    pool.submit(
-                        _score_arm,
-                        _Job(
-                            arm,
-                            settings[arm].text(),
-                            tuple(plan.checkpoints()),
-                            folder,
-                            test,
-                            static.get(arm),
-                            plan.code,
-                        ),
-                    ): arm
-                    for arm in left
-                }
-            pending = set(futures)
-            try:
-                while pending and not asked.is_set():
-                    finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        arm, found = futures[future], future.result()
-                        if found is not None:
-                            _write(folder / "scores" / f"{arm.name}.json", _text(found))
-                            scores[arm] = found
-                            done(sum(saved is not None for saved in scores.values()), len(arms))
-                    if stop():
-                        asked.set()
-            except BrokenProcessPool:
-                raise SimulationError(
-                    "A worker process died (killed, or out of memory); what was scored is kept."
-                ) from None
-            finally:
-                asked.set()
-                pool.shutdown(wait=True, cancel_futures=True)
+        checkpoints = tuple(plan.checkpoints())
+        with ProcessPool(jobs, "what was scored is kept") as pool:
+            futures = {}
+            for arm in left:
+                job = _Job(arm, settings[arm].text(), checkpoints, folder, test, static.get(arm), plan.code)
+                futures[pool.submit(_score_arm, job)] = arm
+            pending, asked = set(futures), False
+            while pending and not asked:
+                finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    arm, found = futures[future], future.result()
+                    if found is not None:
+                        _write(folder / "scores" / f"{arm.name}.json", _text(found))
+                        scores[arm] = found
+                        done(sum(saved is not None for saved in scores.values()), len(arms))
+                asked = stop()
+            pool.ask_to_stop()
     if any(found is None for found in scores.values()):
         return None
     return [score for arm in arms for score in scores[arm] or []]

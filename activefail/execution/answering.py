@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from activefail.errors import ActivefailError, place_of
+from activefail.errors import ActivefailError, description_of, place_of
 from activefail.simulators.interface import (
     NUMERICAL_FAILURE,
     OUT_OF_MEMORY,
@@ -16,12 +16,12 @@ from activefail.simulators.interface import (
 from activefail.space import Array
 from activefail.visible import visible
 
-_TOLD = 2000
-"""Characters of a fault that a message repeats."""
+LONGEST_MESSAGE = 2000
+"""Characters of a simulator's message that activefail repeats."""
 
 
 def answer(simulator: Simulator, X: Array) -> tuple[Results, str]:
-    """A simulator's answers to designs, (n, d), and what befell the first of them that has none; "" if all have.
+    """A simulator's answers to designs, (n, d), and why the first one without an answer failed; "" if none failed.
 
     Raises:
         ActivefailError: if the simulator raised one, on purpose.
@@ -32,7 +32,7 @@ def answer(simulator: Simulator, X: Array) -> tuple[Results, str]:
         raise
     except Exception as error:
         if len(X) == 1:
-            return unanswered(simulator, 1, _cause(error)), _told(X[0], error)
+            return unanswered(simulator, 1, _cause(error)), _description_of(X[0], error)
     # One row at a time: one bad design must not cost those beside it.
     parts = [answer(simulator, X[row : row + 1]) for row in range(len(X))]
     return Results.concatenate([results for results, _ in parts]), next((fault for _, fault in parts if fault), "")
@@ -77,7 +77,7 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, 
 
 def shown_fault(fault: str) -> str:
     """A fault as messages show it: a simulator may say anything, at any length."""
-    return visible(fault[:_TOLD])
+    return visible(fault[:LONGEST_MESSAGE])
 
 
 def _cause(error: Exception) -> int:
@@ -90,7 +90,7 @@ def _cause(error: Exception) -> int:
             return RAISED
 
 
-def _told(design: Array, error: Exception) -> str:
+def _description_of(design: Array, error: Exception) -> str:
     if isinstance(error, UnusableAnswerError):
         return f"design {design.tolist()}: {error}"
-    return f"design {design.tolist()}: {type(error).__name__}: {error}{place_of(error)}"
+    return f"design {design.tolist()}: {description_of(error)}{place_of(error)}"

@@ -23,14 +23,14 @@ SECRET = 32
 """Bytes of the key that a worker and its parent share."""
 
 QUESTION = struct.Struct("<16sBQ")
-"""What precedes the content of a question: ticket, Asks, length of the content."""
+"""What precedes the content of a question: ticket, QuestionKind, length of the content."""
 
 MOST_TEXT = 1 << 14
 """Most bytes of a text in a frame; longer ones are cut."""
 
 _MAGIC = b"AFframe1"
 _HEAD = struct.Struct("<8s16s32sIBI")
-"""Magic, ticket, digest of the question's content, process, Kind, length of the payload; then the checksum."""
+"""Magic, ticket, digest of the question's content, process, FrameKind, length of the payload; then the checksum."""
 
 _DIGEST = 32
 _ANSWER = struct.Struct("<bbd")
@@ -50,13 +50,13 @@ class BrokenFrameError(Exception):
     """Bytes that are no answer to what was asked."""
 
 
-class Asks(IntEnum):
+class QuestionKind(IntEnum):
     """What a question asks for."""
 
     GREETING, SIMULATOR, DESIGN = range(3)
 
 
-class Kind(IntEnum):
+class FrameKind(IntEnum):
     """What a frame says: done; the answer to a design; an error of activefail's own; that nothing could be loaded."""
 
     READY, ANSWERED, REFUSED, UNLOADABLE = range(4)
@@ -77,13 +77,13 @@ class Question(NamedTuple):
 class Frame(NamedTuple):
     """A frame that is whole and right; `more` if other bytes follow it, which nobody asked for."""
 
-    kind: Kind
+    kind: FrameKind
     payload: bytes
     process: int
     more: bool
 
 
-def sealed(secret: bytes, question: Question, process: int, kind: Kind, payload: bytes = b"") -> bytes:
+def sealed(secret: bytes, question: Question, process: int, kind: FrameKind, payload: bytes = b"") -> bytes:
     """The frame that answers a question."""
     head = _HEAD.pack(_MAGIC, question.ticket, question.digest, process, kind, len(payload))
     return b"".join((head, _checksum(secret, head, payload), payload))
@@ -111,7 +111,7 @@ def opened(data: bytes, secret: bytes, question: Question, process: int | None, 
     _, ticket, digest, sender, kind, length = _HEAD.unpack(head)
     if length > most:
         raise BrokenFrameError("it is too long")
-    if kind not in list(Kind):
+    if kind not in list(FrameKind):
         raise BrokenFrameError("it is of no known kind")
     if len(data) < begin + length:
         return None
@@ -122,7 +122,7 @@ def opened(data: bytes, secret: bytes, question: Question, process: int | None, 
         raise BrokenFrameError("it answers another question")
     if process is not None and sender != process:
         raise BrokenFrameError("another process sent it")
-    return Frame(Kind(kind), payload, sender, len(data) > begin + length)
+    return Frame(FrameKind(kind), payload, sender, len(data) > begin + length)
 
 
 def _checksum(secret: bytes, head: bytes, payload: bytes) -> bytes:

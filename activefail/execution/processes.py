@@ -15,16 +15,16 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from activefail.errors import ActivefailError, SimulationError, reason_of
+from activefail.errors import ActivefailError, SimulationError, reason_of, signal_name
 from activefail.execution.frames import (
     MOST_TEXT,
     QUESTION,
     SECRET,
-    Asks,
     BrokenFrameError,
     Frame,
-    Kind,
+    FrameKind,
     Question,
+    QuestionKind,
     ask_for_senders,
     longest_answer,
     opened,
@@ -140,9 +140,9 @@ class _Worker:
         content = bytes(ForkingPickler.dumps((answer, preparation(main=b"__main__" in data), data)))
         try:
             if self._process is None:
-                self._ask(Asks.GREETING, self._secret, _START_LIMIT, 0)
-            frame = self._ask(Asks.SIMULATOR, content, _START_LIMIT, MOST_TEXT)
-            why = "" if frame.kind == Kind.READY else unpack_text(frame.payload)
+                self._ask(QuestionKind.GREETING, self._secret, _START_LIMIT, 0)
+            frame = self._ask(QuestionKind.SIMULATOR, content, _START_LIMIT, MOST_TEXT)
+            why = "" if frame.kind == FrameKind.READY else unpack_text(frame.payload)
         except BrokenFrameError as broken:
             why = _invalid(broken)
         except _LostError as lost:
@@ -157,9 +157,10 @@ class _Worker:
             ActivefailError: that the simulator raised.
         """
         try:
-            frame = self._ask(Asks.DESIGN, np.asarray(X, dtype=np.float64).tobytes(), limit, longest_answer(simulator))
+            design = np.asarray(X, dtype=np.float64).tobytes()
+            frame = self._ask(QuestionKind.DESIGN, design, limit, longest_answer(simulator))
             self.answered += 1
-            if frame.kind != Kind.ANSWERED:
+            if frame.kind != FrameKind.ANSWERED:
                 raise BrokenFrameError("it is no answer to a design")
             return unpack_answer(frame.payload, simulator)
         except BrokenFrameError as broken:
@@ -171,7 +172,7 @@ class _Worker:
         """Whether it lives and has said nothing but what it was asked."""
         return not self._said_more and not self._events.poll(0)
 
-    def _ask(self, asks: Asks, content: bytes, limit: float | None, most: int) -> Frame:
+    def _ask(self, kind: QuestionKind, content: bytes, limit: float | None, most: int) -> Frame:
         """What it answers within so many seconds, in so many bytes at most."""
         # The monotonic clock: setting the machine's clock must neither end a simulation nor let one go on.
         deadline = np.inf if limit is None else time.monotonic() + limit
@@ -179,7 +180,7 @@ class _Worker:
         self._connection.settimeout(None if limit is None else min(limit, _LONGEST_WAIT))
         # Where that fails it has died, or has closed its connection and will die of it.
         with suppress(OSError):
-            self._connection.sendall(QUESTION.pack(question.ticket, asks, len(content)) + content)
+            self._connection.sendall(QUESTION.pack(question.ticket, kind, len(content)) + content)
         while True:
             left = deadline - time.monotonic()
             ready = self._events.poll(math.ceil(1e3 * min(max(0.0, left), _LONGEST_WAIT)))
@@ -222,7 +223,7 @@ class _Worker:
         if frame is not None:
             self._process = frame.process
             self._said_more = frame.more
-            if frame.kind == Kind.REFUSED:
+            if frame.kind == FrameKind.REFUSED:
                 raise unpack_error(frame.payload)
         return frame
 
@@ -427,10 +428,7 @@ def _ending(code: int) -> str:
     elif code == NO_PROCESS:
         how = "no process could be started for it"
     elif code < 0:
-        try:
-            how = signal.Signals(-code).name
-        except ValueError:  # Python has no names for most real-time signals
-            how = f"signal {-code}"
+        how = signal_name(-code)
         if how == "SIGKILL":
             how = f"{how}, out of memory perhaps"
     return f"its worker process died ({how})"

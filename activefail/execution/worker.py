@@ -11,8 +11,17 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from activefail.errors import ActivefailError
-from activefail.execution.frames import QUESTION, Asks, Kind, Question, pack_answer, pack_error, pack_text, sealed
+from activefail.errors import ActivefailError, description_of
+from activefail.execution.frames import (
+    QUESTION,
+    FrameKind,
+    Question,
+    QuestionKind,
+    pack_answer,
+    pack_error,
+    pack_text,
+    sealed,
+)
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 
@@ -42,26 +51,26 @@ def serve(descriptor: int) -> None:
         os.environ[variable] = "1"
     loaded: tuple[Answer, Simulator] | None = None
     while (question := hear()) is not None:
-        asks, content = question
+        kind, content = question
         try:
-            if asks == Asks.SIMULATOR:
+            if kind == QuestionKind.SIMULATOR:
                 loaded = _load(content)
-                reply(Kind.READY)
+                reply(FrameKind.READY)
             else:
                 assert loaded is not None
                 answer, simulator = loaded
                 # A copy, which the simulator may write to.
                 results, fault = answer(simulator, np.frombuffer(content, dtype=np.float64)[None].copy())
-                reply(Kind.ANSWERED, pack_answer(results, fault))
+                reply(FrameKind.ANSWERED, pack_answer(results, fault))
         except ActivefailError as error:
-            reply(Kind.REFUSED, pack_error(error))
+            reply(FrameKind.REFUSED, pack_error(error))
         except Exception as error:
-            if asks != Asks.SIMULATOR:
+            if kind != QuestionKind.SIMULATOR:
                 raise
-            reply(Kind.UNLOADABLE, pack_text(f"{type(error).__name__}: {error}"))
+            reply(FrameKind.UNLOADABLE, pack_text(description_of(error)))
 
 
-def _connection(descriptor: int) -> tuple[Callable[[], tuple[Asks, bytes] | None], Callable[..., None]]:
+def _connection(descriptor: int) -> tuple[Callable[[], tuple[QuestionKind, bytes] | None], Callable[..., None]]:
     """How a question is heard, None at the end of them, and how the last one is answered.
 
     The first question holds the key of the checksums and is answered here. No more of it is kept in reach of a
@@ -89,22 +98,22 @@ def _connection(descriptor: int) -> tuple[Callable[[], tuple[Asks, bytes] | None
             data += part
         return bytes(data)
 
-    def hear() -> tuple[Asks, bytes] | None:
+    def hear() -> tuple[QuestionKind, bytes] | None:
         nonlocal question
         try:
             head = read(QUESTION.size)
             if len(head) < QUESTION.size:
                 return None
-            ticket, asks, length = QUESTION.unpack(head)
+            ticket, kind, length = QUESTION.unpack(head)
             content = read(length)
         except OSError:
             return None
         if len(content) < length:
             return None
         question = Question.about(content, ticket)
-        return Asks(asks), content
+        return QuestionKind(kind), content
 
-    def reply(kind: Kind, payload: bytes = b"") -> None:
+    def reply(kind: FrameKind, payload: bytes = b"") -> None:
         if getpid() != process:
             # The simulator forked, and this is the child, which nobody asked.
             leave(0)
@@ -117,7 +126,7 @@ def _connection(descriptor: int) -> tuple[Callable[[], tuple[Asks, bytes] | None
 
     greeting = hear()
     secret = b"" if greeting is None else greeting[1]
-    reply(Kind.READY)
+    reply(FrameKind.READY)
     return hear, reply
 
 

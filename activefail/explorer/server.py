@@ -1,11 +1,12 @@
-"""The explorer's server: one page and four questions, on the standard library's HTTP server.
+"""The explorer's server: one page and the questions that it asks, on the standard library's HTTP server.
 
-It changes nothing and reads no file but its own. Only who names this machine in the Host header is answered, so that no
-other site can ask in a visitor's name; beyond the loopback interface only who has the token is.
+It changes nothing and reads no file but its own. It answers only requests whose Host header names this machine and
+whose Origin, if there is one, is its own page, so that no other site can ask in a visitor's name. Beyond the loopback
+interface a request needs the token, too.
 
 Each connection has a thread, and their number is bounded. Browsers keep idle connections open, so at the limit the
-server closes the one that has been idle longest. Questions in progress are bounded too: beyond that a question gets a
-503 with Retry-After.
+server closes the one that has been idle longest. The number of questions in progress is bounded, too: any further
+question is answered with 503 and Retry-After.
 """
 
 import hmac
@@ -76,6 +77,12 @@ class ExplorerServer(ThreadingHTTPServer):
 
     Attributes:
         token: that a visitor must have; empty on the loopback interface.
+        turns: questions that may be in progress.
+        page, files: what GET answers: the page, and its script and style by path.
+        questions: what POST answers, by path.
+
+    Raises:
+        InputError: if nothing can be served at this address.
     """
 
     daemon_threads = True
@@ -172,7 +179,7 @@ class ExplorerServer(ThreadingHTTPServer):
             self._fewer.notify()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A visitor who goes away in the middle is no fault; anything else is told."""
+        """A visitor who goes away in the middle is no fault; anything else is printed."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
@@ -183,7 +190,10 @@ class ExplorerServer(ThreadingHTTPServer):
         return f"http://{host}:{self.server_address[1]}/" + (f"?token={self.token}" if self.token else "")
 
     def knows(self, host: str | None) -> bool:
-        """Whether a Host header names this server: no name that someone else may have pointed at it."""
+        """Whether a Host header names this server by its address or a name of this machine.
+
+        Any other name may be someone else's who had it resolve to this machine.
+        """
         try:
             named = urlsplit(f"//{host}")
             port = named.port or 80

@@ -1,18 +1,17 @@
-"""How the project's pictures look: colours that colour-blind readers tell apart, and one set of matplotlib's settings.
+"""How the project's pictures look and are saved: colours that colour-blind readers tell apart, one set of settings.
 
-Constants only, so that naming a colour does not import matplotlib; `styled` does when it is entered.
+Naming a colour does not import matplotlib; `styled` does when it is entered.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from activefail.files import replacing, target_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-from typing import Any
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -60,12 +59,6 @@ RC: dict[Any, Any] = {
 """matplotlib's settings for all pictures of the project."""
 
 
-def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure to a file of the format that its suffix names; an older one is there until it is whole."""
-    with replacing(target_of(path), "xb") as file:
-        figure.savefig(file, format=path.suffix[1:].lower())
-
-
 @contextmanager
 def styled() -> Iterator[None]:
     """The project's settings for what is drawn inside; the user's own are untouched afterwards."""
@@ -73,3 +66,13 @@ def styled() -> Iterator[None]:
 
     with matplotlib.rc_context(RC):
         yield
+
+
+def save_figure(figure: "Figure", path: Path, metadata: Mapping[str, Any] | None = None) -> None:
+    """Write a figure in the format of a path's suffix; the file takes its name only once it is whole.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    with replacing(target_of(path), "xb") as file:
+        figure.savefig(file, format=path.suffix.removeprefix(".").lower(), metadata=metadata)

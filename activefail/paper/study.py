@@ -4,14 +4,9 @@ One draw is a Latin hypercube of 250 simulations over Table 1, as the paper had 
 distribution over draws, and what the paper could only judge on about 62 held-out points is judged on fresh designs.
 """
 
-import multiprocessing
 import os
-import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 
 import numpy as np
 import torch
@@ -22,8 +17,7 @@ from threadpoolctl import threadpool_limits
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
 from activefail.comparison.score import expected_calibration_error
-from activefail.errors import SimulationError
-from activefail.execution.starting import starting_processes
+from activefail.execution.pool import ProcessPool
 from activefail.features import feature_map, paper_features
 from activefail.paper import published
 from activefail.paper.methods import LENGTH_SCALE, expectation_propagation, laplace, logistic_regression
@@ -301,13 +295,12 @@ def study_draw(
         )
 
 
-def study_draws(pool: Executor, data: Data, seed: int, methods: tuple[str, ...], splits: int) -> list[Draw]:
+def study_draws(pool: ProcessPool, data: Data, seed: int, methods: tuple[str, ...], splits: int) -> list[Draw]:
     """`study_draw` of every draw, side by side; the results do not depend on the pool's size."""
-    with starting_processes():  # with which they start
-        futures = [
-            pool.submit(study_draw, X, label, data.X_fresh, data.label_fresh, seed, draw, methods, splits)
-            for draw, (X, label) in enumerate(zip(data.X, data.label, strict=True))
-        ]
+    futures = [
+        pool.submit(study_draw, X, label, data.X_fresh, data.label_fresh, seed, draw, methods, splits)
+        for draw, (X, label) in enumerate(zip(data.X, data.label, strict=True))
+    ]
     return [future.result() for future in futures]
 
 
@@ -333,19 +326,6 @@ class Study:
     variants: list[Variant]
 
 
-def _end_when_closed(end: Connection) -> None:
-    """What a worker of a pool begins with: it ends with the other end of a pipe, whatever it is at.
-
-    Not with an event, which waits for all whom it tells: a worker that was killed never hears it.
-    """
-
-    def wait() -> None:
-        end.poll(None)
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
-
-
 def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = lambda _: None) -> Study:
     """Simulate and compute everything; some minutes on two cores for 20 draws and 4,000 fresh designs.
 
@@ -355,31 +335,20 @@ def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = 
     X, X_fresh = designs(draws, fresh, seed)
     stage(f"simulating {draws} draws of {SIZE} and {fresh} fresh designs")
     data = simulated(X, X_fresh, Model())
-    context = multiprocessing.get_context("spawn")
-    with starting_processes():
-        theirs, ours = context.Pipe(duplex=False)
-        pool = ProcessPoolExecutor(os.cpu_count(), context, _end_when_closed, (theirs,))
-    with theirs, ours, pool:
-        try:
-            stage(f"regressions and Gaussian processes of {draws} draws")
-            studied = study_draws(pool, data, seed, METHODS, SPLITS)
-            default, *others = VARIANTS
-            variants = [Variant(default, 0.0, data, studied)]
-            for name in (*others, TILTED):
-                stage(f"what depends on the choices: {name}")
-                if name == TILTED:
-                    varied, moved = simulated(tilted(X), tilted(X_fresh), Model()), None
-                else:
-                    varied = simulated(X, X_fresh, VARIANTS[name])
-                    both = (varied.label >= 0) & (data.label >= 0)
-                    moved = float(np.mean(varied.label[both] != data.label[both]))
-                variants.append(Variant(name, moved, varied, study_draws(pool, varied, seed, ("laplace",), 1)))
-        except BrokenProcessPool:
-            raise SimulationError("A worker process died (killed, or out of memory); nothing is kept.") from None
-        except BaseException:
-            # Nobody waits for the draws that they are at.
-            ours.close()
-            raise
+    with ProcessPool(os.cpu_count() or 1, "nothing is kept") as pool:
+        stage(f"regressions and Gaussian processes of {draws} draws")
+        studied = study_draws(pool, data, seed, METHODS, SPLITS)
+        default, *others = VARIANTS
+        variants = [Variant(default, 0.0, data, studied)]
+        for name in (*others, TILTED):
+            stage(f"what depends on the choices: {name}")
+            if name == TILTED:
+                varied, moved = simulated(tilted(X), tilted(X_fresh), Model()), None
+            else:
+                varied = simulated(X, X_fresh, VARIANTS[name])
+                both = (varied.label >= 0) & (data.label >= 0)
+                moved = float(np.mean(varied.label[both] != data.label[both]))
+            variants.append(Variant(name, moved, varied, study_draws(pool, varied, seed, ("laplace",), 1)))
     return Study(data, studied, variants)
 
 

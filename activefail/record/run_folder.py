@@ -1,13 +1,13 @@
-"""The record of a campaign: batches in a chain of immutable files, or in memory for tests.
+"""The record of a campaign in its run folder: batches in a chain of immutable files, and what is kept beside them.
 
     <folder>/campaign.toml              frozen copy of the settings
-             segments/<first>-<last>.h5 the only truth: whole batches, immutable, published with os.link
-             state/<iteration>.h5       what was learned; the last three; can be rebuilt
-             sets/<name>.h5             side data, simulated once
+             segments/<first>-<last>.h5 whole batches: the truth, from which the rest can be rebuilt; immutable
+             state/<iteration>.h5       what was learned; the last three
+             sets/<name>.h5             designs beside the campaign and their results, simulated once
              .lock                      one writer at a time
 
-Every batch extends a chain of digests that begins with the settings and the schema, so a segment that is missing,
-altered or from another campaign is noticed; merging segments leaves the chain as it is.
+Every batch extends a chain of digests that begins with the settings and the schema. So a segment that is missing,
+altered or from another campaign is noticed. Merging segments leaves the chain as it is.
 """
 
 import os
@@ -60,12 +60,12 @@ def _short(entry: str) -> str:
 
 
 def check_empty(folder: Path, what: str, instead: str) -> None:
-    """Check that a folder is empty or none, but for what a creation leaves that was interrupted.
+    """Check that a folder is empty or missing. What an interrupted creation leaves does not count.
 
     Args:
         folder: for something new.
         what: it is for.
-        instead: what the user may do where it is not.
+        instead: advice if it holds anything.
 
     Raises:
         InputError: if it holds anything else.
@@ -80,12 +80,12 @@ def check_empty(folder: Path, what: str, instead: str) -> None:
 
 
 class FolderStore:
-    """A record in a run folder; made by `create` and `open`.
+    """A record in a run folder, made by `create` or `open`; keeps the promises of `Store`.
 
     Attributes:
         folder: where it is.
         settings: the text of campaign.toml.
-        schema: what its columns mean; None if nothing tells (no batch yet, opened for reading without a schema).
+        schema: what its columns mean; None in a record without batches that was opened for reading without a schema.
     """
 
     def __init__(
@@ -120,11 +120,18 @@ class FolderStore:
     ) -> Self:
         """A new run folder with the frozen settings, open for writing.
 
-        What a creation leaves that was interrupted before campaign.toml stood is no obstacle.
+        A creation that was interrupted before it wrote campaign.toml can be repeated.
+
+        Args:
+            folder: missing or empty.
+            settings: the text of campaign.toml.
+            schema: what the columns mean.
+            provenance: versions and digests that are recorded with every batch, by name.
 
         Raises:
             BusyError: if another process is creating it.
-            InputError: if the folder is not empty or none, or the settings hold a NUL; nothing was changed.
+            InputError: if the folder is not empty, no folder can be there, or the settings hold a NUL; nothing was
+                changed.
             StoreError: if the folder cannot be written.
         """
         folder = Path(folder).absolute()
@@ -157,11 +164,18 @@ class FolderStore:
     ) -> Self:
         """The record in a run folder. To write, it takes the lock and tidies up after a crash; else nothing changes.
 
+        Args:
+            folder: of the run.
+            schema: what the columns mean; that of the batches if None.
+            write: whether batches, states and sets are to be written.
+            provenance: versions and digests of now; a warning says which differ from those of the last batch.
+
         Raises:
             BusyError: if another process is writing to the folder.
             InputError: if it is opened to write and neither a schema nor a batch says what the columns mean.
-            StoreError: if it is not a run folder or cannot be written, if its settings were changed, if its schema or
-                version is another one, or if designs are missing in the middle; nothing in it was changed.
+            StoreError: if it is not a run folder, holds a symbolic link, or cannot be read or written; if its settings
+                were changed, or its schema or version is another one; if designs are missing before others, or two
+                files contradict each other. No batch was changed.
         """
         folder = Path(folder).absolute()
         path = folder / SETTINGS
@@ -187,7 +201,7 @@ class FolderStore:
         return store
 
     def _load(self) -> None:
-        """Read and check everything; only then, and only under the lock, tidy up."""
+        """Read and check all batches; only then, and only under the lock, tidy up."""
         folder = self.folder / "segments"
         segments, damaged = read_segments(folder)
         check_campaign(segments, self.settings, self.schema)
@@ -257,7 +271,7 @@ class FolderStore:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know: files set aside, skipped or ignored, and why."""
+        """What the user should know: files set aside, skipped or ignored, versions that changed, missing locks."""
         return tuple(self._warnings)
 
     def new_warnings(self) -> tuple[str, ...]:

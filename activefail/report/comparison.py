@@ -8,6 +8,8 @@ from activefail.comparison.score import DISPLACEMENT, NEIGHBOURS
 from activefail.comparison.seeds import STATIC, Plan, Point, Score, curves, simulations_to_reach
 from activefail.csv_table import writing
 from activefail.figures.curves import plot_sampling_curves
+from activefail.figures.style import save_figure
+from activefail.files import replacing
 
 MEASURES = {
     "accuracy": "accuracy",
@@ -137,7 +139,8 @@ def write_comparison(plan: Plan, scores: list[Score], out: Path) -> Path:
     ):
         figure = plot_sampling_curves(curves(scores, measure), label, about)
         for suffix in ("svg", "png"):
-            figure.savefig(out / f"{measure}.{suffix}")
+            save_figure(figure, out / f"{measure}.{suffix}")
     page = out / "comparison.md"
-    page.write_text(comparison_text(plan, scores), encoding="utf-8")
+    with replacing(page) as file:
+        file.write(comparison_text(plan, scores))
     return page

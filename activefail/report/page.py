@@ -21,9 +21,8 @@ from activefail.campaign.prediction import predict
 from activefail.campaign.progress import standing
 from activefail.campaign.provenance import provenance
 from activefail.campaign.quantities import significant, words
-from activefail.campaign.settings import PythonFeatures, Sampling
+from activefail.campaign.settings import PythonFeatures
 from activefail.campaign.summary import Plan, Summary
-from activefail.comparison.static import Score
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
 from activefail.figures.contours import coordinates, plot_outcome_planes
@@ -35,7 +34,7 @@ from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.files import replacing, target_of
 from activefail.record.store import Store
-from activefail.report.evidence import Curve, Evidence
+from activefail.report.evidence import Evidence
 from activefail.shares import interval_percent, percent
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Parameter
@@ -51,24 +50,18 @@ LISTED = 8
 """Designs in the table of the most uncertain ones."""
 
 _CORRELATION = {"rbf": 61, "matern52": 52}
-_SETS = {
-    "test": "the fresh designs that `activefail compare` simulated",
-    "validation": "the campaign's validation designs",
-    "left out": "the designs of the seed, each left out of the training in turn",
-}
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page with what to see in it."""
+    """A figure of the page; the template says what to see in it."""
 
     svg: Markup
-    caption: str | Markup
     wide: bool = False
 
 
-def _picture(figure: "Figure", name: str, alternative: str, caption: str | Markup) -> Picture:
-    return Picture(inline(figure, name, alternative), caption, float(figure.get_size_inches()[0]) > 8.0)
+def _picture(figure: "Figure", name: str, alternative: str) -> Picture:
+    return Picture(inline(figure, name, alternative), float(figure.get_size_inches()[0]) > 8.0)
 
 
 def subscripts(text: str) -> Markup:
@@ -107,37 +100,22 @@ def _counts(findings: Findings) -> dict[str, NDArray[np.int64]]:
 def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
     curve = evidence.curve
     if curve is None:
-        return {"picture": None, "rows": []}
-    boundary = words(findings.boundary)
-    figure = plot_learning_curves(curve.scores, quantities.plain(boundary), curve.test_size)
-    both = len({score.sampling for score in curve.scores}) > 1
-    text = (
-        f"Share of {curve.test_size} fresh designs on the right side of the {boundary} boundary, against the number of "
-        "simulations that were learned from. "
-    )
-    text += (
-        "Where the solid line is above the dashed one, choosing the simulations was worth more than spreading them "
-        "evenly; where the bands overlap, so many test designs cannot tell."
-        if both
-        else "How much the last simulations still added says whether more of them are worth their price."
-    )
-    outcomes = findings.campaign.simulator.outcomes
-    rows = [
-        {
-            "simulations": score.simulations,
-            "sampling": {"active": "active", "static": "static Latin hypercube"}.get(score.sampling, score.sampling),
-            "accuracy": percent(score.accuracy, 2),
-            "interval": interval_percent(score.low, score.high),
-            "recall": [score.recall[name].in_words for name in outcomes if score.recall],
-            "outcome_accuracy": percent(score.outcome_accuracy, 2),
-            "log_score": f"{score.log_score:.4f}".replace("-", "−"),
-        }
-        for score in sorted(curve.scores, key=lambda score: (score.simulations, score.sampling))
-    ]
-    return {"picture": _picture(figure, "curve", "Learning curve", text), "rows": rows}
+        return {"picture": None}
+    scores = sorted(curve.scores, key=lambda score: (score.simulations, score.sampling))
+    last = max(scores, key=lambda score: (score.sampling == "active", score.simulations))
+    static = [score for score in scores if score.sampling == "static" and score.simulations == last.simulations]
+    boundary = quantities.plain(words(findings.boundary))
+    return {
+        "picture": _picture(plot_learning_curves(curve.scores, boundary, curve.test_size), "curve", "Learning curve"),
+        "scores": scores,
+        "last": last,
+        "static": static[0] if static and last not in static else None,
+        "both": len({score.sampling for score in scores}) > 1,
+        "test_size": curve.test_size,
+    }
 
 
-def _pairs(findings: Findings, scales: NDArray[np.float64]) -> Picture:
+def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     campaign = findings.campaign
     features = campaign.features
     shown = sorted(np.argsort(scales[campaign.severity - 1], kind="stable")[:MOST_PAIRED].tolist())
@@ -151,88 +129,54 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> Picture:
         [bool(features.logarithmic[column]) for column in shown],
         campaign.simulator.outcomes,
     )
-    of = (
-        ""
-        if len(shown) == len(names)
-        else f" The {len(shown)} of {len(names)} features with the shortest length scales."
-    )
     chosen = int(np.sum(findings.chosen))
-    caption = (
-        "The simulated designs in pairs of features: below the diagonal the seed design, which fills the space "
-        "evenly; above it, mirrored, the designs that the learner chose."
-        + (
-            f" Of each at most {MOST_SHOWN} are shown, evenly picked."
-            if max(chosen, len(findings.X) - chosen) > MOST_SHOWN
-            else ""
-        )
-        + (
-            " Compare a panel with its mirror image: the chosen designs gather where outcomes meet."
-            if chosen
-            else " None was chosen yet: the panels above the diagonal are empty."
-        )
-        + " On the diagonal how both are spread."
-        + of
-    )
-    return _picture(figure, "pairs", "Designs in pairs of features", caption)
+    return {
+        "picture": _picture(figure, "pairs", "Designs in pairs of features"),
+        "chosen": chosen,
+        "most_shown": MOST_SHOWN,
+        "thinned": max(chosen, len(findings.X) - chosen) > MOST_SHOWN,
+        "features_shown": len(shown),
+        "features": len(names),
+    }
 
 
-def _planes(findings: Findings) -> list[Picture]:
+def _planes(findings: Findings) -> dict[str, Any]:
     c = coordinates(findings)
-    severe = [words(name) for name in findings.campaign.simulator.outcomes[1:]]
-    listed = " and ".join(f"P({name})" for name in severe)
-    what = (
-        f"{listed} by the classifier, and at the foot how sure it is: the width of the 95 % interval of the "
-        f"probability of {findings.beyond}. Along the thick line the probability is one half: that is the boundary. "
-        "Where the last row is dark, the classifier is least sure. Points are the simulated designs within the "
-        "range of each column's title."
-    )
-    if len(severe) > 1:
-        what += f" P({severe[0]}) is of {severe[0]} without {severe[-1]}: a ridge between the two boundaries."
-    held = (
-        "The other features are held at their medians; hatched is where no design of the space has these features."
-        if c.planes is PLANES and findings.campaign.features.names == PAPER_FEATURES
-        else "The other features are held at their medians. Features do not fix a design: each point stands for one "
-        "near the middle of the space that has them; hatched is where none has."
-        if c.planes is PLANES
-        else "The other variables are held in the middle of their ranges."
-    )
     pictures = []
     for number, plane in enumerate(c.planes, start=1):
         names = f"{c.quantities[plane.x].text} and {c.quantities[plane.y].text}"
-        pictures.append(
-            _picture(
-                plot_outcome_planes(plane, c, findings),
-                f"plane{number}",
-                f"Probabilities in the plane of {names}",
-                Markup("Plane of {}. {} {}").format(subscripts(names), what, held),
-            )
-        )
-    return pictures
+        figure = plot_outcome_planes(plane, c, findings)
+        pictures.append((names, _picture(figure, f"plane{number}", f"Probabilities in the plane of {names}")))
+    return {
+        "pictures": pictures,
+        "severe": findings.campaign.simulator.outcomes[1:],
+        "of_features": c.planes is PLANES,
+        "of_the_paper": findings.campaign.features.names == PAPER_FEATURES,
+    }
 
 
-def _reliability(findings: Findings, evidence: Evidence) -> Picture | None:
+def _reliability(findings: Findings, evidence: Evidence) -> dict[str, Any] | None:
     found = evidence.reliability
     if found is None:
         return None
-    beyond = findings.beyond
-    name = quantities.plain(beyond)
-    title = f"{len(found.beyond)} designs"
-    labels = (f"share with {name} [–]", f"predicted P({name}) [–]")
-    figure = plot_reliability({title: found.probability}, found.beyond, 1, labels=labels)
-    caption = (
-        f"Of the designs to which the classifier gave a probability, how many went that way: {len(found.beyond)} "
-        f"designs, {_SETS[found.source].replace('`', '')}. On the dotted diagonal probabilities mean what they "
-        f"say; above it {beyond} is more frequent than predicted. The band is Wilson's 95 % interval. Below: how many "
-        "designs are behind each point; few in the middle means that the classifier is rarely undecided."
+    name = quantities.plain(findings.beyond)
+    figure = plot_reliability(
+        {f"{len(found.beyond)} designs": found.probability},
+        found.beyond,
+        1,
+        labels=(f"share with {name} [–]", f"predicted P({name}) [–]"),
     )
-    return _picture(figure, "reliability", "Reliability diagram", caption)
+    return {
+        "picture": _picture(figure, "reliability", "Reliability diagram"),
+        "designs": len(found.beyond),
+        "source": found.source,
+    }
 
 
 def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     campaign = findings.campaign
     features = campaign.features
     names = quantities.features(campaign)
-    boundaries = campaign.simulator.outcomes[1:]
 
     def own(length: float, column: int, unit: str) -> str:
         if length > LONG:
@@ -249,17 +193,10 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
             for row in scales
         ]
         rows.append({"quantity": names[column], "cells": cells, "matters": bool((scales[:, column] <= LONG).any())})
-    caption = (
-        "How far a feature must move, all others kept, before a boundary's latent function may have become another: "
-        "the further left, the more the outcome hangs on the feature. In the grey range a length scale is longer than "
-        "the feature's whole range: the classifier hardly uses it."
-    )
     return {
-        "picture": _picture(
-            plot_length_scales(scales, names, campaign.simulator.outcomes), "scales", "Length scales", caption
-        ),
+        "picture": _picture(plot_length_scales(scales, names, campaign.simulator.outcomes), "scales", "Length scales"),
         "rows": rows,
-        "boundaries": [words(name) for name in boundaries],
+        "boundaries": campaign.simulator.outcomes[1:],
         "correlation": _CORRELATION[campaign.settings.classifier.kernel],
     }
 
@@ -279,122 +216,42 @@ def _uncertain(findings: Findings) -> list[dict[str, Any]]:
     ]
 
 
-def _gallery(findings: Findings) -> list[Picture]:
-    if not isinstance(findings.campaign.simulator, DfpSimulator):
+def _gallery(findings: Findings) -> list[dict[str, Any]]:
+    simulator = findings.campaign.simulator
+    if not isinstance(simulator, DfpSimulator):
         return []
-    pictures = []
+    shown = []
     for number, (row, why) in enumerate(at_the_boundary(findings), start=1):
-        response = findings.campaign.simulator.response(findings.X[row])
+        response = simulator.response(findings.X[row])
         try:
             Motion(response)
         except InputError:
             continue  # it ended at its start: there is nothing to draw
         prediction = predict(findings.campaign, findings.classifier, findings.X[row : row + 1])
-        told = ", ".join(
-            f"P({words(name)}) {_probability(float(p))}"
-            for name, p in zip(findings.campaign.simulator.outcomes, prediction.probabilities[0], strict=True)
+        probabilities = [_probability(float(p)) for p in prediction.probabilities[0]]
+        alternative = f"Plates and slider of simulation {row} at four instants"
+        shown.append(
+            {
+                "picture": _picture(plot_snapshots(response), f"bearing{number}", alternative),
+                "why": why,
+                "simulation": row,
+                "iteration": int(findings.iteration[row]) if findings.chosen[row] else None,
+                "ended": describe_outcome(response),
+                "probabilities": dict(zip(simulator.outcomes, probabilities, strict=True)),
+            }
         )
-        origin = f"iteration {findings.iteration[row]}" if findings.chosen[row] else "seed design"
-        pictures.append(
-            _picture(
-                plot_snapshots(response),
-                f"bearing{number}",
-                f"Plates and slider of simulation {row} at four instants",
-                f"{why}: simulation {row} ({origin}). {describe_outcome(response)}. The classifier, which has "
-                f"learned from it, says {told}. Plates in grey, their rims dark, the slider blue; the marks at "
-                "its corners say what each of them does.",
-            )
-        )
-    return pictures
+    return shown
 
 
-def _what_was_run(findings: Findings, done: int) -> list[tuple[str, str]]:
-    settings = findings.campaign.settings
-    plan = Plan.of(settings.text())
-    sampling = settings.sampling
-    sought = " and ".join(
-        f"the {words(name)} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
-        for name, share in settings.acquisition.boundaries.items()
-    )
-    return [
-        ("simulator", f"{plan.simulator}, {findings.campaign.space.dimension} variables"),
-        ("simulations", _planned(done, sampling)),
-        ("chosen by the learner", _chosen(findings, sampling)),
-        ("learner", f"Gaussian process classifier, {settings.classifier.kernel} covariance"),
-        ("features", plan.features),
-        ("sought", f"{sought}, by the criterion {settings.acquisition.criterion}"),
-        ("seed", str(settings.seed)),
-    ]
-
-
-def _planned(done: int, sampling: Sampling) -> str:
-    beyond = (
-        f"{done}, beyond the {sampling.budget} planned"
-        if done > sampling.budget
-        else f"{done} of {sampling.budget} planned"
-    )
-    return f"{beyond}, from a Latin hypercube of {sampling.initial} on"
-
-
-def _chosen(findings: Findings, sampling: Sampling) -> str:
-    chosen = int(np.sum(findings.chosen))
-    if sampling.asynchronous:
-        return f"{chosen} designs, each as soon as an answer came, up to {sampling.batch} in flight"
-    batches = int(findings.iteration.max())
-    return f"{chosen} designs in {batches} {'batch' if batches == 1 else 'batches'} of {sampling.batch}"
-
-
-def _same_again(findings: Findings, sampling: Sampling) -> str:
-    """What running the same campaign again gives, and why it may not be the same."""
-    if sampling.asynchronous:
-        return (
-            "Another run chooses other designs: each is chosen from the answers that have come by then, and these come "
-            "in another order."
-        )
+def _learner(findings: Findings) -> dict[str, Any]:
+    """What the learner has chosen, and in which portions."""
+    batch = findings.campaign.settings.sampling.batch
     _, sizes = np.unique(findings.iteration[findings.chosen], return_counts=True)
-    said = "The same versions on the same kind of processor give the same bits"
-    if np.any(sizes[:-1] < sampling.batch):
-        return (
-            f"{said} where the campaign is extended as this one was: it ended before in a batch of fewer than "
-            f"{sampling.batch}, and a run to the whole number at once chooses other designs from there on."
-        )
-    return f"{said}."
-
-
-def _in_short(findings: Findings, evidence: Evidence, done: int) -> list[tuple[str, str]]:
-    """The numbers that a reader in a hurry wants."""
-    boundary = words(findings.boundary)
-    lines = [("simulations", str(done))]
-    if evidence.curve is not None:
-        last = max(evidence.curve.scores, key=lambda score: (score.sampling == "active", score.simulations))
-        lines.append((f"right about {boundary}", f"{_right(last, evidence.curve)} simulations"))
-        lines += _recall_lines(last, "")
-        static = [s for s in evidence.curve.scores if s.sampling == "static" and s.simulations == last.simulations]
-        if static and last not in static:
-            lines.append(("static sampling of that size", f"{_right(static[0], evidence.curve)} ones"))
-            lines += _recall_lines(static[0], ", static sampling")
-    if evidence.error is not None:
-        error = evidence.error
-        lines.append(
-            (
-                "verified error",
-                f"{percent(error.error, 2)} of the design space ({interval_percent(error.low, error.high)} "
-                f"with 90 % confidence, {error.in_words})",
-            )
-        )
-    expected = f"{percent(findings.expected, 2)} of the design space, without an interval"
-    lines.append(("error that it expects itself", expected))
-    return lines
-
-
-def _right(score: Score, curve: Curve) -> str:
-    interval = interval_percent(score.low, score.high)
-    right = f"{percent(score.accuracy)} of {curve.test_size} fresh designs ({interval} with 95 % confidence)"
-    return f"{right}, after {score.simulations} {score.sampling}"
-
-
-def _recall_lines(score: Score, of: str) -> list[tuple[str, str]]:
-    return [(f"recall of {words(name)}{of}", one.in_words) for name, one in score.recall.items()]
+    return {
+        "chosen": int(np.sum(findings.chosen)),
+        "batches": int(findings.iteration.max()),
+        "ended_within_a_batch": bool(np.any(sizes[:-1] < batch)),
+    }
 
 
 def _features_need_code(campaign: Campaign) -> bool:
@@ -423,6 +280,7 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
     campaign, folder = findings.campaign, findings.folder
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     settings, outcomes = campaign.settings, campaign.simulator.outcomes
+    plan = Plan.of(settings.text())
     done = standing(campaign, store.batches, 0).done
     counts = _counts(findings)
     scales = length_scales(findings.classifier)
@@ -434,8 +292,12 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
     numbers: dict[str, Any] = {
         "title": visible(settings.description or folder.name),
         "version": __version__,
-        "in_short": _in_short(findings, evidence, done),
-        "run": _what_was_run(findings, done),
+        "settings": settings,
+        "simulator": plan.simulator,
+        "features": plan.features,
+        "learner": _learner(findings),
+        "error": evidence.error,
+        "expected": findings.expected,
         "variables": [
             {"quantity": names, "low": significant(p.low), "high": significant(p.high), "spread": spread(p)}
             for names, p in zip(quantities.variables(campaign), campaign.space.parameters, strict=True)
@@ -444,15 +306,13 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
             {"quantity": names, "value": significant(value)}
             for names, value in zip(quantities.fixed(campaign), campaign.space.fixed.values(), strict=True)
         ],
-        "outcomes": [words(name) for name in outcomes],
-        "boundary": words(findings.boundary),
+        "outcomes": outcomes,
+        "boundary": findings.boundary,
         "counts": {title: values.tolist() for title, values in counts.items()},
         "counts_picture": _picture(
             plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes),
             "counts",
             "Shares of the outcomes",
-            "Shares of the outcomes, with the number of simulations in each bar. The seed design shows how frequent an "
-            "outcome is in the design space; what the learner chose is a mixture, as both sides of a boundary are.",
         ),
         "curve": _curve(findings, evidence),
         "pairs": _pairs(findings, scales),
@@ -471,10 +331,9 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
             f"activefail run campaign.toml --out {run_folder}{budget}",
             *_judging(findings, evidence, run_folder, code),
         ],
-        "same": _same_again(findings, settings.sampling),
         "code": code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),
-        "settings": visible(text, keep="\n"),
+        "frozen": visible(text, keep="\n"),
         "digest": hashlib.sha256(text.encode()).hexdigest(),
         "versions": {
             name: value for name, value in versions.items() if name not in ("processor_features", "bearing_sources")
@@ -489,7 +348,8 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["subscripts"] = subscripts
+    environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
+    environment.globals["interval_percent"] = interval_percent
     return environment.get_template("report.html.j2").render(numbers)
 
 

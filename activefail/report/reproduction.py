@@ -15,7 +15,8 @@ from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.estimate import Estimate, contains
 from activefail.features import PAPER_FEATURES
 from activefail.figures.planes import PLANES, SLICE, plot_plane, plot_reliability
-from activefail.figures.style import styled
+from activefail.figures.style import save_figure, styled
+from activefail.files import replacing
 from activefail.paper import claims, published
 from activefail.paper import study as paper
 from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_with_shares, percent_of, span, with_mean
@@ -320,10 +321,12 @@ def write_reproduction(study: Study, out: Path, command: dict[str, int], stage: 
     figures["reliability"] = plot_reliability(pooled, y_fresh, len(study.draws))
     with styled():
         for name, figure in figures.items():
-            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
-            figure.savefig(folder / f"{name}.png")
+            save_figure(figure, folder / f"{name}.svg", metadata={"Date": None})
+            save_figure(figure, folder / f"{name}.png")
     numbers = _context(study, command)
-    (folder / "numbers.json").write_text(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    with replacing(folder / "numbers.json") as file:
+        file.write(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")
     page = out / "reproduction.md"
-    page.write_text(render(numbers), encoding="utf-8")
+    with replacing(page) as file:
+        file.write(render(numbers))
     return page

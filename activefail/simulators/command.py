@@ -18,14 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.errors import InputError
+from activefail.errors import InputError, signal_name
 from activefail.files import end_of, make_folder, read_regular
 from activefail.simulators.answers import designs_by_name, read_answer
 from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import Array, DesignSpace
 
-_TOLD = 300
-"""Characters of a program's last words that a message repeats."""
+LONGEST_EXCERPT = 300
+"""Characters of a program's `stderr.txt` that a message repeats."""
 
 
 LONGEST_NUMBER = 100
@@ -151,9 +151,10 @@ class CommandSimulator:
         if code == -signal.SIGXFSZ:
             raise RuntimeError(f"a file in {folder} would exceed simulator.largest_file, {self.largest_file} bytes")
         if code != 0:
-            # Of UTF-8, where a character has four bytes at the most.
-            last = end_of(folder / "stderr.txt", 4 * _TOLD).decode(errors="replace").strip()[-_TOLD:]
-            raise RuntimeError(f"exit code {code}; {folder}{os.sep}stderr.txt ends: {last!r}")
+            # A character of UTF-8 has four bytes at most.
+            end = end_of(folder / "stderr.txt", 4 * LONGEST_EXCERPT).decode(errors="replace").strip()
+            how = f"exit code {code}" + (f" ({signal_name(-code)})" if code < 0 else "")
+            raise RuntimeError(f"{how}; {folder}{os.sep}stderr.txt ends: {end[-LONGEST_EXCERPT:]!r}")
         try:
             # The program's own link, as to a file of its results, is followed.
             written = read_regular(out, LARGEST_ANSWER, follow=True)

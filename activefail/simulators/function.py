@@ -1,4 +1,4 @@
-"""Simulators of one's own: a function of Python, or a program that is run once for each design."""
+"""Custom simulators that are functions of Python."""
 
 import time
 from collections.abc import Callable
@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from activefail.errors import ActivefailError, InputError
+from activefail.errors import ActivefailError, InputError, description_of
 from activefail.simulators.answers import designs_by_name, read_answer
+from activefail.simulators.code_folder import import_from
 from activefail.simulators.interface import Results
-from activefail.simulators.user_code import SIMULATOR_KEY, load_function, look_beside
+from activefail.simulators.user_code import SIMULATOR_KEY, load_function
 from activefail.space import Array, DesignSpace
 
 
@@ -59,8 +60,8 @@ class PythonSimulator:
         """
         _loaded(self.reference, self.code, self.source, self.folder)
         if self.code is not None:
-            # What it imports as it runs; another one's may have been looked for since.
-            look_beside(self.code)
+            # For what it imports as it runs: another simulator may have been prepared since it was loaded.
+            import_from(self.code, {})
 
     def run(self, X: Array) -> Results:
         """Answer designs, (n, d), one after the other.
@@ -77,7 +78,7 @@ class PythonSimulator:
                 said = function(design)
             except ActivefailError as error:
                 # Raised in the user's code, it is no error of ours and costs this simulation alone.
-                raise RuntimeError(f"{type(error).__name__}: {error}").with_traceback(error.__traceback__) from None
+                raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
             answers.append(read_answer(said, self.outcomes, self.margins, time.perf_counter() - began))
         return Results.concatenate(answers)
 

@@ -1,7 +1,6 @@
-"""A function that a campaign's file names: found, loaded, and its source told apart from others."""
+"""Loads a function of the user's that a campaign file names, and the digest of its source."""
 
-import ast
-import hashlib
+import importlib
 import importlib.util
 import os
 import sys
@@ -11,34 +10,32 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from activefail.errors import InputError
+from activefail.errors import InputError, description_of
+from activefail.simulators.code_folder import digest_of, import_from, sha256, sources_of
 from activefail.visible import visible
 
 SIMULATOR_KEY = "simulator.python"
 FEATURES_KEY = "classifier.features.python"
-"""The keys of the settings that name functions of a user's own, and of their sources' digests in a record."""
-
-_OWN = "activefail_own_"
-"""What the names of a user's own modules begin with."""
+"""The settings that name a user's functions; the record keeps the digests of their sources under the same keys."""
 
 
 def load_function(
     reference: str, code: Path | None, key: str, run: Path | None = None
 ) -> tuple[Callable[..., Any], str]:
-    """The function "module:function" and the SHA-256 of its module's source, "" when that is no file.
+    """The function "module:function" and the SHA-256 of its module's source, "" if the module has no file.
 
-    The module is looked for in the folder of the user's own code, then where Python looks for modules, and so is what
-    it imports, in the other order: nothing of the user's hides a library. The digest is also over the modules of the
-    folder that it imports.
+    The module is searched in the folder of the user's code first, then where Python searches. What it imports is
+    searched in the other order, so that no module of the user's hides a library. The digest covers the modules of the
+    folder that it imports, too.
 
     Args:
         reference: of the function.
-        code: folder of the user's own code; None if none may be run.
-        key: of the settings that names it, for messages.
-        run: run folder, in which no code is looked for, as it may come from someone else; unless `code` lies in it.
+        code: folder of the user's code; None if none may be run.
+        key: setting that names the function, for messages.
+        run: run folder, which may come from someone else: no code in it is run, unless `code` lies in it.
 
     Raises:
-        InputError: if there is no such module or function in it, the module cannot be imported, or it may not be run.
+        InputError: if there is no such module or function, the module cannot be imported, or it may not be run.
     """
     if code is None:
         raise InputError(
@@ -46,50 +43,93 @@ def load_function(
             f"code is run only where its folder is named: --code FOLDER."
         )
     module_name, _, name = reference.partition(":")
-    path = code / Path(*module_name.split(".")).with_suffix(".py")
-    # Who names the run folder, or one in it, wants its code.
-    never = None if run is None or _lies_in(code, run) else run
+    file = code / Path(*module_name.split(".")).with_suffix(".py")
     try:
-        if path.is_file():
-            if never and _lies_in(path, never):
-                raise _NeverRunError(path)
-            sources = _sources(path, code)
-            look_beside(code, sources)
-            with _in_this_folder():
-                module = _module_of(path, module_name)
-            digest = _digest(sources, code)
-        else:
-            package = path.with_suffix("") / "__init__.py"
-            sources = _sources(package, code)
-            look_beside(code, sources)  # no more in the folder of another campaign
-            with _in_this_folder():
-                module = _module_elsewhere(module_name, never)
-            source = Path(module.__file__) if module.__file__ else None
-            if source == package:
-                digest = _digest(sources, code)
-            else:
-                digest = _sha256(source.read_bytes()) if source and source.is_file() else ""
+        # Whoever names the run folder, or one in it, wants its code.
+        module, digest = _load_module(module_name, file, code, None if run is None or _lies_in(code, run) else run)
     except ModuleNotFoundError as missing:
-        if not path.is_file() and missing.name and f"{module_name}.".startswith(f"{missing.name}."):
-            raise InputError(f"{key}: there is no module {module_name!r}; looked for {path}.") from None
+        if not file.is_file() and missing.name and f"{module_name}.".startswith(f"{missing.name}."):
+            raise InputError(f"{key}: there is no module {module_name!r}; looked for {file}.") from None
         raise InputError(f"{key}: {module_name} cannot be imported: {visible(str(missing))}.") from missing
     except _NeverRunError as refused:
         raise InputError(
-            f"{key}: {module_name} is {refused}, in the run folder, which may come from someone else and is not looked "
-            f"in for code; name another folder, or that one itself where you trust it: --code FOLDER."
+            f"{key}: {module_name} is {refused}, in the run folder, which may come from someone else. Code in run "
+            f"folders is not run. Name another folder, or that one itself if you trust it: --code FOLDER."
         ) from None
     except (Exception, SystemExit) as error:  # a script that ends itself must not end us, and in silence
-        said = visible(f"{type(error).__name__}: {error}")
-        raise InputError(f"{key}: {module_name} cannot be imported: {said}.") from error
+        reason = visible(description_of(error))
+        raise InputError(f"{key}: {module_name} cannot be imported: {reason}.") from error
     function = getattr(module, name, None)
     if not callable(function):
         raise InputError(f"{key}: {module.__file__ or module_name} has no function {name!r}.")
     return function, digest
 
 
+class _NeverRunError(Exception):
+    """A module lies where no code is run from."""
+
+
+def _load_module(name: str, file: Path, code: Path, never: Path | None) -> tuple[ModuleType, str]:
+    """A module and the digest of its source: the file's if there is one, or else the one that Python finds.
+
+    Raises:
+        _NeverRunError: if it lies in the folder `never`.
+    """
+    package = file.with_suffix("") / "__init__.py"
+    source = file if file.is_file() else package
+    if source == file and never and _lies_in(file, never):
+        raise _NeverRunError(file)
+    sources = sources_of(source, code)
+    import_from(code, sources)
+    with _current_folder_kept():
+        module = _module_of(file, name) if source == file else _module_that_python_finds(name, never)
+    found = Path(module.__file__) if module.__file__ else None
+    if source in (file, found):
+        return module, digest_of(sources, code)
+    return module, sha256(found.read_bytes()) if found and found.is_file() else ""
+
+
+def _module_of(file: Path, name: str) -> ModuleType:
+    """The module of a file, under a name that the file alone has: two campaigns may each have a module of one name."""
+    unique = f"activefail_own_{sha256(str(file.resolve()).encode())[:12]}_{name.replace('.', '_')}"
+    spec = importlib.util.spec_from_file_location(unique, file)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    # As an import does: what looks itself up there (dataclasses, numba) must find it.
+    sys.modules[unique] = module
+    try:
+        # Not by its loader, which may use compiled code of a source that has changed in the same second.
+        exec(compile(file.read_bytes(), file, "exec", dont_inherit=True), module.__dict__)
+    except BaseException:
+        del sys.modules[unique]
+        raise
+    return module
+
+
+def _module_that_python_finds(name: str, never: Path | None) -> ModuleType:
+    """The module that Python itself finds under a name.
+
+    Raises:
+        _NeverRunError: if it, or a package around it, lies in the folder `never`: Python may search the current folder.
+    """
+    parts = name.split(".")
+    for depth in range(1, len(parts) + 1):
+        # Imports the packages around it, which were checked before.
+        spec = importlib.util.find_spec(".".join(parts[:depth]))
+        places = [] if spec is None else [spec.origin or "", *(spec.submodule_search_locations or [])]
+        for place in map(Path, filter(None, places)):
+            if never and _lies_in(place, never):
+                raise _NeverRunError(place)
+    return importlib.import_module(name)
+
+
+def _lies_in(path: Path, folder: Path) -> bool:
+    return path.absolute().is_relative_to(folder.absolute()) or path.resolve().is_relative_to(folder.resolve())
+
+
 @contextmanager
-def _in_this_folder() -> Iterator[None]:
-    """Code that is run within leaves the current folder as it was: relative paths of the user's start from there."""
+def _current_folder_kept() -> Iterator[None]:
+    """Code that runs within leaves the current folder as it was: relative paths of the user's start from there."""
     try:
         here = os.getcwd()
     except OSError:  # it was removed
@@ -100,150 +140,3 @@ def _in_this_folder() -> Iterator[None]:
         if here is not None:
             with suppress(OSError):
                 os.chdir(here)
-
-
-# --- where a module is found -------------------------------------------------------------------------------------
-
-
-class _NeverRunError(Exception):
-    """A module lies where no code is run from."""
-
-
-def _lies_in(path: Path, folder: Path) -> bool:
-    return path.absolute().is_relative_to(folder.absolute()) or path.resolve().is_relative_to(folder.resolve())
-
-
-def _module_of(path: Path, name: str) -> ModuleType:
-    """The module of a file, under a name of its own: two campaigns may each have a module of one name."""
-    unique = f"{_OWN}{_sha256(str(path.resolve()).encode())[:12]}_{name.replace('.', '_')}"
-    spec = importlib.util.spec_from_file_location(unique, path)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    # As an import does: what looks itself up there (dataclasses, numba) must find it.
-    sys.modules[unique] = module
-    try:
-        # Not by its loader, which takes compiled code for that of a source that was changed in the same second.
-        exec(compile(path.read_bytes(), path, "exec", dont_inherit=True), module.__dict__)
-    except BaseException:
-        del sys.modules[unique]
-        raise
-    return module
-
-
-def _module_elsewhere(name: str, never: Path | None) -> ModuleType:
-    """The module that Python itself finds under a name.
-
-    Raises:
-        _NeverRunError: if it, or a package that it is in, lies in a folder that no code is run from: Python may look
-            in the current folder, too.
-    """
-    parts = name.split(".")
-    for depth in range(1, len(parts) + 1):
-        # Imports the packages around it, which were looked at before.
-        spec = importlib.util.find_spec(".".join(parts[:depth]))
-        places = [] if spec is None else [spec.origin or "", *(spec.submodule_search_locations or [])]
-        for place in map(Path, filter(None, places)):
-            if never and _lies_in(place, never):
-                raise _NeverRunError(place)
-    return importlib.import_module(name)
-
-
-# --- modules beside it -------------------------------------------------------------------------------------------
-
-_there_before: frozenset[str] = frozenset()
-"""Modules that were imported before any of a user's own, activefail's among them: never forgotten."""
-
-_looked_in: Path | None = None
-"""The folder whose modules can be imported."""
-
-_added = ""
-"""That folder as it was added to Python's path; empty where Python looks there anyway."""
-
-_imported: dict[Path, str] = {}
-"""Digests of the sources of that folder when they were imported."""
-
-
-def look_beside(code: Path, sources: dict[Path, str] | None = None) -> None:
-    """Have the modules of a folder found by imports, after all others; those of the folder before it no more.
-
-    One folder at a time, as Python knows modules by name alone: two campaigns may each have a helper of one name.
-
-    Args:
-        code: the folder.
-        sources: that are about to be imported; where one was another when it was, all are imported anew.
-    """
-    global _looked_in, _added, _there_before
-    changed = any(_imported.get(path, digest) != digest for path, digest in (sources or {}).items())
-    if _looked_in != code or changed:
-        _there_before = _there_before or frozenset(sys.modules)
-        if _looked_in is not None:
-            for name in list(_modules_in(_looked_in)):
-                del sys.modules[name]
-        if _added and _added in sys.path:
-            sys.path.remove(_added)
-        _imported.clear()
-        # One that Python looks in anyway stays where it is, now and when another is looked in.
-        _added = "" if str(code) in sys.path else str(code)
-        if _added:
-            # Last: a file of the user's that is called as a library is must not hide it from anyone else.
-            sys.path.append(_added)
-        _looked_in = code
-    for path in (sources or {}).keys() - _imported.keys():
-        # Python takes it for that of a source which was changed in the same second to one of the same length.
-        with suppress(OSError):
-            Path(importlib.util.cache_from_source(path)).unlink()
-    _imported.update(sources or {})
-    importlib.invalidate_caches()
-
-
-def _modules_in(folder: Path) -> Iterator[str]:
-    """Names of the modules that were imported from a folder, and of those within them."""
-    for name in list(sys.modules):
-        top = sys.modules.get(name.partition(".")[0])
-        spec = getattr(top, "__spec__", None)
-        if spec is None or spec.name in _there_before or spec.name.startswith(_OWN):
-            continue
-        place = next(iter(spec.submodule_search_locations or []), spec.origin)
-        if place and Path(place).parent == folder:
-            yield name
-
-
-def _sources(path: Path, code: Path) -> dict[Path, str]:
-    """Digests of a module's source and of those in the folder of the user's code that it imports, or these do."""
-    found: dict[Path, str] = {}
-    left = [path]
-    while left:
-        path = left.pop()
-        if path not in found and path.is_file():
-            text = path.read_bytes()
-            found[path] = _sha256(text)
-            for name in _names_imported(text, path.parent.relative_to(code).parts):
-                place = code.joinpath(*name.split("."))
-                left += [place.with_suffix(".py"), place / "__init__.py"]
-    return found
-
-
-def _names_imported(text: bytes, package: tuple[str, ...]) -> set[str]:
-    """Full names of what a source in a package imports: modules, the packages around them, and what may be either."""
-    names: set[str] = set()
-    # Its import says what is wrong with it.
-    with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
-        for node in ast.walk(ast.parse(text)):
-            match node:
-                case ast.Import(names=aliases):
-                    names.update(alias.name for alias in aliases)
-                case ast.ImportFrom(module=module, names=aliases, level=level):
-                    around = package[: len(package) + 1 - level] if level else ()
-                    names.update(".".join(filter(None, (*around, module, alias.name))) for alias in aliases)
-    return {".".join(name.split(".")[:depth]) for name in names for depth in range(1, name.count(".") + 2)}
-
-
-def _digest(sources: dict[Path, str], code: Path) -> str:
-    """One digest of sources: that of a single one, so that a module without others has its own."""
-    if len(sources) == 1:
-        return next(iter(sources.values()))
-    return _sha256("".join(sorted(f"{path.relative_to(code)} {digest}\n" for path, digest in sources.items())).encode())
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

@@ -33,7 +33,7 @@ _ROWS_AT_ONCE = 4096
 
 
 _FARTHEST = 1e3
-"""Bound of a scaled feature in a prediction, in standard deviations over the design space."""
+"""Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space."""
 
 
 def _bounded(F: Array) -> Tensor:
@@ -43,7 +43,7 @@ def _bounded(F: Array) -> Tensor:
 
 
 class _VariationalGP(gpytorch.models.ApproximateGP):
-    """The trained posterior in GPyTorch's whitened form; all training points are inducing points, where it has none."""
+    """The trained posterior in GPyTorch's whitened form. A fit without inducing points has all its points as such."""
 
     def __init__(self, trained: Fit) -> None:
         Z = trained.features if trained.inducing is None else trained.features[trained.inducing]
@@ -67,7 +67,10 @@ class _VariationalGP(gpytorch.models.ApproximateGP):
         distribution: gpytorch.variational.CholeskyVariationalDistribution,
         strategy: gpytorch.variational.VariationalStrategy,
     ) -> None:
-        """Whiten: with LLᵀ = k(Z, Z) and V = L⁻¹ k(Z, X), u ~ N(A⁻¹ V b, A⁻¹), A = I + V W Vᵀ; V = Lᵀ where Z = X."""
+        """Whiten the posterior of the sites: precision W, linear term b about the prior mean, at the training points X.
+
+        With LLᵀ = k(Z, Z) and V = L⁻¹ k(Z, X), u ~ N(A⁻¹ V b, A⁻¹), where A = I + V W Vᵀ; V = Lᵀ if Z = X.
+        """
         set_hyperparameters(self.covar_module, trained.hyperparameters)
         linear, precision = trained.sites
         with torch.no_grad():
@@ -103,7 +106,11 @@ class Moments(NamedTuple):
 
 @dataclass(frozen=True)
 class Latent:
-    """The latent of one boundary: positive where the outcome is at least as severe as its own."""
+    """The latent function of one boundary: large where the outcome is probably beyond it.
+
+    Attributes:
+        trained: labels 1 for outcomes at least as severe as the boundary's, -1 for the others.
+    """
 
     trained: Fit
 
@@ -116,7 +123,7 @@ class Latent:
 
     @cached_property
     def readout(self) -> Readout:
-        """The same posterior as plain matrices, which is faster; tests hold it to the model's."""
+        """The same posterior as plain matrices, from which predictions are faster."""
         return readout(self.trained)
 
     def moments(self, F: Array) -> Moments:
@@ -161,7 +168,7 @@ class Classifier:
         return self.weighed([latent.moments(F) for latent in self.latents])
 
     def weighed(self, moments: Sequence[Moments]) -> Array:
-        """The same from the moments of each latent, for those who want these too."""
+        """The probabilities of `probabilities` from the moments of each latent, which the caller may need, too."""
         z = np.stack([found.standardised for found in moments], axis=1)
         beyond = np.pad(np.cumsum(log_ndtr(z), axis=1), ((0, 0), (1, 0)))
         short = np.pad(np.cumsum(log_ndtr(-z)[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
@@ -183,10 +190,14 @@ def train(
     """Train a classifier on designs, (n, d), and their outcomes, (n,), none of them a numerical failure.
 
     Args:
+        X, outcome: the designs and indices into the outcomes.
+        outcomes: names, least severe first.
+        features: what the latents see of a design.
+        kernel: of the latents' covariance.
         warm: a classifier trained on the first of these points, to start from.
 
     Raises:
-        InputError: if there are none.
+        InputError: if there are no designs.
     """
     if len(X) == 0:
         raise InputError("None of the simulations gave an answer: there is nothing to learn from.")
@@ -196,6 +207,6 @@ def train(
         start = warm.latents[severity - 1].trained if warm is not None else None
         return Latent(fit(F, _boundary_labels(outcome, severity), kernel, start))
 
-    # torch and LAPACK release the interpreter's lock: boundaries train side by side, each on one thread.
+    # torch and LAPACK release the interpreter's lock: boundaries train side by side.
     with ThreadPoolExecutor(len(outcomes) - 1) as pool:
         return Classifier(tuple(outcomes), features, tuple(pool.map(train_boundary, range(1, len(outcomes)))))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rare import four_branch
 from scipy.spatial.distance import cdist
 
 from activefail.acquisition.search import search
@@ -11,13 +12,6 @@ NORMAL = DesignSpace(
     tuple(Parameter(name, -6.0, 6.0, distribution="truncated_normal", mean=0.0, sd=1.0) for name in "xy")
 )
 BOX = DesignSpace((Parameter("x", 0.0, 10.0), Parameter("y", 1.0, 1000.0, distribution="log_uniform")))
-
-
-def four_branch(X):
-    """Below zero at failure (k = 7); about 2.2 in a thousand designs of two standard normal variables fail."""
-    x, y = X.T
-    bent = 3.0 + 0.1 * (x - y) ** 2
-    return np.min([bent - (x + y) / 2**0.5, bent + (x + y) / 2**0.5, x - y + 7 / 2**0.5, y - x + 7 / 2**0.5], axis=0)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -14,7 +14,7 @@ from activefail.execution.frames import (
     MOST_TEXT,
     BrokenFrameError,
     Frame,
-    Kind,
+    FrameKind,
     Question,
     ask_for_senders,
     longest_answer,
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.faults
 
 SECRET, QUESTION, PROCESS, MOST = bytes(range(32)), Question.about(b"a design", bytes(16)), 4711, 100
 PAYLOAD = b"an answer"
-FRAME = sealed(SECRET, QUESTION, PROCESS, Kind.ANSWERED, PAYLOAD)
+FRAME = sealed(SECRET, QUESTION, PROCESS, FrameKind.ANSWERED, PAYLOAD)
 
 
 def read(data: bytes, question: Question = QUESTION, process: int | None = PROCESS, most: int = MOST) -> Frame | None:
@@ -42,9 +42,9 @@ def read(data: bytes, question: Question = QUESTION, process: int | None = PROCE
 
 
 def test_a_frame_is_read_as_it_was_written_and_what_follows_it_is_seen() -> None:
-    assert read(FRAME) == Frame(Kind.ANSWERED, PAYLOAD, PROCESS, False)
-    assert read(FRAME + b"\0") == Frame(Kind.ANSWERED, PAYLOAD, PROCESS, True)
-    assert read(FRAME, process=None) == Frame(Kind.ANSWERED, PAYLOAD, PROCESS, False)
+    assert read(FRAME) == Frame(FrameKind.ANSWERED, PAYLOAD, PROCESS, False)
+    assert read(FRAME + b"\0") == Frame(FrameKind.ANSWERED, PAYLOAD, PROCESS, True)
+    assert read(FRAME, process=None) == Frame(FrameKind.ANSWERED, PAYLOAD, PROCESS, False)
 
 
 def test_a_frame_of_which_a_part_is_missing_is_waited_for() -> None:
@@ -67,10 +67,10 @@ def test_a_frame_of_which_any_bit_is_wrong_is_refused() -> None:
 @pytest.mark.parametrize(
     ("frame", "says"),
     [
-        (sealed(SECRET, Question.about(b"a design", bytes([1] * 16)), PROCESS, Kind.ANSWERED), "another question"),
-        (sealed(SECRET, Question.about(b"?", QUESTION.ticket), PROCESS, Kind.ANSWERED), "another question"),
-        (sealed(SECRET, QUESTION, PROCESS + 1, Kind.ANSWERED), "another process"),
-        (sealed(bytes(32), QUESTION, PROCESS, Kind.ANSWERED), "checksum"),
+        (sealed(SECRET, Question.about(b"a design", bytes([1] * 16)), PROCESS, FrameKind.ANSWERED), "another question"),
+        (sealed(SECRET, Question.about(b"?", QUESTION.ticket), PROCESS, FrameKind.ANSWERED), "another question"),
+        (sealed(SECRET, QUESTION, PROCESS + 1, FrameKind.ANSWERED), "another process"),
+        (sealed(bytes(32), QUESTION, PROCESS, FrameKind.ANSWERED), "checksum"),
         (sealed(SECRET, QUESTION, PROCESS, 9), "no known kind"),  # type: ignore[arg-type]
         (b"\0\0\0\5AAAAA", "does not begin"),
         (FRAME[1:], "does not begin"),
@@ -89,7 +89,7 @@ def test_no_two_questions_have_the_same_ticket() -> None:
 
 
 def test_a_length_beyond_the_bound_is_refused_before_anything_of_it_has_come() -> None:
-    frame = sealed(SECRET, QUESTION, PROCESS, Kind.ANSWERED, bytes(MOST + 1))
+    frame = sealed(SECRET, QUESTION, PROCESS, FrameKind.ANSWERED, bytes(MOST + 1))
     with pytest.raises(BrokenFrameError, match="too long"):
         read(frame[: len(frame) - MOST - 1])
 

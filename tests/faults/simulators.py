@@ -17,7 +17,7 @@ import numpy as np
 from campaign.stub import Disc
 
 from activefail.errors import SimulationError
-from activefail.execution.frames import Kind, pack_answer, sealed
+from activefail.execution.frames import FrameKind, pack_answer, sealed
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
@@ -255,7 +255,7 @@ def _line() -> dict[str, Any]:
 
 
 def _sealing(line: dict[str, Any]) -> tuple[Any, ...]:
-    return line["secret"], line["question"], line["process"], Kind.ANSWERED
+    return line["secret"], line["question"], line["process"], FrameKind.ANSWERED
 
 
 def _forged(line: dict[str, Any], X: Array) -> bytes:

@@ -1,6 +1,7 @@
 """Simulators of one's own: what they are told, what they may answer, and what becomes of them that do not."""
 
 import hashlib
+import importlib
 import json
 import os
 import pickle
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +23,7 @@ from commandline import activefail, record, refused, started, table, wait_for
 from patience import PATIENCE, Clock
 
 from activefail.campaign.opening import create_folder, read_campaign
-from activefail.errors import InputError
+from activefail.errors import InputError, place_of
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
 from activefail.simulators.command import CommandSimulator
@@ -144,6 +146,51 @@ def test_what_is_no_answer_is_a_numerical_failure_that_says_why(tmp_path: Path, 
     assert re.search(UNUSABLE[said], fault), fault
 
 
+@pytest.mark.faults
+def test_the_place_of_an_error_that_a_library_raises_is_the_last_line_of_the_user_s_code(tmp_path: Path) -> None:
+    (tmp_path / "helper.py").write_text("import numpy\n\ndef factor():\n    return numpy.linalg.cholesky([[-1.0]])\n")
+    simulator = python(tmp_path, source="import helper\n\ndef run(design):\n    return helper.factor()\n")
+    with ProcessExecutor(1) as executor:
+        assert executor.run(simulator, X[:1]).cause.tolist() == [RAISED]
+        assert "LinAlgError: Matrix is not positive definite" in executor.first_fault
+        assert f" ({tmp_path / 'helper.py'}:4)" in executor.first_fault
+
+
+def test_the_place_of_an_error_without_a_line_of_the_user_s_code_is_the_innermost_line() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        error = pool.submit(json.loads, "{").exception()
+    assert place_of(error).startswith(f" ({json.decoder.__file__}:")
+
+
+MUTE = """
+class Mute({kind}):
+    def __str__(self):
+        {how}
+
+def run(design):
+    raise Mute
+"""
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("kind", ["ValueError", "activefail.errors.InputError"])
+@pytest.mark.parametrize("how", ["raise KeyError(1)", "return 3", "raise SystemExit", "return str(self)"])
+def test_an_error_whose_message_cannot_be_read_is_a_simulation_that_raised(tmp_path: Path, kind: str, how: str) -> None:
+    simulator = python(tmp_path, source=f"import activefail.errors\n{MUTE.format(kind=kind, how=how)}")
+    with ProcessExecutor(1) as executor:
+        assert executor.run(simulator, X[:1]).cause.tolist() == [RAISED]
+        assert "Mute, whose message cannot be read (" in executor.first_fault
+        assert f"{tmp_path / 'model.py'}:8" in executor.first_fault
+
+
+@pytest.mark.faults
+def test_a_module_that_raises_such_an_error_as_it_is_imported_is_refused(tmp_path: Path) -> None:
+    source = MUTE.format(kind="Exception", how="raise KeyError(1)")
+    simulator = python(tmp_path, source=f"{source}\nrun(None)\n")
+    with pytest.raises(InputError, match=r"model cannot be imported: Mute, whose message cannot be read \(KeyError\)"):
+        simulator.load()
+
+
 def test_a_function_may_not_be_run_where_no_folder_was_named(tmp_path: Path) -> None:
     (tmp_path / "model.py").write_text("raise SystemExit")
     simulator = PythonSimulator(SPACE, "model:run", None, ("safe", "failure"), ())
@@ -237,6 +284,22 @@ def test_an_import_as_a_function_runs_finds_its_own_folder_s_module_after_anothe
     for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2]), (one, [0, 1, 2])):
         simulator.prepare()
         assert answer(simulator, X[: len(outcome)])[0].outcome.tolist() == outcome
+
+
+def test_modules_of_a_folder_that_the_program_itself_has_imported_stay_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other")
+    other.prepare()
+    (tmp_path / "one" / "imported_before.py").write_text("LEVEL = 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path / "one")
+    before = importlib.import_module("imported_before")
+    monkeypatch.setitem(sys.modules, "imported_before", before)
+    for simulator in (one, other):
+        simulator.prepare()
+        assert answer(simulator, X)[0].outcome.tolist() == [0, 1, 2]
+    assert sys.modules["imported_before"] is before
+    assert "limits" not in sys.modules or Path(sys.modules["limits"].__file__).parent == tmp_path / "other"
 
 
 @pytest.mark.parametrize("changed", [{"damage": 0.25}, {"failure": 2.25}, {"more": True}])
@@ -412,7 +475,8 @@ def test_the_folders_of_what_was_answered_go_where_they_are_not_kept(tmp_path: P
 
 FAILING = {
     "sys.stderr.write('no licence\\n'); sys.exit(3)": (RAISED, "exit code 3; .*stderr.txt ends: 'no licence'"),
-    "os.kill(os.getpid(), 11)": (RAISED, "exit code -11"),
+    "os.kill(os.getpid(), 11)": (RAISED, r"exit code -11 \(SIGSEGV\); "),
+    "os.kill(os.getpid(), 40)": (RAISED, r"exit code -40 \(signal 40\); "),
     "pass": (UNUSABLE_ANSWER, "the program has not written .*answer.json"),
     "open(sys.argv[-1], 'w').write('{')": (UNUSABLE_ANSWER, "answer.json is not JSON"),
     "open(sys.argv[-1], 'wb').write(bytes(range(256)))": (UNUSABLE_ANSWER, "answer.json is not JSON"),
