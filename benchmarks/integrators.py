@@ -174,10 +174,10 @@ def measure(name: str, run: Any, X: Array, relative: float, reference: Responses
         began = time.process_time()
         answers = simulate(X, tolerance=Tolerance(relative=relative), threads=1)
         ms = 1e3 * (time.process_time() - began) / len(X)
-    counts = "".join(f"{answers.margin(c).mean():>9.0f}" for c in ("steps", "rejected_steps", "evaluations"))
-    energy = answers.margin("energy_error")[answers.label >= 0]
+    counts = "".join(f"{answers.statistic(c).mean():>9.0f}" for c in ("steps", "rejected_steps", "evaluations"))
+    energy = answers.statistic("energy_error")[answers.outcome >= 0]
     errors = "".join(f"{error:>9.1e}" for error in np.quantile(energy, (0.5, 0.99, 1.0)))
-    equal = f"{(answers.label == reference.label).sum()} of {len(X)}"
+    equal = f"{(answers.outcome == reference.outcome).sum()} of {len(X)}"
     print(f"{name:<14}{relative:>8g}{counts}{ms:>8.2f}{equal:>14}{errors}", flush=True)
 
 
@@ -192,7 +192,7 @@ def main() -> None:
     with threadpool_limits(limits=1):
         reference = simulate(X, tolerance=Tolerance(relative=1e-6), threads=1)
         heads = "".join(f"{head:>9}" for head in ("steps", "rejected", "rhs"))
-        print(f"{'':<14}{'rtol':>8}{heads}{'ms':>8}{'labels':>14}   energy error: median, 99 %, largest")
+        print(f"{'':<14}{'rtol':>8}{heads}{'ms':>8}{'outcomes':>14}   energy error: median, 99 %, largest")
         for relative in arguments.tolerances:
             measure("activefail", simulation._run, X, relative, reference)
         for name in arguments.only:

@@ -109,7 +109,7 @@ def test_the_simulator_gives_the_answers_of_the_earlier_version_bit_for_bit():
     X, digest = TABLE_1.latin_hypercube(1000, np.random.default_rng(7)), hashlib.sha256()
     for rows, tolerance in ((1000, Tolerance()), (100, Tolerance(relative=1e-6)), (100, Tolerance(most_steps=300))):
         answers = simulate(X[:rows], tolerance=tolerance)
-        for column in (answers.label, answers.cause, answers.margins):
+        for column in (answers.outcome, answers.cause, answers.columns):
             digest.update(column.tobytes())
     for row in X[:40]:
         response = simulate_one(Bearing.from_table(*row[:7]), Pulse.from_table(*row[7:]), to_the_end=True)
