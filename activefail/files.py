@@ -83,6 +83,21 @@ def read_regular(path: Path, most: int, follow: bool = False) -> bytes:
     return data
 
 
+MOST_DOTS = 200
+"""Dots in a line of TOML: the time that a dotted key takes to read grows with the square of their number."""
+
+
+def check_dots(text: str) -> None:
+    """Check that TOML can be read in no time.
+
+    Raises:
+        ValueError: naming the line that has too many dots.
+    """
+    for number, line in enumerate(text.split("\n"), start=1):
+        if line.count(".") > MOST_DOTS:
+            raise ValueError(f"line {number}: must have at most {MOST_DOTS} dots, has {line.count('.')}")
+
+
 def end_of(path: Path, most: int) -> bytes:
     """The last bytes of a file, `most` at the most, however large it is.
 
@@ -228,6 +243,11 @@ def _refused(path: Path, error: OSError) -> str:
 
 
 def _unsynced(path: Path, error: OSError) -> str:
+    if error.errno in (errno.EINVAL, errno.ENOTSUP):
+        return (
+            f"Cannot make {path} durable: its file system has no fsync ({error.strerror}). Existing data is intact. "
+            f"Use a folder on another file system."
+        )
     return (
         f"Cannot make {path} durable: {error.strerror or error} (fsync). The disk may be failing, so this run writes "
         f"nothing more; what was acknowledged before is whole. Check the disk, then resume."

@@ -20,12 +20,18 @@ _LEAST_MASS = 1e-6
 """Of a normal between its bounds: far out in a tail its quantiles are lost to rounding."""
 
 
+_NARROWEST = 1e-9
+"""Of a range, over its larger bound: a narrower one holds too few numbers to choose from."""
+
+
 def distribution_fault(
     low: float, high: float, distribution: Distribution, mean: float | None, sd: float | None
 ) -> str:
     """Why numbers make no distribution of a variable, as a `Parameter` has them; empty where they do."""
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         return f"`low < high` must hold, got {low} and {high}"
+    if high - low < _NARROWEST * max(abs(low), abs(high)):
+        return f"`high - low` must be at least {_NARROWEST:g} of the larger of the two, got {low} and {high}"
     if distribution == "log_uniform" and low <= 0.0:
         return f"`low > 0` must hold with a uniform logarithm, got {low}"
     numbers = {"mean": mean, "sd": sd}

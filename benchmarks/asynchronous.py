@@ -24,7 +24,7 @@ import numpy as np
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import one_thread, run
+from activefail.campaign.loop import run
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.comparison.score import FreshSet, measures
 from activefail.estimate import Estimate
@@ -32,6 +32,7 @@ from activefail.execution.local import ThreadExecutor
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
+from activefail.surrogate.threads import one_thread
 
 FIRST_SEED = 5000
 
@@ -107,7 +108,7 @@ def busy(workers: int, extra: int, mean: float, simulations: int) -> None:
             batch = {batch}
             asynchronous = {str(asynchronous).lower()}"""
         simulator = Sleeping(mean)
-        campaign = Campaign.with_simulator(parse_settings(text, "busy"), simulator)
+        campaign = Campaign.of(parse_settings(text, "busy"), simulator=simulator)
         with ThreadExecutor(workers) as executor:
             run(campaign, MemoryStore(campaign.schema), executor, simulations)
         begun, ended = np.array(simulator.slept).T

@@ -16,9 +16,9 @@ import numpy as np
 
 from activefail.campaign.findings import findings_of
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import one_thread
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
+from activefail.surrogate.threads import one_thread
 
 GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation": 300}
 """Within which an answer is felt as at once [ms]."""

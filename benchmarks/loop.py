@@ -44,13 +44,13 @@ from activefail.acquisition.batch import propose
 from activefail.acquisition.criteria import entropy
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE
-from activefail.campaign.loop import one_thread
 from activefail.features import feature_map
 from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.covariance import JITTER, covariance_module
 from activefail.surrogate.inducing import choose, project
 from activefail.surrogate.sites import Sites, solve_sites
+from activefail.surrogate.threads import one_thread
 
 FRESH, BATCH, KERNEL = 4000, 10, "matern52"
 INDUCING, MINIBATCH = 500, 1000

@@ -32,13 +32,13 @@ from activefail.acquisition.batch import POOL, propose
 from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
-from activefail.campaign.assembly import stream
-from activefail.campaign.loop import one_thread
+from activefail.campaign.random_streams import stream
 from activefail.estimate import Estimate
 from activefail.features import FeatureMap, feature_map
 from activefail.space import Array
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.fitting import fit
+from activefail.surrogate.threads import one_thread
 
 FIRST_SEED = 2000
 REFERENCE = "activefail-eavc"

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import Observer, Progress, run
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer, Progress
 from activefail.campaign.settings import parse_settings
 from activefail.execution.local import ThreadExecutor
 from activefail.record.run_folder import FolderStore
@@ -86,7 +87,7 @@ def main() -> None:
         classifier.features = "design"
         {space}
         sampling = {{ initial = 1000, budget = {options.simulations}, batch = {options.batch} }}"""
-    campaign = Campaign.with_simulator(parse_settings(text, "scale"), Ball())
+    campaign = Campaign.of(parse_settings(text, "scale"), simulator=Ball())
     with tempfile.TemporaryDirectory(dir=options.folder) as parent:
         folder = Path(parent) / "run"
         account = Account(folder)

@@ -13,13 +13,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.assembly import Campaign, initial_designs, next_batch, stream
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.history import History
 from activefail.campaign.learning import accuracy
-from activefail.campaign.loop import one_thread
+from activefail.campaign.proposing import initial_designs, next_designs
+from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
+from activefail.surrogate.threads import one_thread
 
 FIRST_SEED = 1000
 CRITERIA = "static,entropy,u,straddle,bald,eavc,globalmi,sur"
@@ -69,9 +72,9 @@ def trajectory(
         if done >= budgets[-1]:
             return scores
         iteration, done = iteration + 1, done + batch
-        more_X, more_outcome = answered(
-            campaign, next_batch(campaign, classifier, iteration, batch, (iteration - 1) * batch)
-        )
+        known = History(X, outcome, np.zeros(len(X), dtype=np.int64), np.zeros(len(X), dtype=np.int8))
+        proposed = next_designs(campaign, classifier, known, iteration, batch, (iteration - 1) * batch)
+        more_X, more_outcome = answered(campaign, proposed)
         X, outcome = np.concatenate([X, more_X]), np.concatenate([outcome, more_outcome])
         classifier = learned(campaign, X, outcome, classifier)
 

@@ -12,10 +12,14 @@ import argparse
 import numpy as np
 from rare_problems import FOUR_BRANCH, RP38, RareProblem
 
-from activefail.acquisition.batch import Search
-from activefail.campaign.assembly import Campaign, initial_designs, next_batch
-from activefail.campaign.loop import one_thread
+from activefail.acquisition.batch import propose_shared
+from activefail.acquisition.criteria import criterion as criterion_of
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.history import History
+from activefail.campaign.proposing import initial_designs, next_designs
+from activefail.campaign.random_streams import stream
 from activefail.surrogate.classifier import train
+from activefail.surrogate.threads import one_thread
 
 INITIAL, BATCH, BATCHES = 30, 5, 6
 
@@ -26,8 +30,22 @@ def first_failure(campaign: Campaign, problem: RareProblem, searching: bool) -> 
     for iteration in range(1, BATCHES + 1):
         outcome = problem.run(X).outcome
         classifier = train(X, outcome, problem.outcomes, campaign.features, "rbf")
-        unseen = Search(X, ("failure",)) if searching else None
-        more = next_batch(campaign, classifier, iteration, BATCH, (iteration - 1) * BATCH, unseen=unseen)
+        chosen, settings = (iteration - 1) * BATCH, campaign.settings.acquisition
+        if searching:
+            zeros = np.zeros(len(X), dtype=np.int8)
+            known = History(X, outcome, zeros.astype(np.int64), zeros)
+            more = next_designs(campaign, classifier, known, iteration, BATCH, chosen)
+        else:
+            more = propose_shared(
+                classifier,
+                campaign.space,
+                criterion_of(settings.criterion),
+                settings.boundaries,
+                settings.exploration,
+                chosen,
+                BATCH,
+                stream(campaign.settings.seed, "propose", iteration),
+            )
         failed = problem.limit(more) <= 0.0
         if failed.any():
             return (iteration - 1) * BATCH + int(np.argmax(failed)) + 1
@@ -49,7 +67,7 @@ def main() -> None:
                     settings = problem.settings(
                         seed=seed, sampling__initial=INITIAL, acquisition__criterion=criterion, sampling__batch=BATCH
                     )
-                    campaign = Campaign.with_simulator(settings, problem)
+                    campaign = Campaign.of(settings, simulator=problem)
                     if problem.run(initial_designs(campaign)).outcome.any():
                         continue
                     found["with the search"].append(first_failure(campaign, problem, True))

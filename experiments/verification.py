@@ -20,13 +20,15 @@ from rare_problems import RP38
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import accuracy, current_classifier
-from activefail.campaign.loop import one_thread, run, standing
+from activefail.campaign.loop import run
+from activefail.campaign.progress import standing
 from activefail.campaign.settings import CampaignSettings
 from activefail.campaign.stratified import StratifiedCount
 from activefail.campaign.verification import allotted, verify
 from activefail.execution.local import ThreadExecutor
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.surrogate.threads import one_thread
 
 FIRST_SEED, MOST = 4000, 600
 
@@ -110,9 +112,8 @@ def rare(campaigns: int, simulations: list[int]) -> None:
     covered = dict.fromkeys(simulations, 0)
     with ThreadExecutor(1) as executor, one_thread():
         for seed in range(FIRST_SEED, FIRST_SEED + campaigns):
-            campaign = Campaign.with_simulator(
-                RP38.settings(seed=seed, sampling__initial=30, sampling__budget=30), RP38
-            )
+            settings = RP38.settings(seed=seed, sampling__initial=30, sampling__budget=30)
+            campaign = Campaign.of(settings, simulator=RP38)
             store = MemoryStore(campaign.schema)
             run(campaign, store, executor, 30)
             classifier = current_classifier(campaign, store, write=False)

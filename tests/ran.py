@@ -8,10 +8,11 @@ from campaign.stub import Disc, disc
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import one_thread, run
+from activefail.campaign.loop import run
 from activefail.execution.local import ThreadExecutor
 from activefail.record.memory import MemoryStore
 from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.threads import one_thread
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,12 @@ from patience import PATIENCE, until
 from activefail import __version__
 from activefail.bearing import TABLE_1, simulate
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import Observer
 from activefail.campaign.loop import run as run_loop
 from activefail.campaign.opening import open_campaign
+from activefail.campaign.progress import Observer
 from activefail.campaign.settings import read_settings
 from activefail.cli import app
-from activefail.cli.common import stop_on_signals
+from activefail.display import stop_on_signals
 from activefail.execution.local import ThreadExecutor
 from activefail.record.run_folder import FolderStore
 
@@ -399,12 +399,12 @@ def test_a_seed_or_budget_that_breaks_a_rule_is_refused_as_the_command_lines(
 
 @pytest.mark.parametrize("budget", ["1", "0", "-3"])
 def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -> None:
-    refused(activefail("resume", folder, "--budget", budget), f"--budget: must be at least 2, got {budget}")
+    refused(activefail("resume", folder, "--budget", budget), f"budget: must be at least 2, got {budget}")
 
 
 def test_a_budget_below_what_is_done_is_refused(folder: Path) -> None:
     before = record(folder)
-    rule = "--budget: must be at least the 30 simulations that are done, got 29"
+    rule = "budget: must be at least the 30 simulations that are done, got 29"
     refused(activefail("resume", folder, "--budget", "29"), rule)
     assert activefail("resume", folder, "--budget", "30").code == 0
     assert record(folder) == before
@@ -488,13 +488,13 @@ def test_the_status_of_a_campaign_that_was_stopped_says_how_to_go_on(tiny: Path,
     said = activefail("status", folder)
     assert said.code == 0
     assert f"done       {5 * batches} of 30 simulations, iteration 0" in said.out
-    assert said.out.splitlines()[-1] == f"go on      activefail resume {folder}"
+    assert said.out.splitlines()[-1] == f"continue   activefail resume {folder}"
 
 
 def test_the_command_to_go_on_can_be_pasted_whatever_the_name_of_the_folder(tiny: Path, tmp_path: Path) -> None:
     folder = halted(tiny, tmp_path / "my run", 0)
     line = activefail("status", folder).out.splitlines()[-1]
-    assert shlex.split(line.removeprefix("go on")) == ["activefail", "resume", str(folder)]
+    assert shlex.split(line.removeprefix("continue")) == ["activefail", "resume", str(folder)]
 
 
 def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_all_the_same(tmp_path: Path) -> None:
@@ -504,11 +504,11 @@ def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_
     folder = tmp_path / "run"
     assert "good       enough after 20 simulations" in activefail("run", tmp_path / "easy.toml", "--out", folder).out
     assert activefail("status", folder).out.splitlines()[-2:] == [
-        f"go on      activefail resume {folder}",
+        f"continue   activefail resume {folder}",
         f"           activefail resume {folder} --ignore-stop, where it ended by its stop rule",
     ]
     activefail("resume", folder, "--ignore-stop", "--budget", "25")
-    assert activefail("status", folder).out.splitlines()[-1] == f"go on      activefail resume {folder}"
+    assert activefail("status", folder).out.splitlines()[-1] == f"continue   activefail resume {folder}"
 
 
 def test_the_status_of_a_campaign_taken_beyond_its_budget_does_not_say_that_it_did_more_than_all(folder: Path) -> None:
@@ -563,7 +563,7 @@ def test_a_campaign_without_simulations_predicts_and_compares_nothing(tiny: Path
     said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     refused(said, f"{folder}: has no simulations to learn from yet")
     refused(activefail("compare", folder), "no simulations to compare yet")
-    refused(activefail("report", folder), "no simulations to report yet", f"activefail resume {folder}")
+    refused(activefail("report", folder), "no simulations to learn from yet", f"activefail resume {folder}")
     refused(activefail("explore", folder), "no simulations to learn from yet")
     assert record(folder) == []
 
@@ -809,7 +809,7 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
     assert "Traceback" not in err
     assert "results" not in out
     assert len(record(folder)) == 30
-    command = shlex.split(err.strip().splitlines()[-1].partition("Go on with: ")[2])
+    command = shlex.split(err.strip().splitlines()[-1].partition("Continue with: ")[2])
     assert command == ["activefail", "resume", str(folder)]
 
     assert activefail(*command[1:]).code == 0
@@ -839,7 +839,7 @@ def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
         _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert err.splitlines()[-1] == (
-        f"stopped; batches that were recorded are safe. Go on with: activefail resume {tmp_path / 'run'}"
+        f"stopped; batches that were recorded are safe. Continue with: activefail resume {tmp_path / 'run'}"
     )
     assert record(tmp_path / "run") == []
 

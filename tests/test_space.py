@@ -155,6 +155,13 @@ def test_a_range_that_is_empty_or_not_finite_is_refused_with_rule_name_and_value
     assert str(refused.value) == f"The variable 'mu': `low < high` must hold, got {low} and {high}."
 
 
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0 + 1e-12), (-5.0, -5.0 + 1e-10), (0.49999999999999994, 0.5)])
+def test_a_range_that_holds_too_few_numbers_to_choose_from_is_refused(low: float, high: float) -> None:
+    with pytest.raises(InputError, match="`high - low` must be at least 1e-09 of the larger of the two"):
+        Parameter("mu", low, high)
+    Parameter("mu", 0.0, 1e-12)
+
+
 @pytest.mark.parametrize("name", ["", "T b", "1st", "a-b", "x.y", "x/y"])
 def test_a_name_that_is_no_identifier_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="must be an identifier, got " + repr(name)):

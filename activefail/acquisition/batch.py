@@ -199,6 +199,12 @@ def _propose_pointwise(
         pool = np.concatenate([pool[new], space.sobol(POOL, rng)])
         F = features(pool)
         new = _not_seen(pool, F, latent, failed)[:SHORTLIST]
+    if len(new) < q:
+        # Features with few values, all of them known: another design with the same ones tells how sure they are.
+        others = np.setdiff1d(np.arange(len(pool)), new)
+        failures = set() if failed is None else {row.tobytes() for row in failed}
+        new = np.concatenate([new, [row for row in others if pool[row].tobytes() not in failures][: q - len(new)]])
+        new = new.astype(np.intp)
     pool, F = pool[new], F[new]
     mean, covariance = latent.joint(F)
     return np.asarray(pool[greedy_batch(mean, covariance, q, criterion)])

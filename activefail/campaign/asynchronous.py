@@ -1,35 +1,38 @@
 """The loop without batches: as soon as a simulation is answered, its answer is learned and another one is begun.
 
-What the learner asks for hangs on the order in which the answers came, which is the order of the record. So the record
-says all: the designs in flight, those that were asked for and have no answer yet, follow from it and are asked for
-again where a campaign was interrupted. How many are in flight is a setting of the campaign, not the number of workers.
+Proposals depend on the order in which results arrive, which is the order of the record. So the record says all: the
+designs in flight, those that were asked for and have no answer yet, follow from it and are asked for again where a
+campaign was interrupted. How many are in flight is a setting of the campaign, not the number of workers.
 """
 
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.assembly import Campaign, initial_designs, next_batch
-from activefail.campaign.learning import (
-    classifier_state,
-    failed_designs,
-    initial_sets,
-    learn,
-    restore,
-    search_for_unseen,
-)
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.history import History
+from activefail.campaign.learning import learn, restore
+from activefail.campaign.progress import standing
+from activefail.campaign.proposing import initial_designs, initial_sets, next_designs
+from activefail.campaign.task import Task
 from activefail.errors import DamagedError
-from activefail.record.batch import Batch
+from activefail.execution.executor import AsynchronousExecutor
+from activefail.record.batch import ACTIVE, SEED, Batch
 from activefail.record.store import Store
-from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.state import classifier_state
 
 _FLIGHT = "flight/designs"
 """In a saved state, beside what was learned."""
+
+_WAIT = 0.5
+"""Seconds between two looks at whether the user asks for a stop."""
 
 
 @dataclass(frozen=True)
@@ -54,20 +57,20 @@ class Course:
 
     def after(self, campaign: Campaign, batches: tuple[Batch, ...]) -> "Course":
         """Where it stands after one more commit, the last of `batches`."""
+        history = History.of(batches)
         left = _without(self.flight, batches[-1].designs)
-        asked = sum(len(batch) for batch in batches) + len(left)
+        asked = len(history) + len(left)
         lacking = max(0, campaign.settings.sampling.batch - len(left))
-        initial = initial_designs(campaign, initial_sets(campaign, batches))
+        initial = initial_designs(campaign, initial_sets(campaign, history))
         flight = np.concatenate([left, initial[asked : asked + lacking]])
         lacking -= len(flight) - len(left)
         # As long as there is nothing to learn from, what is in flight is waited for.
-        if lacking == 0 or all((batch.results.outcome == NUMERICAL_FAILURE).all() for batch in batches):
+        if lacking == 0 or not history.answered.any():
             return Course(self.classifier, self.iteration, flight)
-        iteration = batches[-1].iteration
-        classifier = learn(campaign, batches, iteration, self.classifier)
+        iteration = history.last_iteration
+        classifier = learn(campaign, history, iteration, self.classifier)
         chosen = max(0, asked - len(initial))
-        failed, unseen = failed_designs(batches), search_for_unseen(campaign, batches)
-        more = next_batch(campaign, classifier, iteration + 1, lacking, chosen, flight, failed, unseen)
+        more = next_designs(campaign, classifier, history, iteration + 1, lacking, chosen, flight)
         return Course(classifier, iteration, np.concatenate([flight, more]))
 
     def save(self, store: Store) -> None:
@@ -82,7 +85,7 @@ def resumed(campaign: Campaign, store: Store) -> Course:
     course, begin = Course(None, -1, initial_designs(campaign)[: campaign.settings.sampling.batch]), 0
 
     def check(iteration: int, state: Mapping[str, NDArray[Any]]) -> None:
-        _check_flight(campaign, batches, iteration, state[_FLIGHT])
+        _check_flight(campaign, History.of(batches).through(iteration), state[_FLIGHT])
 
     if batches and (saved := restore(campaign, store, batches[-1].iteration, check)) is not None:
         iteration, state, classifier = saved
@@ -95,7 +98,7 @@ def resumed(campaign: Campaign, store: Store) -> Course:
     return course
 
 
-def _check_flight(campaign: Campaign, batches: tuple[Batch, ...], iteration: int, flight: NDArray[np.generic]) -> None:
+def _check_flight(campaign: Campaign, known: History, flight: NDArray[np.generic]) -> None:
     """Check that a saved state's designs in flight could have been asked for, and have no answer yet.
 
     Raises:
@@ -107,8 +110,7 @@ def _check_flight(campaign: Campaign, batches: tuple[Batch, ...], iteration: int
     designs = flight.astype(np.float64)
     if not campaign.space.contains(designs).all():  # NaN lies nowhere
         raise DamagedError("holds designs in flight outside of the design space")
-    answered = {row.tobytes() for batch in batches if batch.iteration <= iteration for row in batch.designs}
-    if any(row.tobytes() in answered for row in designs):
+    if len(_without(designs, known.designs)) < len(designs):
         raise DamagedError("holds designs in flight that were answered before")
 
 
@@ -116,3 +118,114 @@ def _without(flight: Array, answered: Array) -> Array:
     """Designs in flight but for those that were answered."""
     gone = {row.tobytes() for row in answered}
     return np.asarray(flight[np.array([row.tobytes() not in gone for row in flight], dtype=bool)])
+
+
+class _Simulations:
+    """The simulations that were started and have no answer yet.
+
+    Args:
+        executor, simulator: by which they run.
+    """
+
+    def __init__(self, executor: AsynchronousExecutor, simulator: Simulator) -> None:
+        self._executor, self._simulator = executor, simulator
+        self._designs: dict[int, Array] = {}
+        self._tickets = 0
+
+    def __len__(self) -> int:
+        return len(self._designs)
+
+    def start(self, designs: Array) -> None:
+        """Start those of some designs, (k, d), that were not started yet."""
+        started = {design.tobytes() for design in self._designs.values()}
+        for design in designs:
+            if design.tobytes() not in started:
+                self._designs[self._tickets] = design
+                self._executor.start(self._simulator, self._tickets, design)
+                self._tickets += 1
+
+    def answered(self, seconds: float) -> tuple[Array, Results] | None:
+        """Designs, (k, d), and their answers in the order of their coming; None where none came within so long."""
+        answers = self._executor.answered(seconds)
+        if not answers:
+            return None
+        designs = np.stack([self._designs.pop(ticket) for ticket, _ in answers])
+        return designs, Results.concatenate([results for _, results in answers])
+
+
+def run_asynchronously(task: Task) -> bool:
+    """Take a campaign without batches to its end; False when it was asked to stop before."""
+    campaign, store, observer = task.campaign, task.store, task.observer
+    observer.stage("learning")
+    course = resumed(campaign, store)
+    simulations = _Simulations(task.executor, campaign.simulator)
+    initial = {design.tobytes() for design in task.initial}
+    looks = _Looks.of(campaign, course, store.batches)
+    began, before = time.monotonic(), standing(campaign, store.batches, task.budget).done
+    ended = False
+    while True:
+        progress = standing(campaign, store.batches, task.budget)
+        left = task.budget - progress.done
+        if course.classifier is not None:
+            progress = task.judged(progress, course.classifier, looks.due(progress.done))
+        rate = (progress.done - before) / (time.monotonic() - began)
+        observer.progress(replace(progress, seconds_left=left / rate if rate and course.classifier else None))
+        task.check(progress)
+        ended = ended or left <= 0 or progress.good_enough
+        answered = _next_answers(task, simulations, course.flight[: max(0, left)], ended)
+        if answered is None:
+            return ended
+        designs, results = answered
+        origin = np.array([SEED if design.tobytes() in initial else ACTIVE for design in designs], dtype=np.int8)
+        store.commit(Batch(course.next_iteration, designs, origin, results))
+        observer.stage("learning")
+        course = course.after(campaign, store.batches)
+        course.save(store)
+
+
+def _next_answers(task: Task, simulations: _Simulations, flight: Array, ended: bool) -> tuple[Array, Results] | None:
+    """The answers that come next, once what is in flight was started; None where nothing is in flight any more.
+
+    Args:
+        flight: designs to start.
+        ended: whether no more are started, and those that were are waited for; so it is where the user asks for a stop.
+    """
+    while True:
+        ended = ended or task.observer.stop()
+        if not ended:
+            simulations.start(flight)
+        if not simulations:
+            return None
+        task.observer.stage("simulating")
+        if (answered := simulations.answered(_WAIT)) is not None:
+            return answered
+
+
+@dataclass
+class _Looks:
+    """When a stop rule looks: as often as with batches.
+
+    Attributes:
+        every: simulations from one look to the next; infinitely many without a rule.
+        looked: how many looks were due so far.
+    """
+
+    every: float
+    looked: float
+
+    @classmethod
+    def of(cls, campaign: Campaign, course: Course, batches: tuple[Batch, ...]) -> "_Looks":
+        """The looks of a campaign that is resumed.
+
+        What was due before the last commit is not due again, nor was anything before there was a classifier.
+        """
+        rule = campaign.settings.stop
+        every = np.inf if rule is None else campaign.settings.sampling.batch * rule.every
+        return cls(every, 0 if course.iteration < 1 else len(History.of(batches[:-1])) // every)
+
+    def due(self, done: int) -> bool:
+        """Whether one is due after so many simulations, that was not due before."""
+        looks = done // self.every
+        due = looks > self.looked
+        self.looked = max(self.looked, looks)
+        return due

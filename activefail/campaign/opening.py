@@ -33,12 +33,12 @@ def read_campaign(
     """
     settings = read_settings(path).with_overrides(seed, budget)
     try:
-        return Campaign.of(settings, code, run, features)
+        return Campaign.of(settings, code, run, custom_features=features)
     except InputError as unfit:
         raise InputError(f"{path}: {unfit}") from None
 
 
-def create_run(folder: Path, campaign: Campaign) -> FolderStore:
+def create_folder(folder: Path, campaign: Campaign) -> FolderStore:
     """A new run folder for a campaign, open for writing.
 
     Raises:
@@ -49,17 +49,14 @@ def create_run(folder: Path, campaign: Campaign) -> FolderStore:
     )
 
 
-@contextmanager
-def open_campaign(
-    folder: Path, write: bool, code: Path | None = None, features: bool = True
-) -> Iterator[tuple[Campaign, FolderStore]]:
+def opened(folder: Path, write: bool, code: Path | None = None, features: bool = True) -> tuple[Campaign, FolderStore]:
     """The campaign of a run folder and its record; with `write`, this process becomes its only writer.
 
     Args:
         folder: of the run.
         write: whether to.
-        code: folder of the user's own code, which is then run (see `Campaign.of`).
-        features: whether they are needed; who only counts does without those that are a function of the user's own.
+        code: folder of the user's code, which is then run (see `Campaign.of`).
+        features: whether they are needed; who only counts does without those that are a function of the user's.
 
     Raises:
         InputError: if there is no campaign in the folder or its settings are not valid.
@@ -70,8 +67,17 @@ def open_campaign(
     refuse_links(folder)
     if not path.is_file():
         raise InputError(f"{folder}: is not a run folder; there is no campaign.toml in it.")
-    if path.stat().st_size > LARGEST_SETTINGS:
+    if path.stat().st_size > LARGEST_SETTINGS:  # before it is parsed
         raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
     campaign = read_campaign(path, code=code, run=folder, features=features)
-    with FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources) as store:
+    return campaign, FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources)
+
+
+@contextmanager
+def open_campaign(
+    folder: Path, write: bool, code: Path | None = None, features: bool = True
+) -> Iterator[tuple[Campaign, FolderStore]]:
+    """The same, for a block that closes the record at its end."""
+    campaign, store = opened(folder, write, code, features)
+    with store:
         yield campaign, store

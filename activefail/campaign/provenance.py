@@ -3,9 +3,20 @@
 import platform
 from importlib.metadata import version
 
+from activefail import __version__
 from activefail.bearing.kernels import sources_digest
 
 _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
+
+
+def simulation_versions() -> dict[str, str]:
+    """What the answers of simulations depend on, whichever machine computes them."""
+    return {
+        "activefail": __version__,
+        "python": platform.python_version(),
+        **{name: version(name) or "unknown" for name in ("numpy", "numba")},
+        "bearing_sources": sources_digest(),
+    }
 
 
 def provenance() -> dict[str, str]:

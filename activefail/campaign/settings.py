@@ -27,6 +27,7 @@ from activefail.bearing.design import LARGEST, TABLE_1, Model, Tolerance
 from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import InputError
 from activefail.features import FeatureSet
+from activefail.files import check_dots
 from activefail.space import DesignSpace, Distribution, Parameter, distribution_fault
 from activefail.visible import visible
 
@@ -489,6 +490,10 @@ def parse_settings(text: str, source: str) -> CampaignSettings:
     Raises:
         InputError: naming the source, and for each mistake the key path, the rule and the value.
     """
+    try:
+        check_dots(text)
+    except ValueError as dots:
+        raise InputError(f"{source}: {dots}") from None
     try:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as malformed:

@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.boundaries import boundary_shares
+from activefail.campaign.stored_sets import name_of_look, name_of_verification
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.errors import StoreError
-from activefail.files import read_regular
+from activefail.files import check_dots, read_regular
 from activefail.record.batch import ACTIVE, SEED, Batch
 from activefail.record.layout import LARGEST_SETTINGS, SETTINGS, refuse_links
 from activefail.record.recovery import is_segment, plain_files
 from activefail.record.segment import Outline, chain_start, decode_outline
+from activefail.shares import percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.visible import visible
 
@@ -61,6 +63,7 @@ class Plan:
         Raises:
             ValueError: if this is no such text.
         """
+        check_dots(text)
         settings = tomllib.loads(text)
         match settings:
             case {
@@ -150,9 +153,31 @@ class Summary:
         return int(self.counts.sum())
 
     @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Titles and texts of what `status` shows."""
+        plan = self.plan
+        sought = " and ".join(
+            f"the {name} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
+            for name, share in plan.boundaries.items()
+        )
+        done = f"{self.done} of {plan.budget} simulations"
+        if self.done > plan.budget:
+            done = f"{self.done} simulations, {plan.budget} were planned"
+        names = (*self.outcomes, "numerical failures")
+        return [
+            ("simulator", f"{plan.simulator}, {plan.variables} variables, seed {plan.seed}"),
+            ("learner", f"{plan.kernel} on {plan.features} features, {plan.criterion} at {sought}"),
+            ("done", f"{done}, iteration {self.iteration}"),
+            *(
+                (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))
+                for title, counts in (("initial", self.initial), ("chosen", self.chosen), ("all", self.counts))
+            ),
+        ]
+
+    @property
     def unseen_warning(self) -> str:
-        """What the user must know where no simulation ended in some outcome; empty otherwise, and at the beginning."""
-        if self.initial.sum() < self.plan.initial:
+        """What the user must know where no simulation ended in some outcome; empty otherwise, and before any did."""
+        if self.done == 0:
             return ""
         unseen = unseen_outcomes(self.outcomes, self.counts)
         answered, unanswered = int(self.initial[:-1].sum()), int(self.initial[-1])
@@ -173,9 +198,12 @@ class Summary:
 
 def is_verified(folder: Path, summary: Summary) -> bool:
     """Whether a campaign was verified after its last batch as its rule asks: it may have ended by the rule there."""
-    which = f"{summary.iteration}-{summary.plan.stop_simulations}-0.h5"
+    simulations = summary.plan.stop_simulations
+    if simulations is None:
+        return False
     # An older program called a rule's looks as it called what a user verified.
-    return any((folder / "sets" / f"{kind}-{which}").is_file() for kind in ("look", "verification"))
+    names = name_of_look(summary.iteration, simulations), name_of_verification(summary.iteration, simulations)
+    return any((folder / "sets" / f"{name}-0.h5").is_file() for name in names)
 
 
 def read_summary(folder: Path) -> Summary | None:

@@ -6,7 +6,6 @@ weighted back to the design measure (`StratifiedCount`). Only fresh simulations 
 learned from say too little of what it has missed, even where each is left out in turn.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,8 +13,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from activefail.campaign.assembly import Campaign, stream
-from activefail.campaign.stored_sets import simulated_outcomes
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.random_streams import stream
+from activefail.campaign.stored_sets import (
+    looks_before,
+    name_of_look,
+    name_of_verification,
+    simulated_outcomes,
+    stored_outcomes,
+    verified_sizes,
+)
 from activefail.campaign.stratified import StratifiedCount
 from activefail.execution.executor import Executor
 from activefail.features import FeatureMap
@@ -204,22 +211,6 @@ def expected_error(campaign: Campaign, classifier: Classifier) -> float:
     return float(probability_wrong(latent.moments(campaign.features(pool))).mean())
 
 
-def look_name(iteration: int, simulations: int) -> str:
-    """Name of the set with the fresh simulations of a stop rule's look."""
-    return f"look-{iteration}-{simulations}"
-
-
-def verification_name(iteration: int, simulations: int) -> str:
-    """Name of the set with the fresh simulations that a user asked for; they are the same designs."""
-    return f"verification-{iteration}-{simulations}"
-
-
-def looks_before(store: Store, iteration: int) -> int:
-    """How often a stop rule looked at iterations before this one."""
-    found = (re.fullmatch(r"look-(\d+)-\d+-0", name) for name in store.set_names())
-    return sum(int(name[1]) < iteration for name in found if name)
-
-
 def planned(campaign: Campaign, classifier: Classifier, iteration: int, simulations: int) -> Verification:
     """The plan of the fresh simulations that judge a campaign's classifier of an iteration."""
     rng = stream(campaign.settings.seed, "verification", iteration)
@@ -258,12 +249,11 @@ def verify_by_rule(
     plan = planned(campaign, classifier, iteration, rule.simulations)
     if not could_show(plan, rule.error, confidence):
         return None, False
-    name, twin = look_name(iteration, rule.simulations), verification_name(iteration, rule.simulations)
+    name, twin = name_of_look(iteration, rule.simulations), name_of_verification(iteration, rule.simulations)
     outcome = simulated_outcomes(campaign, store, executor, name, plan.designs, stop, twin)
     if outcome is None:
         return None, False
-    answered = outcome != NUMERICAL_FAILURE
-    error = estimate_error(plan, outcome >= campaign.severity, answered, rule.confidence)
+    error = _judged(campaign, plan, outcome, rule.confidence)
     return error, error.is_at_most(rule.error, confidence)
 
 
@@ -278,10 +268,28 @@ def verify(
 ) -> ErrorEstimate:
     """The misclassified volume of a campaign's classifier at an iteration, from fresh simulations kept beside it."""
     plan = planned(campaign, classifier, iteration, simulations)
-    names = look_name(iteration, simulations), verification_name(iteration, simulations)
-    known = set(store.set_names())
     # What a stop rule has simulated is not simulated again.
-    name = next((name for name in names if f"{name}-0" in known), names[-1])
+    names = name_of_look(iteration, simulations), name_of_verification(iteration, simulations)
+    name = next((name for name in names if store.read_set(f"{name}-0") is not None), names[-1])
     outcome = simulated_outcomes(campaign, store, executor, name, plan.designs)
     assert outcome is not None  # it was not asked to stop
+    return _judged(campaign, plan, outcome, confidence)
+
+
+def verified(
+    campaign: Campaign, store: Store, classifier: Classifier, iteration: int, confidence: float
+) -> ErrorEstimate | None:
+    """The misclassified volume that a user or a stop rule had verified at an iteration; None where none had.
+
+    The largest set of fresh simulations counts; nothing is simulated.
+    """
+    for simulations in verified_sizes(store, iteration):
+        plan = planned(campaign, classifier, iteration, simulations)
+        for name in (name_of_look(iteration, simulations), name_of_verification(iteration, simulations)):
+            if (outcome := stored_outcomes(store, name, plan.designs)) is not None:
+                return _judged(campaign, plan, outcome, confidence)
+    return None
+
+
+def _judged(campaign: Campaign, plan: Verification, outcome: NDArray[np.int8], confidence: float) -> ErrorEstimate:
     return estimate_error(plan, outcome >= campaign.severity, outcome != NUMERICAL_FAILURE, confidence)

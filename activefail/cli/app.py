@@ -16,8 +16,8 @@ import typer
 from typer.core import TyperCommand
 
 from activefail.cli.common import INTERRUPTED
-from activefail.cli.screen import OUTPUT, visible_output
 from activefail.errors import ActivefailError, InputError, place_of, reason_of
+from activefail.screen import OUTPUT, visible_output
 
 app = typer.Typer(
     help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",
@@ -69,6 +69,10 @@ def _main() -> None:
         app()
     except ActivefailError as error:
         _end(str(error), 2 if isinstance(error, InputError) else 1)
+    except ImportError as error:
+        _end(f"a library cannot be loaded: {error}. Is it installed, and is there memory enough for it?", 1)
+    except MemoryError:
+        _end("out of memory; what was recorded is safe", 1)
     except BrokenPipeError:
         # `| head`, say.
         _silence()

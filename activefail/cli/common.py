@@ -1,20 +1,19 @@
-"""What commands share: a run folder as argument, a progress bar, warnings, and how signals and full disks are met."""
+"""What commands share: options, warnings, and how a full disk is met."""
 
-import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from activefail.cli.screen import terminal
 from activefail.errors import InputError
-from activefail.visible import quoted, visible
+from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.campaign.summary import Summary
     from activefail.execution.executor import AsynchronousExecutor
     from activefail.record.run_folder import FolderStore
 
@@ -64,15 +63,9 @@ def make_executor(
         raise InputError("--scheduler: required for --executor dask.")
     if workers is not None:
         raise InputError("--workers: is for --executor local; a Dask cluster has the workers that it has.")
-    return DaskExecutor(scheduler, campaign.time_limit, lambda line: print(line, file=sys.stderr, flush=True))
+    from activefail.campaign.provenance import simulation_versions
 
-
-def resume_command(folder: Path, campaign: "Campaign | None" = None) -> str:
-    """The command that goes on with a campaign, ready to be pasted; with the folder of the campaign's own code."""
-    command = f"activefail resume {quoted(folder)}"
-    if campaign is None or (isinstance(campaign.settings.simulator, str) and not campaign.sources):
-        return command
-    return f"{command} --code {'FOLDER' if campaign.code is None else quoted(campaign.code)}"
+    return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)
 
 
 def check_output(option: str, path: Path | None) -> None:
@@ -104,47 +97,15 @@ def writing_to(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from None
 
 
-@contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]:
-    """A bar on a terminal, nothing otherwise; yields what takes the total and returns what takes the rows done."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(file=terminal(sys.stderr), stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-
-        def begin(total: int) -> Callable[[int], None]:
-            task = bar.add_task(title, total=total)
-            return lambda done: bar.advance(task, done)
-
-        yield begin
+def show_stage(text: str) -> None:
+    """What is being done, on the error stream."""
+    print(text, file=sys.stderr, flush=True)
 
 
-@contextmanager
-def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Callable[[], bool]]:
-    """The first Ctrl-C or SIGTERM asks for a stop and says what is done before it, the second stops at once."""
-    asked = at_once = False
-
-    def ask(number: int, frame: object) -> None:
-        nonlocal asked, at_once
-        if asked:
-            at_once = True
-            raise KeyboardInterrupt
-        asked = True
-        print(f"\n{stopping}; once more to stop now", file=sys.stderr)
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: asked
-    except Exception as broken:
-        # An interrupt in the middle of one of Python's own locks comes out as that lock's complaint.
-        if at_once:
-            raise KeyboardInterrupt from broken
-        raise
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def show_unseen(summary: "Summary") -> None:
+    """A warning on the error stream where a campaign never saw an outcome."""
+    if warning := summary.unseen_warning:
+        print(f"warning: {visible(warning)}", file=sys.stderr)
 
 
 def show_warnings(store: "FolderStore") -> None:

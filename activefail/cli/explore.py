@@ -1,13 +1,11 @@
 """`activefail explore`: a campaign as an interactive page."""
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, show_warnings
-from activefail.errors import InputError
+from activefail.cli.common import Code, RunFolder, show_stage, show_unseen, show_warnings
 
 
 def explore(
@@ -19,22 +17,18 @@ def explore(
     code: Code = None,
 ) -> None:
     """Serve an interactive page of what a campaign has learned, on this machine alone by default."""
-    from activefail.campaign.findings import findings_of
-    from activefail.campaign.learning import current_classifier
-    from activefail.campaign.loop import one_thread
-    from activefail.campaign.opening import open_campaign
     from activefail.explorer.answers import Answers
     from activefail.explorer.server import ExplorerServer
+    from activefail.run import open_run
+    from activefail.surrogate.threads import one_thread
 
     with one_thread():
-        with open_campaign(Path(folder), write=False, code=code) as (campaign, store):
-            show_warnings(store)
-            if not any((batch.results.outcome >= 0).any() for batch in store.batches):
-                raise InputError(f"{folder}: has no simulations to learn from yet.")
-            print("learning", file=sys.stderr, flush=True)
-            classifier = current_classifier(campaign, store, write=False)
-            show_warnings(store)
-            findings = findings_of(folder, campaign, store, classifier)
+        with open_run(folder, code=code) as opened:
+            show_warnings(opened.store)
+            show_stage("learning")
+            findings = opened.findings
+            show_warnings(opened.store)
+            show_unseen(opened.summary)
         server = ExplorerServer(host, port, Answers(findings))
         print(f"explorer   {server.address}  (Ctrl-C ends it)", flush=True)
         try:

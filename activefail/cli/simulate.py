@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import check_output, progress_bar, writing_to
+from activefail.cli.common import check_output, writing_to
+from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.visible import visible
 
@@ -118,9 +119,10 @@ def _simulate_one(
             )
     if plot is not None:
         from activefail.figures.motion import plot_response
+        from activefail.figures.style import save_figure
 
         with writing_to(plot):
-            plot_response(response).savefig(plot)
+            save_figure(plot_response(response), plot)
         print(f"plot       {visible(str(plot))}")
     if animate is not None:
         from activefail.figures.animation import save_animation

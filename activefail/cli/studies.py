@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import INTERRUPTED, Code, check_output, show_warnings, stop_on_signals, writing_to
+from activefail.cli.common import INTERRUPTED, Code, check_output, show_stage, show_unseen, show_warnings, writing_to
+from activefail.display import stop_on_signals
 from activefail.errors import InputError
-from activefail.shares import interval_percent, percent
 from activefail.visible import visible
 
 
@@ -77,49 +77,16 @@ def compare(
 
 
 def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | None) -> None:
-    from activefail.campaign.opening import open_campaign
-    from activefail.comparison.static import compare as compare_samplings
-    from activefail.execution.local import local_executor
-
-    with (
-        open_campaign(folder, write=True, code=code) as (campaign, store),
-        local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
-    ):
-        show_warnings(store)
-        scores = compare_samplings(
-            campaign, store, executor, sizes, test, stage=lambda text: print(text, file=sys.stderr, flush=True)
-        )
-    boundary = campaign.settings.acquisition.main_boundary
-    print(
-        f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
-        f"  {'outcome accuracy':>16}  {'log score':>9}"
-    )
-    for row in sorted(scores, key=lambda score: (score.simulations, score.sampling)):
-        print(
-            f"{row.simulations:>11}  {row.sampling:<8}  {percent(row.accuracy, 2):>18} "
-            f"{interval_percent(row.low, row.high):>16}  {percent(row.outcome_accuracy, 2):>16}  {row.log_score:>9.4f}"
-        )
-    print("recall of each outcome: share of the test designs with it that are predicted so, with a 95 % interval")
-    for row in sorted(scores, key=lambda score: (score.simulations, score.sampling)):
-        recall = ", ".join(f"{name} {one.in_words}" for name, one in row.recall.items())
-        print(f"{row.simulations:>11}  {row.sampling:<8}  {recall}")
-
-    from activefail.comparison.static import Score
-    from activefail.csv_table import writing
-    from activefail.figures.curves import plot_learning_curves
-    from activefail.files import replacing
+    from activefail.comparison.static import score_lines
     from activefail.record.layout import COMPARISON
+    from activefail.run import open_run
 
     results = folder / COMPARISON
-    with writing_to(results):
-        results.mkdir(exist_ok=True)
-        columns = [*Score.columns(), *Score.recall_columns(campaign.simulator.outcomes), "test_unanswered"]
-        with writing(results / "scores.csv", columns) as write:
-            write([[*score.row(), test - score.test_designs] for score in scores])
-        figure = plot_learning_curves(scores, boundary, scores[0].test_designs)
-        for suffix in ("png", "svg"):
-            with replacing(results / f"learning_curves.{suffix}", "xb") as file:
-                figure.savefig(file, format=suffix)
+    with open_run(folder, write=True, code=code) as opened, writing_to(results):
+        show_warnings(opened.store)
+        scores = opened.compare(sizes, test, show_stage)
+        show_unseen(opened.summary)
+    print("\n".join(score_lines(scores, opened.boundary)))
     print(f"table      {visible(str(results / 'scores.csv'))}")
     print(f"curves     {visible(str(results / 'learning_curves.png'))} and .svg")
 
@@ -154,17 +121,14 @@ def _compare_seeds(
         file.absolute().parent,
     )
 
-    def stage(text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
-
     with writing_to(out), stop_on_signals() as stop:
         try:
             scores = compare_seeds(
                 plan,
                 out,
                 jobs or os.cpu_count() or 1,
-                stage,
-                lambda done, all_: stage(f"{done} of {all_} arms scored"),
+                show_stage,
+                lambda done, all_: show_stage(f"{done} of {all_} arms scored"),
                 stop,
             )
         except KeyboardInterrupt:
@@ -194,22 +158,19 @@ def paper(
     from activefail.paper.study import run_study
     from activefail.report.reproduction import write_reproduction
 
-    def stage(text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
-
     check_output("--out", out)
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
     try:
-        study = run_study(draws, fresh, seed, stage)
+        study = run_study(draws, fresh, seed, show_stage)
     except KeyboardInterrupt:
         print("stopped; nothing is kept of it. The same command begins anew.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     command = {"draws": draws, "fresh": fresh, "seed": seed, "cores": os.cpu_count() or 1}
     command["minutes"] = math.ceil((time.monotonic() - begun) / 60.0)
     with writing_to(out):
-        page = write_reproduction(study, out, command, stage)
+        page = write_reproduction(study, out, command, show_stage)
     for line in claims(study):
         print(f"{line.item}: {line.verdict.replace('*', '')}")
         print(f"    paper {line.paper or '–'}   ours {line.ours}   one sample {line.one_sample or '–'}")

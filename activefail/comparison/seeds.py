@@ -19,12 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.assembly import Campaign, stream
-from activefail.campaign.learning import first_rows
-from activefail.campaign.loop import Observer, one_thread, run
-from activefail.campaign.opening import create_run, open_campaign
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.history import History
+from activefail.campaign.loop import run
+from activefail.campaign.opening import create_folder, open_campaign
+from activefail.campaign.progress import Observer
+from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import CampaignSettings, parse_settings
-from activefail.campaign.stored_sets import simulated_outcomes
+from activefail.campaign.stored_sets import name_of_static_set, name_of_test_set, simulated_outcomes
 from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError, SimulationError
 from activefail.estimate import Estimate
@@ -36,6 +38,7 @@ from activefail.record.run_folder import check_empty
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import train
+from activefail.surrogate.threads import one_thread
 
 STATIC = "static"
 """The sampling of an arm that is a Latin hypercube."""
@@ -160,15 +163,17 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
     """Take an arm's campaign to its budget; what it had at each checkpoint. Nothing when asked to stop."""
     folder = job.folder / "runs" / job.arm.name
     if not (folder / "campaign.toml").exists():
-        create_run(folder, campaign).close()
+        create_folder(folder, campaign).close()
     with (
         open_campaign(folder, write=True, code=job.code) as (recorded, store),
         local_executor(recorded.simulator, 1, recorded.time_limit) as executor,
     ):
         if not run(recorded, store, executor, job.arm.size, Observer(stop=_stopping)):
             return
+        history = History.of(store.batches)
         for n in job.checkpoints:
-            yield (n, *first_rows(store.batches, n))
+            known = history[:n].training
+            yield n, known.designs, known.outcome
 
 
 def _score_arm(job: _Job) -> list[Score] | None:
@@ -246,7 +251,7 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
     space, first = campaign.space, plan.settings.seed
     designs = folder / "designs"
     if not (designs / "campaign.toml").exists():
-        create_run(designs, campaign).close()
+        create_folder(designs, campaign).close()
     with (
         open_campaign(designs, write=True, code=plan.code) as (_, store),
         local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
@@ -259,7 +264,7 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
 
         stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
         X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
-        outcome = outcomes(f"test-{plan.test}", X)
+        outcome = outcomes(name_of_test_set(plan.test), X)
         moved = displaced(X, space, stream(first, "test", 1))
         around = outcomes(f"around-{plan.test}", moved).reshape(len(X), -1)
         answered = outcome != NUMERICAL_FAILURE
@@ -269,7 +274,7 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
             for size in plan.static:
                 stage(f"simulating a static design of {size}, seed {seed}")
                 hypercube = space.latin_hypercube(size, stream(seed, "static", size))
-                found = outcomes(f"static-{size}-seed{seed}", hypercube)
+                found = outcomes(name_of_static_set(size, seed), hypercube)
                 static[seed, size] = hypercube[found != NUMERICAL_FAILURE], found[found != NUMERICAL_FAILURE]
     arms = [arm for arm in plan.arms() if arm.sampling == STATIC]
     return test, {arm: static[arm.seed, arm.size] for arm in arms}

@@ -2,21 +2,25 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from activefail.campaign.assembly import Campaign, stream
-from activefail.campaign.learning import first_rows, initial_sets
-from activefail.campaign.loop import one_thread, standing
-from activefail.campaign.stored_sets import simulated_set
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.history import History
+from activefail.campaign.proposing import initial_sets
+from activefail.campaign.random_streams import stream
+from activefail.campaign.stored_sets import name_of_static_set, name_of_test_set, simulated_set
+from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
+from activefail.surrogate.threads import one_thread
 
 TEST_SIZE = 2000
 
@@ -156,10 +160,11 @@ def compare(
         InputError: if a budget is below 2 or more than the campaign has done, or the campaign has done nothing yet.
     """
     seed = campaign.settings.seed
-    done = standing(campaign, store.batches, 0).done
+    history = History.of(store.batches)
+    done = len(history)
     if done < 2:
         raise InputError("The campaign has no simulations to compare yet.")
-    initial = campaign.settings.sampling.initial * initial_sets(campaign, store.batches)
+    initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
     budgets = budgets or default_budgets(min(initial, done), done)
     for n in budgets:
         if not 2 <= n <= done:
@@ -170,19 +175,47 @@ def compare(
     with one_thread():
         stage(f"simulating {test_size} test designs")
         test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
-        X_test, outcome_test = _answers(campaign, store, executor, f"test-{test_size}", test)
+        X_test, outcome_test = _answers(campaign, store, executor, name_of_test_set(test_size), test)
         if unanswered := test_size - len(X_test):
             stage(f"{unanswered} of {test_size} test designs gave no answer: judging by the other {len(X_test)}")
         scores = []
         for n in budgets:
             stage(f"learning from {n} active simulations")
-            X, outcome = first_rows(store.batches, n)
-            classifier = train(X, outcome, outcomes, features, kernel)
+            known = history[:n].training
+            classifier = train(known.designs, known.outcome, outcomes, features, kernel)
             scores.append(score("active", classifier, severity, n, X_test, outcome_test))
         for n in budgets:
             stage(f"simulating and learning from {n} static ones")
             hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
-            X, outcome = _answers(campaign, store, executor, f"static-{n}", hypercube)
+            X, outcome = _answers(campaign, store, executor, name_of_static_set(n), hypercube)
             classifier = train(X, outcome, outcomes, features, kernel)
             scores.append(score("static", classifier, severity, n, X_test, outcome_test))
     return scores
+
+
+def score_lines(scores: Sequence[Score], boundary: str) -> list[str]:
+    """Scores as a table for a terminal, and below it the recall of each outcome."""
+    rows = sorted(scores, key=lambda score: (score.simulations, score.sampling))
+    lines = [
+        f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
+        f"  {'outcome accuracy':>16}  {'log score':>9}"
+    ]
+    lines += [
+        f"{row.simulations:>11}  {row.sampling:<8}  {percent(row.accuracy, 2):>18} "
+        f"{interval_percent(row.low, row.high):>16}  {percent(row.outcome_accuracy, 2):>16}  {row.log_score:>9.4f}"
+        for row in rows
+    ]
+    lines.append(
+        "recall of each outcome: share of the test designs with it that are predicted so, with a 95 % interval"
+    )
+    for row in rows:
+        recall = ", ".join(f"{name} {one.in_words}" for name, one in row.recall.items())
+        lines.append(f"{row.simulations:>11}  {row.sampling:<8}  {recall}")
+    return lines
+
+
+def write_scores(scores: Sequence[Score], outcomes: Sequence[str], test_designs: int, path: Path) -> None:
+    """Write scores to a CSV file, with how many of the test designs gave no answer."""
+    columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered"]
+    with writing(path, columns) as write:
+        write([[*score.row(), test_designs - score.test_designs] for score in scores])

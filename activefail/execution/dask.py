@@ -1,8 +1,9 @@
 """An executor on an existing Dask cluster: simulations on any number of machines."""
 
 import logging
+import platform
 from asyncio import CancelledError
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
 from queue import Empty, SimpleQueue
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
     _Answer = tuple[Results, str] | BaseException
     _Came = SimpleQueue[tuple[int, str, _Answer]]
+
+Versions = Callable[[], Mapping[str, str]]
+_Told = tuple[tuple[str, str], ...]
 
 _CONNECT = 10.0
 """Seconds in which a scheduler must answer."""
@@ -38,13 +42,19 @@ class DaskExecutor:
         scheduler: its address, like "tcp://head:8786".
         time_limit: seconds that one simulation may take; for ever if None.
         tell: is given a line for the user where simulations wait for workers, of which there are none.
+        versions: a function of a module that tells what simulations depend on, by name; a worker on which it tells
+            something else than here is refused. None: no worker is asked.
 
     Raises:
         InputError: if Dask is not installed, or no scheduler answers there.
     """
 
     def __init__(
-        self, scheduler: str, time_limit: float | None = None, tell: Callable[[str], None] = lambda _: None
+        self,
+        scheduler: str,
+        time_limit: float | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+        versions: Versions | None = None,
     ) -> None:
         try:
             from distributed import Client
@@ -68,6 +78,7 @@ class DaskExecutor:
         self._scheduler = scheduler
         self._time_limit = time_limit
         self._tell = tell
+        self._expected = None if versions is None else (versions, tuple(sorted(versions().items())))
         self._waits_for_workers = False
         self._came: _Came = SimpleQueue()
         self._out: dict[str, tuple[Future, Simulator, Array]] = {}
@@ -102,7 +113,7 @@ class DaskExecutor:
         return self._heard(self._came, seconds)
 
     def _submit(self, simulator: Simulator, ticket: int, x: Array, came: "_Came") -> None:
-        future = self._client.submit(_answer_there, simulator, x[None], self._time_limit, pure=False)
+        future = self._client.submit(_answer_there, simulator, x[None], self._time_limit, self._expected, pure=False)
         self._out[future.key] = future, simulator, x
 
         async def hear() -> None:
@@ -184,13 +195,40 @@ class DaskExecutor:
 
 
 @cache
+def _check_versions(versions: Versions, expected: _Told) -> None:
+    """Check, once on each worker, that simulations depend there on what they depend on where they are asked for.
+
+    Raises:
+        SimulationError: naming what differs.
+    """
+    there = versions()
+    differs = [
+        f"{name} {there.get(name, 'missing')} there, {here} here" for name, here in expected if there.get(name) != here
+    ]
+    if differs:
+        raise SimulationError(
+            f"A worker on {platform.node()} differs from this machine: {'; '.join(differs)}. Its answers would be "
+            f"others; nothing of it was recorded. Give the cluster's workers the versions of this machine, or run "
+            f"activefail with theirs."
+        )
+
+
+@cache
 def _guards(time_limit: float | None) -> Guards:
     """Of a worker: a process beside each of its threads."""
     return Guards(answer, time_limit)
 
 
-def _answer_there(simulator: Simulator, X: Array, time_limit: float | None) -> tuple[Results, str]:
-    """What a worker does for a design, (1, d)."""
+def _answer_there(
+    simulator: Simulator, X: Array, time_limit: float | None, expected: tuple[Versions, _Told] | None
+) -> tuple[Results, str]:
+    """What a worker does for a design, (1, d).
+
+    Raises:
+        SimulationError: if the worker is another than expected.
+    """
+    if expected is not None:
+        _check_versions(*expected)
     if simulator.releases_gil:
         return answer(simulator, X)
     return _guards(time_limit).of_this_thread().answer(simulator, X)

@@ -5,6 +5,13 @@ Constants only, so that naming a colour does not import matplotlib; `styled` doe
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from activefail.files import replacing, target_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 from typing import Any
 
 BLACK = "#000000"
@@ -51,6 +58,12 @@ RC: dict[Any, Any] = {
     "svg.hashsalt": "activefail",
 }
 """matplotlib's settings for all pictures of the project."""
+
+
+def save_figure(figure: "Figure", path: Path) -> None:
+    """Write a figure to a file of the format that its suffix names; an older one is there until it is whole."""
+    with replacing(target_of(path), "xb") as file:
+        figure.savefig(file, format=path.suffix[1:].lower())
 
 
 @contextmanager

@@ -77,12 +77,22 @@ def run_folder_owning(path: Path) -> Path | None:
     Links are followed, as writing would.
     """
     path = Path(os.path.realpath(path))
-    for folder in path.parents:
-        name = path.relative_to(folder).parts[0]
-        own = path == folder / name if name in (SETTINGS, LOCK) else name in (*FOLDERS, SIMULATIONS)
-        if own and _is_run_folder(folder):
+    for place in (path, *path.parents):
+        folder = place.parent
+        if not _is_run_folder(folder):
+            continue
+        names = (SETTINGS, LOCK, *FOLDERS, SIMULATIONS) if place == path else (*FOLDERS, SIMULATIONS)
+        # By the file system, which may not tell capital letters from small ones; by name where there is no file yet.
+        if place.name in names or any(_is_same(place, folder / name) for name in names):
             return folder
     return None
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return os.path.samefile(one, other)
+    except OSError:
+        return False
 
 
 def link_in_run_folder(path: Path) -> Path | None:

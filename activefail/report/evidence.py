@@ -2,25 +2,24 @@
 
 import csv
 import io
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.learning import first_rows, in_initial_design, initial_sets
-from activefail.campaign.loop import standing
-from activefail.campaign.verification import ErrorEstimate, leave_one_out, verify
+from activefail.campaign.history import History
+from activefail.campaign.proposing import initial_sets
+from activefail.campaign.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
+from activefail.campaign.verification import ErrorEstimate, leave_one_out, verified
 from activefail.comparison.static import Recall, Score, default_budgets, score
 from activefail.errors import InputError
 from activefail.files import read_regular
 from activefail.record.store import Store
-from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
 from activefail.visible import visible
@@ -128,24 +127,6 @@ def _plausible(score: Score) -> Score:
     return score
 
 
-def read_parts(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None:
-    """Designs and outcomes of a set as far as its parts go, those without an answer left out; None without a set."""
-    parts: list[tuple[Array, Results]] = []
-    while (part := store.read_set(f"{name}-{len(parts)}")) is not None:
-        parts.append(part)
-    if not parts:
-        return None
-    X, outcome = np.concatenate([part[0] for part in parts]), np.concatenate([part[1].outcome for part in parts])
-    answered = outcome != NUMERICAL_FAILURE
-    return (X[answered], outcome[answered]) if answered.any() else None
-
-
-def _sizes(folder: Path, pattern: str) -> list[int]:
-    """Numbers that the names of the sets in a folder have where the pattern has its group, largest first."""
-    names = (path.name for path in (folder / "sets").glob("*.h5"))
-    return sorted({int(found[1]) for name in names if (found := re.fullmatch(pattern, name))}, reverse=True)
-
-
 def _curve(
     campaign: Campaign, store: Store, folder: Path, stage: Callable[[str], None]
 ) -> tuple[Curve | None, str | None]:
@@ -158,72 +139,41 @@ def _curve(
             return Curve(scores, max(one.test_designs for one in scores), "compare", unanswered), None
         except InputError as bad:
             note = f"the comparison cannot be read ({bad})"
-    validation = read_parts(store, "validation")
-    done = standing(campaign, store.batches, 0).done
+    validation = stored_set(store, VALIDATION)
+    history = History.of(store.batches)
+    done = len(history)
     if validation is None:
         return None, f"{note}, and the campaign has no validation set (validation.size)"
     scores = []
     classifier: Classifier | None = None
-    initial = campaign.settings.sampling.initial * initial_sets(campaign, store.batches)
+    initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
     budgets = default_budgets(min(initial, done), done)
     for n in (
         budgets if len(budgets) < _BUDGETS else [budgets[round(i)] for i in np.linspace(0, len(budgets) - 1, _BUDGETS)]
     ):
-        X, outcome = first_rows(store.batches, n)
-        if len(X) < 2:
+        known = history[:n].training
+        if len(known) < 2:
             continue
         stage(f"learning from the first {n} simulations")
-        classifier = train(
-            X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel, classifier
-        )
+        kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
+        classifier = train(known.designs, known.outcome, outcomes, campaign.features, kernel, classifier)
         scores.append(score("active", classifier, campaign.severity, n, *validation))
     return (Curve(scores, len(validation[0]), "validation") if scores else None), note
 
 
-def _reliability(campaign: Campaign, store: Store, folder: Path, classifier: Classifier) -> Reliability | None:
+def _reliability(campaign: Campaign, store: Store, classifier: Classifier) -> Reliability | None:
     latent = classifier.latents[campaign.severity - 1]
-    sets = [(f"test-{size}", "test") for size in _sizes(folder, r"test-(\d+)-0\.h5")]
-    for name, source in [*sets, ("validation", "validation")]:
-        if (found := read_parts(store, name)) is not None:
+    sets = [(name_of_test_set(size), "test") for size in sizes_of_test_sets(store)]
+    for name, source in [*sets, (VALIDATION, "validation")]:
+        if (found := stored_set(store, name)) is not None:
             probability = latent.moments(campaign.features(found[0])).probability
             return Reliability(probability, found[1] >= campaign.severity, source)
-    initial = in_initial_design(store.batches)
+    initial = History.of(store.batches).training.initial
     if initial.sum() < 2:
         return None
     moments = leave_one_out(latent.trained)
     beyond = latent.trained.labels.numpy() > 0.0
     return Reliability(moments.probability[initial], beyond[initial], "left out")
-
-
-class _NotSimulatedError(Exception):
-    pass
-
-
-class _NoSimulations:
-    """Refuses: a report simulates nothing that would have to be recorded."""
-
-    first_fault = ""
-
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
-        """Raise _NotSimulatedError."""
-        raise _NotSimulatedError
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None: ...
-
-
-def _verified(
-    campaign: Campaign, store: Store, folder: Path, classifier: Classifier, iteration: int
-) -> ErrorEstimate | None:
-    """The error that `verify` or a stop rule found for this very classifier, from its stored simulations."""
-    for size in _sizes(folder, rf"(?:verification|look)-{iteration}-(\d+)-0\.h5"):
-        try:
-            return verify(campaign, store, _NoSimulations(), classifier, iteration, size, 0.9)
-        except _NotSimulatedError:
-            continue
-    return None
 
 
 @dataclass(frozen=True)
@@ -252,10 +202,10 @@ def evidence_of(
     stage("reading what was compared and verified")
     curve, note = _curve(campaign, store, folder, stage)
     missing = {} if note is None else {"curve": note}
-    reliability = _reliability(campaign, store, folder, classifier)
+    reliability = _reliability(campaign, store, classifier)
     if reliability is None:
         missing["reliability"] = "there is neither a test set nor an initial design to judge by"
-    error = _verified(campaign, store, folder, classifier, store.batches[-1].iteration)
+    error = verified(campaign, store, classifier, store.batches[-1].iteration, 0.9)
     if error is None:
         missing["error"] = "the error of the classifier was not verified"
     return Evidence(curve, reliability, error, missing)

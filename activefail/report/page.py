@@ -17,8 +17,8 @@ from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign import quantities
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.findings import Findings, at_the_boundary
-from activefail.campaign.loop import standing
 from activefail.campaign.prediction import predict
+from activefail.campaign.progress import standing
 from activefail.campaign.provenance import provenance
 from activefail.campaign.quantities import significant, words
 from activefail.campaign.settings import PythonFeatures, Sampling

@@ -1,3 +1,5 @@
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -387,3 +389,26 @@ def test_designs_that_search_take_turns_in_their_widths_whatever_the_size_of_a_b
         assert designs.shape == (q, 2)
     # One after the other, without a gap: the widths take turns by these numbers.
     assert numbers == list(range(40 if known_side == "one" else round(40 * SEARCH_SHARE)))
+
+
+@dataclass(frozen=True)
+class Storeys:
+    """Features with ten values, as a number of storeys has."""
+
+    names = ("storeys",)
+
+    def __call__(self, X):
+        return np.round(9.0 * X[:, :1])
+
+
+def test_where_all_values_of_the_features_are_known_other_designs_with_them_are_proposed():
+    X = SPACE.sobol(64, np.random.default_rng(0))
+    few = train(X, (X[:, 0] > 0.5).astype(np.int8), ("out", "in"), Storeys(), "rbf")
+    failed = SPACE.sobol(8, np.random.default_rng(1))
+    for name in ("entropy", "globalmi"):
+        designs = propose(
+            few.latent("in"), few.features, SPACE, criterion(name), 12, np.random.default_rng(2), failed=failed
+        )
+        assert designs.shape == (12, 2)
+        assert len(np.unique(designs, axis=0)) == 12
+        assert not {row.tobytes() for row in designs} & {row.tobytes() for row in (*X, *failed)}

@@ -103,4 +103,4 @@ def disc(
         space.x = {{ low = {LOW[0]}, high = {HIGH[0]} }}
         space.y = {{ low = {LOW[1]}, high = {HIGH[1]} }}
         """
-    return Campaign.with_simulator(parse_settings(text, "disc"), simulator or Disc())
+    return Campaign.of(parse_settings(text, "disc"), simulator=simulator or Disc())

@@ -14,10 +14,13 @@ from campaign.stub import HIGH, LOW, Brittle, Disc, disc
 from commandline import activefail, record, started, wait_for
 from patience import PATIENCE, until
 
-from activefail.campaign.assembly import Campaign, initial_designs
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.asynchronous import Course, resumed
-from activefail.campaign.learning import classifier_state, current_classifier, in_initial_design, learn, training_rows
-from activefail.campaign.loop import Observer, Progress, one_thread, run
+from activefail.campaign.history import History
+from activefail.campaign.learning import current_classifier, learn
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer, Progress
+from activefail.campaign.proposing import initial_designs
 from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ProcessExecutor, ThreadExecutor
 from activefail.record.batch import ACTIVE, SEED
@@ -26,6 +29,8 @@ from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
+from activefail.surrogate.state import classifier_state
+from activefail.surrogate.threads import one_thread
 
 INITIAL, BUDGET, SIZE = 12, 30, 4
 
@@ -109,9 +114,8 @@ def test_every_design_is_asked_for_once_and_the_initial_ones_first(uninterrupted
     # Chosen designs were begun before the last of the initial ones was answered, which is the point of it.
     assert np.flatnonzero(origin == SEED).max() > np.flatnonzero(origin == ACTIVE).min()
     assert [batch.iteration for batch in uninterrupted.batches] == sorted(b.iteration for b in uninterrupted.batches)
-    rows, _ = training_rows(uninterrupted.batches)
-    seeds = in_initial_design(uninterrupted.batches)
-    assert sorted(map(tuple, rows[seeds])) == sorted(map(tuple, initial))
+    training = History.of(uninterrupted.batches).training
+    assert sorted(map(tuple, training.designs[training.initial])) == sorted(map(tuple, initial))
 
 
 def test_as_many_designs_are_in_flight_as_the_campaign_says_whatever_the_workers() -> None:
@@ -184,7 +188,7 @@ def test_what_it_has_learned_is_what_reading_the_record_gives(uninterrupted: Sto
         read = current_classifier(campaign, uninterrupted, write=False)
         assert course.classifier is not None
         assert bits(course)[2] == {name: array.tobytes() for name, array in classifier_state(read).items()}
-        first = learn(campaign, uninterrupted.batches, 0, None)
+        first = learn(campaign, History.of(uninterrupted.batches), 0, None)
     assert first.latents[0].trained.labels.shape[0] < INITIAL
 
 
@@ -389,10 +393,10 @@ def test_ctrl_c_says_what_becomes_of_the_simulations_in_flight(tmp_path: Path, s
     assert "batch" not in err
     asked, recorded = begun(), {row["x"] for row in record(folder)}
     if signals == 1:
-        assert err.splitlines()[-1].startswith("stopped with nothing in flight. Go on with: activefail resume")
+        assert err.splitlines()[-1].startswith("stopped with nothing in flight. Continue with: activefail resume")
         assert recorded == asked
     else:
-        last = "stopped; what was recorded is safe, what was in flight will be simulated again. Go on with: "
+        last = "stopped; what was recorded is safe, what was in flight will be simulated again. Continue with: "
         assert err.splitlines()[-1].startswith(last)
         assert len(asked - recorded) == SIZE
         (tmp_path / "open").touch()

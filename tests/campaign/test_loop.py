@@ -14,10 +14,14 @@ from campaign.stub import Brittle, Counting, Disc, disc, distance
 from numpy.typing import NDArray
 from patience import PATIENCE
 
-from activefail.campaign.assembly import Campaign, initial_designs, stream
-from activefail.campaign.learning import accuracy, current_classifier, training_rows
-from activefail.campaign.loop import Observer, Progress, one_thread, run, standing
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.history import History
+from activefail.campaign.learning import accuracy, current_classifier
+from activefail.campaign.loop import run
 from activefail.campaign.opening import open_campaign
+from activefail.campaign.progress import Observer, Progress, standing
+from activefail.campaign.proposing import initial_designs
+from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError
 from activefail.execution.local import ThreadExecutor
@@ -29,6 +33,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_na
 from activefail.space import Array
 from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Classifier, train
+from activefail.surrogate.threads import one_thread
 
 INITIAL, BUDGET, BATCH = 12, 28, 4
 COMMITS = BUDGET // BATCH
@@ -172,7 +177,8 @@ def test_chosen_designs_teach_more_than_static_ones_and_more_than_the_seed_did(
         outcome = Disc().run(X).outcome
         hypercube = campaign.space.latin_hypercube(60, stream(campaign.settings.seed, "static", 60))
         with one_thread():
-            seed = train(*training_rows(store.batches, 0), Disc.outcomes, campaign.features, "rbf")
+            known = History.of(store.batches).through(0).training
+            seed = train(known.designs, known.outcome, Disc.outcomes, campaign.features, "rbf")
             static = train(hypercube, Disc().run(hypercube).outcome, Disc.outcomes, campaign.features, "rbf")
             active = current_classifier(campaign, store, write=False)
             errors.append([1.0 - accuracy(classifier, 1, X, outcome) for classifier in (seed, static, active)])
@@ -201,7 +207,8 @@ def test_numerical_failures_are_recorded_and_counted_but_never_learned_from() ->
     )
     classifier = current_classifier(campaign, store, write=False)
     assert len(classifier.latents[0].trained.labels) == BUDGET - failures
-    X, labels = training_rows(store.batches)
+    known = History.of(store.batches).training
+    X, labels = known.designs, known.outcome
     assert FOGGY.run(X).outcome.tobytes() == labels.tobytes()
     assert NUMERICAL_FAILURE not in labels
 

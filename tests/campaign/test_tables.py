@@ -10,10 +10,10 @@ from ran import Run
 
 from activefail.bearing import TABLE_1, Model, Tolerance, simulate
 from activefail.bearing.outcome import CAUSES, COLUMNS, OUTCOME_NAMES
-from activefail.campaign.loop import one_thread
 from activefail.campaign.tables import check_bearing, export_table, predict_table, simulate_table
 from activefail.errors import InputError
 from activefail.space import Array
+from activefail.surrogate.threads import one_thread
 
 HEADER = ",".join(TABLE_1.names)
 GOOD = "4.0,0.06,0.6,0.8,0.1,50,2e9,2.0,0.4"

@@ -8,12 +8,15 @@ import pytest
 from commandline import activefail
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.learning import search_for_unseen
-from activefail.campaign.loop import Observer, run
+from activefail.campaign.history import History
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer
+from activefail.campaign.proposing import search_for_unseen
 from activefail.campaign.settings import parse_settings
 from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.execution.local import ThreadExecutor
 from activefail.record.memory import MemoryStore
+from activefail.run import create_run
 from activefail.simulators.interface import Results
 
 
@@ -48,7 +51,7 @@ def campaign_on(simulator, criterion="eavc", budget=60, more="", seed=0):
         space.x = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
         space.y = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
         """
-    return Campaign.with_simulator(parse_settings(text, "rare"), simulator)
+    return Campaign.of(parse_settings(text, "rare"), simulator=simulator)
 
 
 def taken(campaign, store=None):
@@ -79,7 +82,7 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
     more += "sampling.asynchronous = true" if asynchronous else ""
     campaign = campaign_on(NeverFails(), budget=40, more=more.replace("sampling.asynchronous = true", ""))
     if asynchronous:
-        campaign = Campaign.with_simulator(campaign.settings.changed({"sampling.asynchronous": True}), NeverFails())
+        campaign = Campaign.of(campaign.settings.changed({"sampling.asynchronous": True}), simulator=NeverFails())
     store, seen = taken(campaign)
     assert sum(len(batch) for batch in store.batches) == 40
     assert store.set_names() == []
@@ -90,10 +93,10 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
 def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen():
     campaign = campaign_on(FourBranch())
     store, _ = taken(campaign)
-    missing = search_for_unseen(campaign, store.batches[:6])
+    missing = search_for_unseen(campaign, History.of(store.batches[:6]))
     assert missing.outcomes == ("failure",)
     assert np.array_equal(missing.known, np.concatenate([batch.designs for batch in store.batches[:6]]))
-    assert search_for_unseen(campaign, store.batches) is None
+    assert search_for_unseen(campaign, History.of(store.batches)) is None
 
 
 def test_the_same_campaign_searches_at_the_same_designs_again():
@@ -155,6 +158,18 @@ def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_wha
         assert "7.4 %" in one.err
     assert activefail("report", folder, "--out", page).code == 0
     assert warning in html.unescape(page.read_text())
+    assert activefail("export", folder, "--csv", tmp_path / "designs.csv").code == 0
+    predicted = activefail("predict", folder, "--csv", tmp_path / "designs.csv", "--out", tmp_path / "predicted.csv")
+    assert (predicted.code, f"warning: {warning}" in predicted.err) == (0, True)
+
+
+def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_path):
+    with create_run(tmp_path / "run", gentle[0].with_name("gentle.toml")) as begun:
+        assert begun.summary.unseen_warning == ""
+        assert begun.take(budget=12).finished
+    for one in (activefail("status", tmp_path / "run"), activefail("resume", tmp_path / "run", "--budget", "12")):
+        assert "warning: None of the campaign's 12 simulations ended in impact or failure." in one.err
+        assert "17.5 %: 12 initial designs" in one.err  # 1 − 0.1^(1/12)
 
 
 def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is_simulated(gentle, tmp_path):

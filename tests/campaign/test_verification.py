@@ -9,8 +9,10 @@ from campaign.stub import HIGH, LOW, Counting, Disc, disc
 from scipy.stats import norm
 
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import Observer, one_thread, run, standing
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer, standing
 from activefail.campaign.settings import parse_settings
+from activefail.campaign.stored_sets import looks_before
 from activefail.campaign.verification import (
     EDGES,
     Verification,
@@ -19,7 +21,6 @@ from activefail.campaign.verification import (
     estimate_error,
     expected_error,
     leave_one_out,
-    looks_before,
     part_of,
     plan_verification,
     planned,
@@ -31,6 +32,7 @@ from activefail.execution.local import ThreadExecutor
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
 from activefail.surrogate import fitting
+from activefail.surrogate.threads import one_thread
 
 
 def learned(seed=1, budget=40, **settings):

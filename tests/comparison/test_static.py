@@ -4,15 +4,18 @@ import numpy as np
 import pytest
 from campaign.stub import Counting, Disc, disc
 
-from activefail.campaign.assembly import Campaign, stream
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import Observer, one_thread, run, standing
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer, standing
+from activefail.campaign.random_streams import stream
 from activefail.comparison.static import Score, compare, default_budgets, recalls, score
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.record.memory import MemoryStore
 from activefail.space import Array
 from activefail.surrogate.classifier import train
+from activefail.surrogate.threads import one_thread
 
 TEST = 300
 

@@ -21,7 +21,9 @@ from faults.simulators import Meddling, Remembering
 from patience import PATIENCE
 
 from activefail.campaign.asynchronous import resumed
-from activefail.campaign.loop import Observer, Progress, one_thread, run
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer, Progress
+from activefail.campaign.provenance import simulation_versions
 from activefail.errors import InputError, SimulationError
 from activefail.execution.dask import DaskExecutor
 from activefail.execution.local import ThreadExecutor
@@ -30,6 +32,7 @@ from activefail.record.memory import MemoryStore
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
 from activefail.space import Array, DesignSpace, Parameter
+from activefail.surrogate.threads import one_thread
 
 distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")
 
@@ -345,7 +348,7 @@ def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds
     cluster.workers["two"].wait()
     folder = str(tmp_path)
     monkeypatch.setattr(
-        "activefail.execution.dask._answer_there", lambda simulator, X, limit: (simulator.run(X), Grave(folder))
+        "activefail.execution.dask._answer_there", lambda simulator, X, *_: (simulator.run(X), Grave(folder))
     )
     x = np.array([0.0, 20.0])
     answers: list[tuple[int, Results]] = []
@@ -585,3 +588,23 @@ def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(
     assert said.code == 0, said.err
     assert activefail(*words, tmp_path / "here").code == 0
     assert record(tmp_path / "there") == record(tmp_path / "here")
+
+
+def versions() -> dict[str, str]:
+    """What differs between these tests and the workers that they start."""
+    return {"activefail": "1", "leader": "there" if "DASK_TEMPORARY_DIRECTORY" in os.environ else "here"}
+
+
+def test_a_worker_of_another_version_answers_nothing(cluster: Cluster) -> None:
+    X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
+    with DaskExecutor(cluster.address, versions=versions) as executor:
+        with pytest.raises(SimulationError, match="differs from this machine: leader there there, here here") as told:
+            executor.run(Disc(), X)
+        assert "nothing of it was recorded" in str(told.value)
+
+
+def test_the_workers_of_a_campaign_must_simulate_with_what_is_here(cluster: Cluster) -> None:
+    X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
+    assert set(simulation_versions()) == {"activefail", "python", "numpy", "numba", "bearing_sources"}
+    with DaskExecutor(cluster.address, versions=simulation_versions) as executor:
+        assert executor.run(Disc(), X).outcome.tolist() == Disc().run(X).outcome.tolist()

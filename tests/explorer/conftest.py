@@ -10,10 +10,10 @@ from report.test_report import ran, settings
 
 from activefail.campaign.findings import Findings, findings_of
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import one_thread
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
+from activefail.surrogate.threads import one_thread
 
 
 @pytest.fixture(scope="session")

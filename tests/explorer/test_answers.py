@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 from activefail.bearing import Bearing, Pulse, simulate_one
 from activefail.campaign.findings import findings_of
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import one_thread
 from activefail.campaign.opening import open_campaign
 from activefail.campaign.prediction import predict
 from activefail.cli.app import app
@@ -24,6 +23,7 @@ from activefail.explorer import answers as explorer_answers
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
 from activefail.record.run_folder import FolderStore
+from activefail.surrogate.threads import one_thread
 
 FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 

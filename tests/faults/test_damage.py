@@ -32,7 +32,8 @@ from record.test_store import (
     written,
 )
 
-from activefail.campaign.assembly import Campaign, initial_designs
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.proposing import initial_designs
 from activefail.campaign.settings import parse_settings
 from activefail.errors import DamagedError, StoreError
 from activefail.record import hdf5 as image

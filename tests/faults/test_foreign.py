@@ -27,6 +27,7 @@ from activefail.campaign.opening import open_campaign
 from activefail.errors import InputError, StoreError
 from activefail.record.attachments import decode_state, encode_state
 from activefail.record.batch import SEED, Batch, Schema
+from activefail.record.layout import run_folder_owning
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
 from activefail.simulators.interface import Results, UnusableAnswerError
@@ -575,3 +576,35 @@ def test_a_process_that_may_open_few_files_is_told_what_it_could_not_do(received
     line = done.stderr.splitlines()[-1]
     assert line.startswith("activefail: A worker process cannot be started: Too many open files (this process may open")
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "line", ["a" + ".a" * 40_000 + " = 1", "[a" + ".a" * 200_000 + "]", "x = {a" + ".a" * 9_000 + " = 1}"]
+)
+def test_a_key_of_thousands_of_parts_is_refused_at_once(
+    sent: Path, tmp_path: Path, line: str, survived: Survived
+) -> None:
+    folder = Path(shutil.copytree(sent, tmp_path / "run"))
+    settings = folder / "campaign.toml"
+    settings.write_text(f"{settings.read_text()}\n{line}\n")
+    for command in (("status", folder), ("export", folder, "--csv", tmp_path / "out.csv")):
+        said = activefail(*command)
+        assert said.code == 2
+        assert "must have at most 200 dots" in said.err
+    survived(1)
+
+
+def test_a_file_of_a_run_folder_is_known_by_the_file_system_and_not_by_its_spelling(
+    sent: Path, tmp_path: Path, survived: Survived
+) -> None:
+    folder = Path(shutil.copytree(sent, tmp_path / "run"))
+    # As where capital letters are the same as small ones: another name of the same file or folder.
+    os.link(folder / "campaign.toml", folder / "Campaign.toml")
+    assert run_folder_owning(folder / "Campaign.toml") == folder
+    (tmp_path / "elsewhere").mkdir()
+    assert run_folder_owning(folder / "segments" / "new.csv") == folder
+    assert run_folder_owning(folder / "mine.csv") is None
+    assert run_folder_owning(tmp_path / "elsewhere" / "campaign.toml") is None
+    said = activefail("export", folder, "--csv", folder / "Campaign.toml")
+    assert (said.code, "is a file of the run folder itself" in said.err) == (2, True)
+    survived(1)

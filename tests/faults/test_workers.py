@@ -19,7 +19,8 @@ from faults.simulators import Failing, Leaving, Meddling, OnceAt, Remembering, U
 from faults.victim import BUDGET, campaign
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import run, standing
+from activefail.campaign.loop import run
+from activefail.campaign.progress import standing
 from activefail.errors import SimulationError
 from activefail.execution import frames
 from activefail.execution import processes as workers
@@ -32,7 +33,7 @@ from activefail.space import Array
 def on(simulator: Simulator, more: float = 0.05) -> Campaign:
     """The campaign that faults are tried on, with another simulator."""
     settings = campaign().settings.changed({"limits.numerical_failures": more})
-    return Campaign.with_simulator(settings, simulator)
+    return Campaign.of(settings, simulator=simulator)
 
 
 @pytest.mark.parametrize("fault", [Killed, Exiting, Hanging, Exhausted])
@@ -66,9 +67,8 @@ def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_
     how: str, cause: str, says: str, tmp_path: Path
 ) -> None:
     one = on(Failing(how=how, below=-1.0), 0.1)
-    one = Campaign.with_simulator(
-        one.settings.changed({"sampling.initial": 20, "sampling.budget": 24, "validation.size": 0}), one.simulator
-    )
+    fewer = one.settings.changed({"sampling.initial": 20, "sampling.budget": 24, "validation.size": 0})
+    one = Campaign.of(fewer, simulator=one.simulator)
     with (
         FolderStore.create(tmp_path / "run", one.settings.text(), one.schema) as store,
         # Short only where it is reached: on a busy machine a process takes a while to die.

@@ -24,7 +24,8 @@ from campaign.stub import Disc, disc
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import Observer, run
+from activefail.campaign.loop import run
+from activefail.campaign.progress import Observer
 from activefail.errors import ActivefailError
 from activefail.record import compaction
 from activefail.record import run_folder as store

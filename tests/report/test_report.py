@@ -15,8 +15,9 @@ from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.findings import findings_of
 from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import Observer, one_thread, run
-from activefail.campaign.opening import create_run, open_campaign
+from activefail.campaign.loop import run
+from activefail.campaign.opening import create_folder, open_campaign
+from activefail.campaign.progress import Observer
 from activefail.campaign.settings import parse_settings
 from activefail.comparison.static import Recall, Score
 from activefail.csv_table import writing
@@ -28,6 +29,7 @@ from activefail.figures.marks import outcome_colour
 from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page
 from activefail.space import Parameter
+from activefail.surrogate.threads import one_thread
 
 SECTIONS = (
     *("run", "outcomes", "learning", "samples", "boundaries"),
@@ -85,7 +87,7 @@ def made(campaign: Campaign, folder: Path, store: FolderStore) -> str:
 
 def ran(folder: Path, campaign: Campaign, budget: int | None = None, batches: int | None = None) -> None:
     """A run folder with the campaign taken to its budget, or stopped after some batches."""
-    with create_run(folder, campaign) as store, ThreadExecutor(2) as executor:
+    with create_folder(folder, campaign) as store, ThreadExecutor(2) as executor:
         stop = (lambda: len(store.batches) == batches) if batches else (lambda: False)
         run(campaign, store, executor, budget or campaign.settings.sampling.budget, Observer(stop=stop))
 
@@ -338,7 +340,7 @@ def other(dimension: int) -> Campaign:
         acquisition.boundary = "broken"
         {space}
         """
-    return Campaign.with_simulator(parse_settings(text, "ball"), Ball())
+    return Campaign.of(parse_settings(text, "ball"), simulator=Ball())
 
 
 # --- its pieces --------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ import pytest
 from commandline import activefail, record, refused, started, table, wait_for
 from patience import PATIENCE, Clock
 
-from activefail.campaign.opening import create_run, read_campaign
+from activefail.campaign.opening import create_folder, read_campaign
 from activefail.errors import InputError
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
@@ -619,11 +619,11 @@ def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
 def test_status_needs_no_code_before_anything_is_recorded_either(mine: Path, tmp_path: Path) -> None:
     (mine / "mine.toml").write_text(f'classifier.features = {{ python = "model:physics" }}{TOML}')
     (mine / "model.py").write_text(f"{MODEL}\ndef physics(X, space):\n    return X[:, :1] ** 2\n")
-    with create_run(tmp_path / "run", read_campaign(mine / "mine.toml", code=mine)):
+    with create_folder(tmp_path / "run", read_campaign(mine / "mine.toml", code=mine)):
         said = activefail("status", tmp_path / "run")
     assert said.code == 0, said.err
     assert "0 of 24 simulations" in said.out
-    assert said.out.splitlines()[-1] == f"go on      activefail resume {tmp_path / 'run'} --code FOLDER"
+    assert said.out.splitlines()[-1] == f"continue   activefail resume {tmp_path / 'run'} --code FOLDER"
 
 
 OPENING = {
@@ -642,7 +642,7 @@ def received(mine: Path, tmp_path: Path) -> Path:
     physics = "def physics(X, space):\n    return X[:, :1] ** 2\n"
     (mine / "mine.toml").write_text(f'classifier.features = {{ python = "model:physics" }}{TOML}')
     (mine / "model.py").write_text(MODEL + physics)
-    create_run(run, read_campaign(mine / "mine.toml", code=mine)).close()
+    create_folder(run, read_campaign(mine / "mine.toml", code=mine)).close()
     (run / "model.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n{MODEL}{physics}")
     (run / "in.csv").write_text("drift,T\n1.0,2.0\n")
     shutil.rmtree(mine)
@@ -946,7 +946,7 @@ def test_a_ctrl_c_on_the_terminal_while_worker_processes_start_costs_nothing(min
         _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert f"Go on with: activefail resume {run} --code {mine}" in err
+    assert f"Continue with: activefail resume {run} --code {mine}" in err
     assert "numerical_failure" not in {row["outcome"] for row in record(run)}
 
 

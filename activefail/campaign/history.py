@@ -1,0 +1,86 @@
+"""What a campaign has simulated so far, as arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.record.batch import SEED, Batch
+from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.space import Array
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """The n simulations of a record, in its order; numerical failures are among them.
+
+    Attributes:
+        designs: (n, d), in the variables' units; (0, 0) for an empty record.
+        outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
+        iteration: (n,) int64, of the batch that each simulation came in; 0 in the initial design.
+        origin: (n,) int8, SEED or ACTIVE.
+    """
+
+    designs: Array
+    outcome: NDArray[np.int8]
+    iteration: NDArray[np.int64]
+    origin: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, batches: Sequence[Batch]) -> Self:
+        """The history that batches make."""
+        if not batches:
+            none = np.empty(0, dtype=np.int8)
+            return cls(np.empty((0, 0)), none, np.empty(0, dtype=np.int64), none)
+        return cls(
+            np.concatenate([batch.designs for batch in batches]),
+            np.concatenate([batch.results.outcome for batch in batches]),
+            np.repeat([batch.iteration for batch in batches], [len(batch) for batch in batches]),
+            np.concatenate([batch.origin for batch in batches]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.outcome)
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
+        return type(self)(self.designs[rows], self.outcome[rows], self.iteration[rows], self.origin[rows])
+
+    def through(self, iteration: int) -> Self:
+        """The simulations of the batches up to an iteration."""
+        return self[self.iteration <= iteration]
+
+    @property
+    def answered(self) -> NDArray[np.bool_]:
+        """Which simulations gave an answer, (n,)."""
+        return np.asarray(self.outcome != NUMERICAL_FAILURE)
+
+    @property
+    def training(self) -> Self:
+        """The simulations that a classifier learns from: those that gave an answer."""
+        return self[self.answered]
+
+    @property
+    def initial(self) -> NDArray[np.bool_]:
+        """Which simulations are of the initial design, (n,): unlike chosen ones, a sample of the design space."""
+        return np.asarray(self.origin == SEED)
+
+    @property
+    def failed_designs(self) -> Array:
+        """Designs of the numerical failures, (k, d)."""
+        return self.designs[~self.answered]
+
+    @property
+    def leading_failures(self) -> int:
+        """How many simulations failed before the first that gave an answer."""
+        return int(np.argmax(self.answered)) if self.answered.any() else len(self)
+
+    @property
+    def last_iteration(self) -> int:
+        """Of the last batch; 0 for an empty record."""
+        return int(self.iteration[-1]) if len(self) else 0
+
+    def counts(self, outcomes: int) -> NDArray[np.int64]:
+        """Simulations by outcome, (outcomes,); numerical failures are left out."""
+        return np.bincount(self.outcome[self.answered], minlength=outcomes)

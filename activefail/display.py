@@ -1,0 +1,131 @@
+"""How long work is shown while it runs, and how the user asks it to stop."""
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from activefail.screen import terminal
+from activefail.shares import interval_percent, percent
+from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.campaign.assembly import Campaign
+    from activefail.campaign.progress import Observer, Progress
+    from activefail.campaign.verification import ErrorEstimate
+
+
+@contextmanager
+def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Callable[[], bool]]:
+    """The first Ctrl-C or SIGTERM asks for a stop and says what is done before it, the second stops at once."""
+    asked = at_once = False
+
+    def ask(number: int, frame: object) -> None:
+        nonlocal asked, at_once
+        if asked:
+            at_once = True
+            raise KeyboardInterrupt
+        asked = True
+        print(f"\n{stopping}; once more to stop now", file=sys.stderr)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: asked
+    except Exception as broken:
+        # An interrupt in the middle of one of Python's own locks comes out as that lock's complaint.
+        if at_once:
+            raise KeyboardInterrupt from broken
+        raise
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]:
+    """A bar on a terminal, nothing otherwise; yields what takes the total and returns what takes the rows done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(file=terminal(sys.stderr), stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+
+        def begin(total: int) -> Callable[[int], None]:
+            task = bar.add_task(title, total=total)
+            return lambda done: bar.advance(task, done)
+
+        yield begin
+
+
+@contextmanager
+def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator["Observer"]:
+    """A live line on a terminal; a plain line a batch otherwise."""
+    from rich.console import Console
+
+    from activefail.campaign.progress import Observer
+
+    console = Console(file=terminal(sys.stdout))
+    if not console.is_terminal:
+        shown_iteration, shown_at = -1, -60.0
+
+        def show(progress: "Progress") -> None:
+            nonlocal shown_iteration, shown_at
+            # Batches of the initial design come too fast to be worth a line each.
+            learned = progress.done >= campaign.settings.sampling.initial
+            if learned or progress.iteration != shown_iteration or time.monotonic() - shown_at > 10.0:
+                shown_iteration, shown_at = progress.iteration, time.monotonic()
+                print(_progress_line(campaign, progress), flush=True)
+
+        yield Observer(show, stop=stop)
+        return
+
+    from rich.console import Group
+    from rich.live import Live
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+    from rich.text import Text
+
+    bar = Bar(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console)
+    task = bar.add_task("simulations", total=None)
+    line, below = "", Text("starting")
+
+    def update(progress: "Progress") -> None:
+        nonlocal line
+        line = _progress_line(campaign, progress, bar=True)
+        bar.update(task, total=progress.budget, completed=progress.done)
+
+    def enter(name: str) -> None:
+        below.plain = f"{line} | {name}" if line else name
+
+    # The text on lines of its own: a narrow terminal would cut it, or the bar.
+    with Live(Group(bar, below), console=console, refresh_per_second=8):
+        yield Observer(update, enter, stop)
+        below.plain = line
+
+
+def _counts(campaign: "Campaign", progress: "Progress") -> str:
+    names = (*campaign.simulator.outcomes, "numerical failures")
+    counts = (*progress.counts, progress.numerical_failures)
+    return ", ".join(f"{count} {name}" for count, name in zip(counts, names, strict=True))
+
+
+def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False) -> str:
+    parts = [] if bar else [f"{progress.done}/{progress.budget} simulations"]
+    parts += [f"iteration {progress.iteration}", _counts(campaign, progress)]
+    if progress.unseen and progress.done >= campaign.settings.sampling.initial:
+        parts.append(f"searching for {' and '.join(progress.unseen)}, not seen yet")
+    if progress.error is not None:
+        parts.append(f"error {error_text(progress.error)}")
+    if progress.accuracy is not None:
+        parts.append(f"accuracy {percent(progress.accuracy)}")
+    if progress.seconds_left is not None and progress.done < progress.budget:
+        parts.append(f"{progress.seconds_left:.0f} s left")
+    return visible(" | ".join(parts))
+
+
+def error_text(error: "ErrorEstimate") -> str:
+    """A verified error with its interval."""
+    return f"{percent(error.error, 2)} ({interval_percent(error.low, error.high)})"
