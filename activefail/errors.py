@@ -58,7 +58,9 @@ def description_of(error: BaseException) -> str:
     name = type(error).__name__
     try:
         return f"{name}: {error}"
-    except (Exception, SystemExit) as again:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as again:
         return f"{name}, whose message cannot be read ({type(again).__name__})"
 
 

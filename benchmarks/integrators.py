@@ -1,8 +1,8 @@
-"""The simulator with other integrators in the place of its own: steps, time, labels and energy errors.
+"""The simulator with other integrators in the place of its own: steps, time, outcomes and energy errors.
 
-A method brings only the attempt of a step. The loop with its events, the weights of errors and the control of the step
-are the product's, with the root that belongs to the order of the method's error estimate. What a label should be is
-said by the product at a tolerance of 1e-6. Coefficients and their sources: integrators.toml.
+A Rosenbrock method is another tableau for the simulator's own step. A diagonally implicit method brings the attempt of
+a step and a copy of the step control. The loop with its events and the weights of errors are the simulator's. The
+outcomes of the simulator at a tolerance of 1e-6 count as right. Coefficients and their sources: integrators.toml.
 
     python benchmarks/integrators.py --n 2000
     python benchmarks/integrators.py --n 5000 --only RODAS4P2 --tolerances 1e-4
@@ -22,20 +22,18 @@ from numba import njit
 from threadpoolctl import threadpool_limits
 
 from activefail.bearing import TABLE_1, Responses, Tolerance, integrator, simulate, simulation
-from activefail.bearing.integrator import ACCEPTED, STEP_UNDERFLOW, TOO_MANY_STEPS, State, acceleration
-from activefail.bearing.kernels import KERNEL
-from activefail.bearing.tuples import (
-    axpy,
-    axpy_rows,
-    combination,
-    error_sum,
-    factorise,
-    product,
-    scaled,
-    scaled_rows,
-    solve,
-    weighted,
+from activefail.bearing.integrator import (
+    ACCEPTED,
+    STEP_UNDERFLOW,
+    TOO_MANY_STEPS,
+    State,
+    Tableau,
+    acceleration,
+    root_of,
+    step_of,
 )
+from activefail.bearing.kernels import KERNEL
+from activefail.bearing.tuples import axpy, axpy_rows, error_sum, factorise, scaled, scaled_rows, solve, weighted
 from activefail.space import Array
 
 INLINE = {"forceinline": True, **KERNEL}
@@ -44,7 +42,7 @@ NEWTON_SHARE, MOST_ITERATIONS = 0.05, 8
 
 
 class Attempt(NamedTuple):
-    """The end of an attempted step, its error, its middle, and what it took."""
+    """The end of a diagonally implicit method's attempted step, its error, its middle, and what it took."""
 
     q: Any
     v: Any
@@ -54,55 +52,6 @@ class Attempt(NamedTuple):
     middle_v: Any
     evaluations: int
     solved: bool
-
-
-@njit(**INLINE)
-def couple(gamma_step, by_q, factors, lead, right):
-    """A Rosenbrock stage's (u_q, u_v), as in `activefail.bearing.integrator`."""
-    pull = axpy(gamma_step, product(by_q, lead), right)
-    u_v = solve(factors, scaled(gamma_step, pull))
-    return scaled(gamma_step, axpy(1.0, lead, u_v)), u_v
-
-
-def rosenbrock(gamma, derivative, time, A, C, dense):
-    """The attempt of a step by a stiffly accurate Rosenbrock method whose last stage is its error."""
-    first, last = derivative[0], len(C)
-    # y(t + h/2) = (y0 + y1)/2 + Σ middle_j u_j
-    middle = tuple(0.25 * sum(0.5**i * row[j] for i, row in enumerate(dense)) for j in range(len(dense[0])))
-    kept = len(middle)
-
-    @njit(**INLINE)
-    def stages(problem, t, q, v, slope, step, gamma_step, factors):
-        u_q, u_v = couple(gamma_step, slope[1], factors, v, axpy(first * step, slope[3], slope[0]))
-        return q, v, (u_q,), (u_v,)
-
-    def with_stage(before, time, derivative, a, c):
-        @njit(**INLINE)
-        def stages(problem, t, q, v, slope, step, gamma_step, factors):
-            _, _, us_q, us_v = before(problem, t, q, v, slope, step, gamma_step, factors)
-            at_q, at_v = combination(q, a, us_q), combination(v, a, us_v)
-            force = acceleration(problem, t + time * step, at_q, at_v)
-            lead = axpy(1.0 / step, weighted(c, us_q), at_v)
-            right = axpy(1.0 / step, weighted(c, us_v), axpy(derivative * step, slope[3], force))
-            u_q, u_v = couple(gamma_step, slope[1], factors, lead, right)
-            return at_q, at_v, (*us_q, u_q), (*us_v, u_v)
-
-        return stages
-
-    for stage in zip(time[1:], derivative[1:], A, C, strict=True):
-        stages = with_stage(stages, *stage)
-
-    @njit(**INLINE)
-    def attempt(problem, t, q, v, slope, step, control):
-        gamma_step = gamma * step
-        factors = factorise(scaled_rows(-gamma_step, axpy_rows(gamma_step, slope[1], slope[2])))
-        last_q, last_v, us_q, us_v = stages(problem, t, q, v, slope, step, gamma_step, factors)
-        end_q, end_v = axpy(1.0, last_q, us_q[last]), axpy(1.0, last_v, us_v[last])
-        middle_q = combination(axpy(0.5, q, scaled(0.5, end_q)), middle, us_q[:kept])
-        middle_v = combination(axpy(0.5, v, scaled(0.5, end_v)), middle, us_v[:kept])
-        return Attempt(end_q, end_v, us_q[last], us_v[last], middle_q, middle_v, last, True)
-
-    return attempt
 
 
 @njit(**INLINE)
@@ -172,7 +121,8 @@ def esdirk(gamma, A, error):
 
 
 def advancing(attempt, order):
-    """`activefail.bearing.integrator.advance` with another attempt, whose error estimate is of the given order."""
+    """`activefail.bearing.integrator.advance` with an attempt that may not converge, and its error estimate's order."""
+    root = root_of(order + 1)
 
     @njit(**KERNEL)
     def advance(problem, state, control, longest):
@@ -187,8 +137,7 @@ def advancing(attempt, order):
             squares = error_sum(trial.error_q, q, trial.q, control.scale_q)
             squares += error_sum(trial.error_v, v, trial.v, control.scale_v)
             error = math.sqrt(squares / (2 * len(q))) / control.tolerance if trial.solved else math.inf
-            root = math.sqrt(math.sqrt(error)) if order == 3 else error ** (1.0 / (order + 1))
-            factor = min(3.0, max(0.2, 0.8 / root)) if math.isfinite(error) else 0.1 if trial.solved else 0.3
+            factor = min(3.0, max(0.2, 0.8 / root(error))) if math.isfinite(error) else 0.1 if trial.solved else 0.3
             if error <= 1.0:
                 step_next = step * (min(factor, 1.0) if rejected else factor)
                 done = State(t + step, step_next, trial.q, trial.v, attempts, rejections, evaluations + 1)
@@ -202,6 +151,22 @@ def advancing(attempt, order):
     return advance
 
 
+def recompiled(kernel: Any, **changed: Any) -> FunctionType:
+    """A kernel's Python function with other globals, to be compiled anew."""
+    function = kernel.py_func
+    return FunctionType(function.__code__, {**function.__globals__, **changed})
+
+
+def rosenbrock(tableau: Tableau) -> Any:
+    """`activefail.bearing.integrator.advance` by another tableau."""
+    changed = {
+        "attempt": step_of(tableau),
+        "error_root": root_of(tableau.error_order + 1),
+        "EVALUATIONS": len(tableau.c) - 1,
+    }
+    return njit(**KERNEL)(recompiled(integrator.advance, **changed))
+
+
 def measure(name: str, run: Any, X: Array, relative: float, reference: Responses) -> None:
     """Simulate all designs by a kernel in the place of the product's, and print what it took."""
     with patch.object(simulation, "_run", run):
@@ -209,10 +174,10 @@ def measure(name: str, run: Any, X: Array, relative: float, reference: Responses
         began = time.process_time()
         answers = simulate(X, tolerance=Tolerance(relative=relative), threads=1)
         ms = 1e3 * (time.process_time() - began) / len(X)
-    counts = "".join(f"{answers.margin(c).mean():>9.0f}" for c in ("steps", "rejected_steps", "evaluations"))
-    energy = answers.margin("energy_error")[answers.label >= 0]
+    counts = "".join(f"{answers.statistic(c).mean():>9.0f}" for c in ("steps", "rejected_steps", "evaluations"))
+    energy = answers.statistic("energy_error")[answers.outcome >= 0]
     errors = "".join(f"{error:>9.1e}" for error in np.quantile(energy, (0.5, 0.99, 1.0)))
-    equal = f"{(answers.label == reference.label).sum()} of {len(X)}"
+    equal = f"{(answers.outcome == reference.outcome).sum()} of {len(X)}"
     print(f"{name:<14}{relative:>8g}{counts}{ms:>8.2f}{equal:>14}{errors}", flush=True)
 
 
@@ -227,16 +192,17 @@ def main() -> None:
     with threadpool_limits(limits=1):
         reference = simulate(X, tolerance=Tolerance(relative=1e-6), threads=1)
         heads = "".join(f"{head:>9}" for head in ("steps", "rejected", "rhs"))
-        print(f"{'':<14}{'rtol':>8}{heads}{'ms':>8}{'labels':>14}   energy error: median, 99 %, largest")
+        print(f"{'':<14}{'rtol':>8}{heads}{'ms':>8}{'outcomes':>14}   energy error: median, 99 %, largest")
         for relative in arguments.tolerances:
             measure("activefail", simulation._run, X, relative, reference)
         for name in arguments.only:
             method = {key: frozen(value) for key, value in methods[name].items()}
-            order = method.pop("order")
-            advance = advancing((rosenbrock if "C" in method else esdirk)(**method), order)
-            # The product's loop, compiled anew around another `advance`.
-            loop = simulation._run.py_func
-            run = njit(nogil=True, **KERNEL)(FunctionType(loop.__code__, {**loop.__globals__, "advance": advance}))
+            if "C" in method:
+                advance = rosenbrock(Tableau(name=name, **method))
+            else:
+                order = method.pop("error_order")
+                advance = advancing(esdirk(**method), order)
+            run = njit(nogil=True, **KERNEL)(recompiled(simulation._run, advance=advance))
             for relative in arguments.tolerances:
                 measure(name, run, X, relative, reference)
 

@@ -78,7 +78,7 @@ def timed(function):
 
 
 def labels(X):
-    return np.where(simulate(X, threads=1).label == FAILURE, 1.0, -1.0)
+    return np.where(simulate(X, threads=1).outcome == FAILURE, 1.0, -1.0)
 
 
 def verdict(probit, y):

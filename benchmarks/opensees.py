@@ -1,7 +1,7 @@
 """The bearing before any rim touch beside OpenSees' friction pendulum element, and both beside a rigid pendulum.
 
     python benchmarks/opensees.py --python /path/to/python/with/openseespy
-    python benchmarks/opensees.py --n 400 --seed 2 --labels 500
+    python benchmarks/opensees.py --n 400 --seed 2 --outcomes 500
 
 Designs of Table 1 that meet no rim, drawn at random. Each is simulated as it is, with slow creep (friction regularised
 over 10^-5 m/s instead of 10^-3) and, besides, as nearly rigid (contacts 10^4 times as stiff); by OpenSees
@@ -96,7 +96,7 @@ def ours(row, model=MODEL, stiffness=1.0, tolerance=None):
         tolerance or Tolerance(),
         to_the_end=True,
     )
-    return Path1D(response.t, response.q[:, 3]) if response.outcome == "no_impact" else None
+    return Path1D(response.t, response.q[:, 3]) if response.outcome_name == "no_impact" else None
 
 
 def opensees(python, row, *options):
@@ -132,7 +132,7 @@ def elastic_slip(bearing):
 
 def compare(python, n, seed, least):
     X = TABLE_1.latin_hypercube(4 * n, np.random.default_rng(seed))
-    X = X[simulate(X).label == 0]
+    X = X[simulate(X).outcome == 0]
     makers = {
         "bearing": ours,
         "bearing, slow creep": lambda row: ours(row, COULOMB),
@@ -177,10 +177,10 @@ def compare(python, n, seed, least):
         print(f"| {one} | {other} | {' | '.join(cells)} |")
 
 
-def compare_labels(python, n, seed):
+def compare_outcomes(python, n, seed):
     """Whether OpenSees says `impact` where the bearing meets a rim, over all of Table 1."""
     X = TABLE_1.latin_hypercube(n, np.random.default_rng(seed + 1))
-    touched = simulate(X).label >= 1
+    touched = simulate(X).outcome >= 1
     said = np.array([opensees(python, row) is None for row in X.tolist()])
     print(f"\nimpact or not: the same for {np.mean(said == touched):.1%} of {n} designs;")
     print(f"{np.sum(touched & ~said)} touch a rim in the bearing alone, {np.sum(said & ~touched)} in OpenSees alone")
@@ -192,12 +192,12 @@ def main():
     parser.add_argument("--n", type=int, default=100, help="designs")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--least", type=float, default=0.01, help="smallest peak displacement that is compared [m]")
-    parser.add_argument("--labels", type=int, default=0, help="designs of all of Table 1 whose outcomes are compared")
+    parser.add_argument("--outcomes", type=int, default=0, help="designs of all of Table 1 whose outcomes are compared")
     given = parser.parse_args()
     began = time.perf_counter()
     compare(given.python, given.n, given.seed, given.least)
-    if given.labels:
-        compare_labels(given.python, given.labels, given.seed)
+    if given.outcomes:
+        compare_outcomes(given.python, given.outcomes, given.seed)
     print(f"\n{time.perf_counter() - began:.0f} s")
 
 

@@ -62,13 +62,13 @@ def failure_margin(X: Array, responses: Any) -> Array:
     """
     overturning = np.arctan2(1.0, X[:, TABLE_1.names.index("h_sl_ratio")])
     g = np.maximum(responses.margin("peak_gap_ratio"), responses.margin("peak_tilt") / overturning) - 1.0
-    return np.where(responses.label == FAILURE, np.where(g > 0.0, g, 0.05), np.minimum(g, 0.0))
+    return np.where(responses.outcome == FAILURE, np.where(g > 0.0, g, 0.05), np.minimum(g, 0.0))
 
 
 def simulated(X: Array) -> Answers:
     responses = simulate(X, threads=1)
-    kept = responses.label != NUMERICAL_FAILURE
-    return Answers(X[kept], responses.label[kept] == FAILURE, failure_margin(X, responses)[kept])
+    kept = responses.outcome != NUMERICAL_FAILURE
+    return Answers(X[kept], responses.outcome[kept] == FAILURE, failure_margin(X, responses)[kept])
 
 
 def joined(*parts: Answers) -> Answers:

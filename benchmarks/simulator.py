@@ -2,7 +2,7 @@
 
 All solve the same equations of motion with the same compiled right-hand side and analytical Jacobian, weigh errors
 alike, check the same event functions at accepted steps and stop by the same rules. The longest step is ours, except
-that ours shortens it to 10 ms while a plate is off the slider, which the peers are spared. What a label should be is
+that ours shortens it to 10 ms while a plate is off the slider, which the peers are spared. What an outcome should be is
 said by our integrator at a tolerance 100 times tighter. SciPy's solvers step in Python, so the times compare what a
 user would wait for; the evaluations of the right-hand side compare the methods. They run as fast as can be, each by its
 solver class and one compiled look at a step's end, and LSODA also as a user would call it, by solve_ivp with event
@@ -12,7 +12,7 @@ installed (it is built from source: `pip install numbalsoda` with CMake and a Fo
     python benchmarks/simulator.py --n 500 --peers 20
 
     python benchmarks/simulator.py --n 500 --peers 500 --only numbalsoda
-    python benchmarks/simulator.py --n 5000 --peers 0     labels only
+    python benchmarks/simulator.py --n 5000 --peers 0     outcomes only
     python benchmarks/simulator.py --settled 20000        is any run ended that would have failed?
     python benchmarks/simulator.py --threads 2            scaling
 """
@@ -99,7 +99,7 @@ def look(t, y, p):
 
 @njit(error_model="numpy")
 def settled(t, touched, stored, constants, levels):
-    """Whether the label is settled, as in `activefail.bearing.simulation`."""
+    """Whether the outcome is settled, as in `activefail.bearing.simulation`."""
     if not touched and t <= HALF_DURATION * constants.period:
         return False
     reach = levels.failure if touched else min(levels.touch, levels.failure)
@@ -135,7 +135,7 @@ def euler(constants, q, v, end, step, levels):
 class Answer(NamedTuple):
     """What a peer gave for one design; what it does not count is NaN."""
 
-    label: int
+    outcome: int
     seconds: float
     steps: float
     evaluations: float
@@ -164,27 +164,27 @@ def solve(solver: type[OdeSolver], row: Array, relative: float) -> Answer:
         atol=relative * SCALE,
         jac=lambda t, y: jacobian(t, y, p),
     )
-    label, steps = o.NO_IMPACT, 0
+    outcome, steps = o.NO_IMPACT, 0
     while stepper.status == "running":
         stepper.step()
         if stepper.status == "failed":
-            label = o.NUMERICAL_FAILURE
+            outcome = o.NUMERICAL_FAILURE
             break
         steps += 1
         touched, cause, stored = look(stepper.t, stepper.y, p)
         if touched:
-            label = max(label, o.IMPACT)
+            outcome = max(outcome, o.IMPACT)
         if cause != o.NONE:
-            label = o.FAILURE if label == o.IMPACT else o.NUMERICAL_FAILURE
+            outcome = o.FAILURE if outcome == o.IMPACT else o.NUMERICAL_FAILURE
             break
-        if settled(stepper.t, label == o.IMPACT, stored, constants, levels):
+        if settled(stepper.t, outcome == o.IMPACT, stored, constants, levels):
             break
-    return Answer(label, time.process_time() - began, steps, stepper.nfev, stepper.njev)
+    return Answer(outcome, time.process_time() - began, steps, stepper.nfev, stepper.njev)
 
 
 @njit(error_model="numpy")
 def events(t, y, p, touched, levels):
-    """What solve_ivp looks for a root of: touch, escape, loss of confinement, overturning, a settled label."""
+    """What solve_ivp looks for a root of: touch, escape, loss of confinement, overturning, a settled outcome."""
     constants = _unpack(p)
     q, v = _halves(y)
     seen = o.observe(constants, q, v)
@@ -199,7 +199,7 @@ def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
 
     `derivative` says whether it is given the Jacobian or finds it by differences.
 
-    An event function for each way in which a run ends, and one for the touch, which says from when on the label is
+    An event function for each way in which a run ends, and one for the touch, which says from when on the outcome is
     settled by another energy. solve_ivp calls each at the end of every step and refines the roots.
     """
     began = time.process_time()
@@ -229,10 +229,10 @@ def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
         **({"jac": lambda t, y: jacobian(t, y, p)} if derivative else {}),
     )
     failed = any(len(times) for times in path.t_events[1:4])
-    label = o.FAILURE if failed else o.IMPACT if touched else o.NO_IMPACT
+    outcome = o.FAILURE if failed else o.IMPACT if touched else o.NO_IMPACT
     if path.status < 0 or (failed and not touched):
-        label = o.NUMERICAL_FAILURE
-    return Answer(label, time.process_time() - began, len(path.t) - 1, path.nfev, path.njev)
+        outcome = o.NUMERICAL_FAILURE
+    return Answer(outcome, time.process_time() - began, len(path.t) - 1, path.nfev, path.njev)
 
 
 def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
@@ -268,14 +268,14 @@ def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
         states, success = lsoda(address, y / scale, times, data=p, rtol=relative, atol=relative, mxstep=100_000)
         if not success:
             return o.NUMERICAL_FAILURE
-        label = o.NO_IMPACT
+        outcome = o.NO_IMPACT
         for i in range(len(times)):
             touched, cause, _ = look(times[i], states[i] * scale, p)
             if touched:
-                label = o.IMPACT
+                outcome = o.IMPACT
             if cause != o.NONE:
-                return o.FAILURE if label == o.IMPACT else o.NUMERICAL_FAILURE
-        return label
+                return o.FAILURE if outcome == o.IMPACT else o.NUMERICAL_FAILURE
+        return outcome
 
     def solve_row(row: Array, relative: float) -> Answer:
         end = float(simulate(row[None, :], threads=1).margin("end_time")[0]) + 0.1
@@ -284,8 +284,8 @@ def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
         p = np.array([*pack(constants), 0.0])
         y = np.array([*equilibrium(constants), 0.0, 0.0, 0.0, 0.0, 0.0])
         times = np.arange(-HALF_DURATION * constants.period, end, OUTPUT_STEP)
-        label = run(p, y, times, relative)
-        return Answer(label, time.process_time() - began, np.nan, p[25], np.nan)
+        outcome = run(p, y, times, relative)
+        return Answer(outcome, time.process_time() - began, np.nan, p[25], np.nan)
 
     return solve_row
 
@@ -294,8 +294,8 @@ def solve_by_euler(row: Array, step: float) -> Answer:
     """One design by semi-implicit Euler."""
     constants, levels, end = problem(row)
     began = time.process_time()
-    label, steps = euler(constants, equilibrium(constants), (0.0, 0.0, 0.0, 0.0, 0.0), end, step, levels)
-    return Answer(label, time.process_time() - began, steps, steps, 0)
+    outcome, steps = euler(constants, equilibrium(constants), (0.0, 0.0, 0.0, 0.0, 0.0), end, step, levels)
+    return Answer(outcome, time.process_time() - began, steps, steps, 0)
 
 
 def least_of(repeats: int, X: Array, tolerance: Tolerance) -> tuple[Responses, float]:
@@ -312,44 +312,46 @@ def least_of(repeats: int, X: Array, tolerance: Tolerance) -> tuple[Responses, f
 
 
 def print_ours(X: Array, tolerance: Tolerance) -> NDArray[np.int8]:
-    """Simulate and print; the labels at a tolerance 100 times tighter."""
+    """Simulate and print; the outcomes at a tolerance 100 times tighter."""
     ours, processor = least_of(REPEATS, X, tolerance)
     tight = simulate(X, tolerance=Tolerance(relative=tolerance.relative / 100.0), threads=1)
     ms = 1e3 * ours.seconds
     print(f"activefail, rtol {tolerance.relative:g}: {len(X)} designs of Table 1, one thread")
     print(f"  {'outcome':<18}{'share':>8}{'ms mean':>10}{'slowest':>10}{'steps':>10}{'rejected':>10}{'rhs':>10}")
-    names = [*o.OUTCOMES, "numerical_failure"]
-    for name, rows in [("all", np.full(len(X), True)), *((name, ours.outcome == name) for name in names)]:
+    names = o.OUTCOME_NAMES
+    for name, rows in [("all", np.full(len(X), True)), *((name, ours.outcome_name == name) for name in names)]:
         if rows.any():
-            counts = (ours.margin(column)[rows].mean() for column in ("steps", "rejected_steps", "evaluations"))
+            counts = (ours.statistic(column)[rows].mean() for column in ("steps", "rejected_steps", "evaluations"))
             print(
                 f"  {name:<18}{rows.mean():>8.1%}{ms[rows].mean():>10.2f}{ms[rows].max():>10.2f}"
                 + "".join(f"{count:>10.0f}" for count in counts)
             )
     print(f"  processor time, with all that is done in Python: {1e3 * processor / len(X):.2f} ms a design")
-    print(f"  labels equal at a tolerance 100 times tighter: {(ours.label == tight.label).sum()} of {len(X)}")
-    print(f"  largest energy error: {ours.margin('energy_error').max():.1e} of the larger of peak work and Mg·1 mm")
-    return tight.label
+    print(f"  outcomes equal at a tolerance 100 times tighter: {(ours.outcome == tight.outcome).sum()} of {len(X)}")
+    print(f"  largest energy error: {ours.statistic('energy_error').max():.1e} of the larger of peak work and Mg·1 mm")
+    return tight.outcome
 
 
 def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[np.int8], only: list[str]) -> None:
-    """Run the peers, or `only` those, and print them beside ours; looser tolerances first, until labels agree."""
+    """Run the peers, or `only` those, and print them beside ours; looser tolerances first, until outcomes agree."""
 
     def line(name: str, relative: float, means: Array, equal: int, base: Array) -> None:
         counts = "".join(f"{count:>10.0f}" for count in means[1:])
         ratios = f"{means[0] / base[0]:>9.1f}x{means[2] / base[2]:>9.2f}x"
         print(f"  {name:<12}{relative:>8g}{means[0]:>10.2f}{counts}{f'{equal} of {len(X)}':>12}{ratios}")
 
-    accepted = ours.margin("steps") - ours.margin("rejected_steps")
+    accepted = ours.statistic("steps") - ours.statistic("rejected_steps")
     # Ours needs the Jacobian once for every accepted step.
-    counts = np.mean([accepted, ours.margin("evaluations"), accepted], axis=1)
+    counts = np.mean([accepted, ours.statistic("evaluations"), accepted], axis=1)
     base = np.array([1e3 * processor / len(X), *counts])
-    print(f"\nThe first {len(X)} of these designs, mean of a design, processor time; labels: as at the tight tolerance")
     print(
-        f"  {'solver':<12}{'rtol':>8}{'ms':>10}{'accepted':>10}{'rhs':>10}{'jacobians':>10}{'labels':>12}"
+        f"\nThe first {len(X)} of these designs, mean of a design, processor time; outcomes: as at the tight tolerance"
+    )
+    print(
+        f"  {'solver':<12}{'rtol':>8}{'ms':>10}{'accepted':>10}{'rhs':>10}{'jacobians':>10}{'outcomes':>12}"
         f"{'ms/ours':>10}{'rhs/ours':>10}"
     )
-    line("activefail", Tolerance().relative, base, int((ours.label == reference).sum()), base)
+    line("activefail", Tolerance().relative, base, int((ours.outcome == reference).sum()), base)
     best: list[tuple[float, str]] = []
     runs: list[tuple[str, Callable[[Array, float], Answer], tuple[float, ...]]] = [
         ("solve_ivp", partial(solve_by_solve_ivp, False), PEER_TOLERANCES),
@@ -366,14 +368,14 @@ def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[
         solver(X[0], settings[0])  # compiled before the clock runs
         for setting in settings:
             answers = [solver(row, setting) for row in X]
-            equal = sum(answer.label == label for answer, label in zip(answers, reference, strict=True))
+            equal = sum(answer.outcome == outcome for answer, outcome in zip(answers, reference, strict=True))
             means = np.mean([(1e3 * a.seconds, a.steps, a.evaluations, a.jacobians) for a in answers], axis=0)
             line(name, setting, means, equal, base)
             if equal == len(X):
                 best.append((means[0] / base[0], f"{name} at {setting:g}"))
                 break
         else:
-            print(f"  {name} does not give all labels with any of these")
+            print(f"  {name} does not give all outcomes with any of these")
     print("  Euler's setting is its step [s]")
     print(
         "  solve_ivp's method is LSODA; its calls and those of the next three step in Python, the others are compiled"
@@ -384,21 +386,21 @@ def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[
         print("  numbalsoda is told when to end, 0.1 s after the end of our run")
     if best:
         ratio, name = min(best)
-        print(f"At equal labels ours takes a {ratio:.0f}th of the time of the fastest of these, {name}.")
+        print(f"At equal outcomes ours takes a {ratio:.0f}th of the time of the fastest of these, {name}.")
 
 
 def print_settled(n: int) -> None:
-    """Whether any run that was ended because its label was settled would have gone on to another one."""
+    """Whether any run that was ended because its outcome was settled would have gone on to another one."""
     X = TABLE_1.latin_hypercube(n, np.random.default_rng(n))
     answers = simulate(X)
-    rows = np.flatnonzero((answers.label == o.NO_IMPACT) | (answers.label == o.IMPACT))
+    rows = np.flatnonzero((answers.outcome == o.NO_IMPACT) | (answers.outcome == o.IMPACT))
     early = changed = 0
     for row in rows:
         bearing, pulse = Bearing.from_row(X[row].tolist(), 0.30), Pulse.from_table(*X[row, 7:].tolist())
         whole = simulate_one(bearing, pulse, to_the_end=True)
-        early += whole.margins["end_time"] > answers.margin("end_time")[row]
+        early += whole.margins.end_time > answers.margin("end_time")[row]
         changed += whole.outcome != answers.outcome[row]
-    print(f"{n} designs, {len(rows)} that do not fail, {early} ended early; to the end {changed} get another label")
+    print(f"{n} designs, {len(rows)} that do not fail, {early} ended early; to the end {changed} get another outcome")
 
 
 def print_scaling(X: Array, threads: int) -> None:

@@ -2,7 +2,7 @@
 
     python benchmarks/store.py [--batch 100] [--folder DIR]
 
-Campaigns of the bearing's columns (nine variables, twelve margins) with made-up numbers are laid out as compaction
+Campaigns of the bearing's columns (nine variables, twelve numbers more) with made-up numbers are laid out as compaction
 would have left them. Commits are timed at the end of such a record, those that merge included, in turn with commits at
 the end of a small one, so that both meet the same machine. Openings and `status` are the least of three, by the wall
 clock and of the processor.
@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from activefail.bearing.design import TABLE_1
-from activefail.bearing.outcome import CAUSES, MARGINS, OUTCOMES
+from activefail.bearing.outcome import CAUSES, COLUMNS, OUTCOMES
 from activefail.campaign.settings import parse_settings
 from activefail.record import compaction
 from activefail.record.batch import ACTIVE, SEED, Batch, Schema
@@ -29,7 +29,7 @@ from activefail.record.run_folder import FolderStore
 from activefail.record.segment import Segment, chain_start, encode_segment
 from activefail.simulators.interface import Results
 
-SCHEMA = Schema(TABLE_1.names, OUTCOMES, CAUSES, MARGINS)
+SCHEMA = Schema(TABLE_1.names, OUTCOMES, CAUSES, COLUMNS)
 SMALL, LARGE = 1_000, 1_000_000
 COMMITS = 192
 """Three times 64: each record is merged as often as it is in the long run."""
@@ -48,7 +48,7 @@ def batches(size: int, first: int) -> Iterator[Batch]:
             Results(
                 rng.integers(0, 3, size).astype(np.int8),
                 np.zeros(size, dtype=np.int8),
-                rng.random((size, len(MARGINS))),
+                rng.random((size, len(COLUMNS))),
                 rng.random(size),
             ),
         )

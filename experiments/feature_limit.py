@@ -10,7 +10,7 @@ the start. What is left of where they began makes both figures too high rather t
 
     vote     right where the majority of the copies says what happens to the design itself: a classifier on the six
              features, so the limit is not below it;
-    share    mean share of the most frequent label among copies and design: the limit is not above it, but for chance.
+    share    mean share of the most frequent outcome among copies and design: the limit is not above it, but for chance.
 
 Per cent with standard errors over designs, for the failure and the impact boundary.
 """
@@ -63,18 +63,18 @@ def main() -> None:
 
     rng = np.random.default_rng(arguments.seed)
     X = TABLE_1.from_unit(rng.random((arguments.n, TABLE_1.dimension)))
-    F, label = paper_features(X), simulate(X).label
+    F, outcome = paper_features(X), simulate(X).outcome
     copied = []
     for _ in range(arguments.copies):
         moved = copies_of(X, arguments.steps, rng)
         assert np.allclose(paper_features(moved), F, rtol=1e-9)
-        copied.append(simulate(moved).label)
-    labels = np.stack(copied)
+        copied.append(simulate(moved).outcome)
+    outcomes = np.stack(copied)
     print(f"{arguments.n} designs, {arguments.copies} copies of each with the same features, which moved by")
     print(f"{np.abs(moved - X)[:, COLUMNS].mean(axis=0) / (TABLE_1.high - TABLE_1.low)[COLUMNS]} of the ranges")
     print(f"{'boundary':10} {'vote':>14} {'share':>16}")
     for name, beyond in (("failure", lambda of: of == FAILURE), ("impact", lambda of: of != NO_IMPACT)):
-        own, others = beyond(label), beyond(labels)
+        own, others = beyond(outcome), beyond(outcomes)
         p = others.mean(axis=0)
         # Where the copies are divided, half of such votes are right.
         right = np.where(p == 0.5, 0.5, (p > 0.5) == own)

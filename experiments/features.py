@@ -28,7 +28,7 @@ INITIAL, FRESH = 250, 8000
 
 def fails(X):
     """Whether designs fail, as labels -1 and 1, (n,)."""
-    return np.where(simulate(X, threads=1).label == FAILURE, 1.0, -1.0)
+    return np.where(simulate(X, threads=1).outcome == FAILURE, 1.0, -1.0)
 
 
 def learn(features: FeatureMap, X, y, kernel, warm: Latent | None = None) -> Latent:

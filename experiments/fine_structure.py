@@ -4,9 +4,9 @@
     python experiments/fine_structure.py --n 4000 --run runs/bearing
 
 Every design is moved along a random direction of the unit cube, by a share of the variables' ranges a coordinate (root
-mean square), and simulated again: the share [%] of labels "failure" that change. With a run folder, its classifier is
+mean square), and simulated again: the share [%] of outcomes "failure" that change. With a run folder, its classifier is
 asked too: the same shares among the designs that it gets wrong and among those it gets right, and how often a wrong one
-lies in a pocket, where most of its copies have the label that the classifier gave.
+lies in a pocket, where most of its copies have the outcome that the classifier gave.
 """
 
 import argparse
@@ -22,7 +22,7 @@ COPIES = 4
 
 
 def fails(X):
-    return simulate(X).label == FAILURE
+    return simulate(X).outcome == FAILURE
 
 
 def displaced(U, distance, rng):

@@ -36,7 +36,7 @@ class Sampling(NamedTuple):
 
 def outcome_of(X):
     """0 no impact, 1 impact, 2 failure, (n,)."""
-    return simulate(X, threads=1).label
+    return simulate(X, threads=1).outcome
 
 
 def learn(features, X, beyond):

@@ -159,7 +159,7 @@ def test_one_design_is_simulated_as_the_library_does() -> None:
     said = activefail("simulate", *design())
     answer = simulate(np.array([[float(value) for value in DESIGN.values()]]))
     assert (said.code, said.err) == (0, "")
-    assert re.search(rf"^outcome +{answer.outcome[0]} \(\w+\)$", said.out, re.MULTILINE)
+    assert re.search(rf"^outcome +{answer.outcome_name[0]} \(\w+\)$", said.out, re.MULTILINE)
     for label, margin in (
         ("impact", "first_touch_time"),
         ("failure", "failure_time"),

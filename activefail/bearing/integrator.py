@@ -1,8 +1,7 @@
-"""An error-controlled Rosenbrock method for stiff second-order systems q'' = a(t, q, q').
+"""Error-controlled Rosenbrock methods for stiff second-order systems q'' = a(t, q, q').
 
-RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section IV.7): six stages, order 4 with an
-embedded order 3, stiffly accurate and L-stable. A velocity stage eliminates its position stage, so that a system of n
-coordinates costs one n x n factorisation a step instead of 2n x 2n.
+A method is a table of coefficients, a `Tableau`; `step_of` compiles its step. `advance` uses RODAS. A velocity stage
+eliminates its position stage: a system of n coordinates costs one n x n factorisation a step instead of 2n x 2n.
 
 Coordinates are tuples of n numbers (`tuples`), so that a step lives in registers.
 
@@ -44,41 +43,68 @@ def linearisation(problem, t, q, v):
     raise NotImplementedError
 
 
-# RODAS in the transformed variables of its authors' code: stage arguments y + Σ A_j u_j, couplings Σ C_j u_j / h.
-GAMMA = 0.25
-_DERIVATIVE_1 = 0.25  # weight of h ∂a/∂t in the first stage, which is taken at the step's start
+class Tableau(NamedTuple):
+    """A Rosenbrock method for y' = f(t, y) with the Jacobian J = ∂f/∂y, in transformed variables u.
+
+    Stage i solves (I/(γh) − J) u_i = f(t + c_i h, y_0 + Σ_j A_ij u_j) + Σ_j C_ij u_j / h + d_i h ∂f/∂t, with sums over
+    j < i. The step ends at y_1 = y_0 + Σ_j b_j u_j, and its error is estimated as Σ_j error_j u_j. Within the step
+    y(t + θh) = (1 − θ) y_0 + θ (y_1 + (1 − θ) Σ_j (D_1j + θ D_2j + θ² D_3j + ...) u_j), where D is `dense`.
+
+    Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section IV.7.
+    """
+
+    name: str
+    order: int
+    error_order: int  # of the embedded method
+    gamma: float
+    A: tuple[Vector, ...]  # rows of the stages after the first
+    C: tuple[Vector, ...]
+    b: Vector
+    error: Vector
+    c: Vector
+    d: Vector
+    dense: tuple[Vector, ...]
+
+    @property
+    def middle(self) -> Vector:
+        """Weights w of the dense output at θ = 1/2: (y_0 + y_1)/2 + Σ_j w_j u_j."""
+        columns = zip(*self.dense, strict=True)
+        return tuple(0.25 * sum(0.5**k * weight for k, weight in enumerate(column)) for column in columns)
 
 
-class Stage(NamedTuple):
-    """Coefficients of a stage after the first."""
-
-    time: float
-    derivative: float
-    A: Vector
-    C: Vector
-
-
-_TO_STAGE_5 = (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950)
-_STAGE_2 = Stage(0.386, -0.1043, (1.544,), (-5.6688,))
-_STAGE_3 = Stage(0.21, 0.1035, (0.9466785280815826, 0.2557011698983284), (-2.430093356833875, -0.2063599157091915))
-_STAGE_4 = Stage(
-    0.63,
-    -0.0362,
-    (3.314825187068521, 2.896124015972201, 0.9986419139977817),
-    (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
+_LAST_STAGES = (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950)
+RODAS = Tableau(
+    name="RODAS",
+    order=4,
+    error_order=3,
+    gamma=0.25,
+    A=(
+        (1.544,),
+        (0.9466785280815826, 0.2557011698983284),
+        (3.314825187068521, 2.896124015972201, 0.9986419139977817),
+        _LAST_STAGES,
+        (*_LAST_STAGES, 1.0),
+    ),
+    C=(
+        (-5.6688,),
+        (-2.430093356833875, -0.2063599157091915),
+        (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
+        (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160),
+        (8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054),
+    ),
+    b=(*_LAST_STAGES, 1.0, 1.0),
+    error=(0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+    c=(0.0, 0.386, 0.21, 0.63, 1.0, 1.0),
+    d=(0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0),
+    dense=(
+        (10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662),
+        (-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872),
+    ),
 )
-_STAGE_5 = Stage(1.0, 0.0, _TO_STAGE_5, (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160))
-_STAGE_6 = Stage(
-    1.0,
-    0.0,
-    (*_TO_STAGE_5, 1.0),
-    (8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054),
-)
-# Dense output of order 3: y(t + s h) = (1 - s) y0 + s (y1 + (1 - s) (Σ D1_j u_j + s Σ D2_j u_j)), here at s = 1/2.
-_D1 = (10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662)
-_D2 = (-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872)
-_MIDDLE = tuple(0.25 * (first + 0.5 * second) for first, second in zip(_D1, _D2, strict=True))
-_STAGES = 6
+"""The simulator's method: six stages, stiffly accurate, L-stable.
+
+Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section IV.7; digits of the authors' code.
+"""
 
 ACCEPTED, TOO_MANY_STEPS, STEP_UNDERFLOW = 0, 1, 2
 """Status of `advance`."""
@@ -122,45 +148,87 @@ class Trial(NamedTuple):
     middle_v: Vector
 
 
-@njit(forceinline=True, **KERNEL)
-def _couple(step, by_q, factors, lead, right):
+INLINE = {"forceinline": True, **KERNEL}
+
+
+@njit(**INLINE)
+def _solve_stage(gamma_step, by_q, factors, lead, right):
     """Solve a stage for its (u_q, u_v) by eliminating u_q."""
-    gamma_step = GAMMA * step
     pull = axpy(gamma_step, product(by_q, lead), right)
     u_v = solve(factors, scaled(gamma_step, pull))
     return scaled(gamma_step, axpy(1.0, lead, u_v)), u_v
 
 
-@njit(forceinline=True, **KERNEL)
-def _stage(problem, t, q, v, step, by_q, by_t, factors, stage, us_q, us_v):
-    """Arguments of a stage and its (u_q, u_v)."""
-    q, v = combination(q, stage.A, us_q), combination(v, stage.A, us_v)
-    force = acceleration(problem, t + stage.time * step, q, v)
-    inverse = 1.0 / step
-    lead = axpy(inverse, weighted(stage.C, us_q), v)
-    right = axpy(inverse, weighted(stage.C, us_v), axpy(stage.derivative * step, by_t, force))
-    u_q, u_v = _couple(step, by_q, factors, lead, right)
-    return q, v, (*us_q, u_q), (*us_v, u_v)
+def _first_stage(d):
+    """Compiled: the first stage, which is taken at the step's start, as tuples of its u_q and of its u_v."""
+
+    @njit(**INLINE)
+    def stages(problem, t, q, v, slope, step, gamma_step, factors):
+        a, by_q, _, by_t = slope
+        u_q, u_v = _solve_stage(gamma_step, by_q, factors, v, axpy(d * step, by_t, a))
+        return (u_q,), (u_v,)
+
+    return stages
 
 
-@njit(forceinline=True, **KERNEL)
-def attempt(problem, t, q, v, slope, step):
-    """One Rosenbrock step from (t, q, v), where `slope` is the linearisation; a `Trial`."""
-    a, by_q, by_v, by_t = slope
-    gamma_step = GAMMA * step
-    factors = factorise(scaled_rows(-gamma_step, axpy_rows(gamma_step, by_q, by_v)))
-    u_q, u_v = _couple(step, by_q, factors, v, axpy(_DERIVATIVE_1 * step, by_t, a))
-    us_q, us_v = (u_q,), (u_v,)
-    _, _, us_q, us_v = _stage(problem, t, q, v, step, by_q, by_t, factors, _STAGE_2, us_q, us_v)
-    _, _, us_q, us_v = _stage(problem, t, q, v, step, by_q, by_t, factors, _STAGE_3, us_q, us_v)
-    _, _, us_q, us_v = _stage(problem, t, q, v, step, by_q, by_t, factors, _STAGE_4, us_q, us_v)
-    _, _, us_q, us_v = _stage(problem, t, q, v, step, by_q, by_t, factors, _STAGE_5, us_q, us_v)
-    last_q, last_v, us_q, us_v = _stage(problem, t, q, v, step, by_q, by_t, factors, _STAGE_6, us_q, us_v)
-    error_q, error_v = us_q[5], us_v[5]
-    end_q, end_v = axpy(1.0, last_q, error_q), axpy(1.0, last_v, error_v)
-    middle_q = combination(axpy(0.5, q, scaled(0.5, end_q)), _MIDDLE, us_q[:5])
-    middle_v = combination(axpy(0.5, v, scaled(0.5, end_v)), _MIDDLE, us_v[:5])
-    return Trial(end_q, end_v, error_q, error_v, middle_q, middle_v)
+def _then_stage(before, A, C, c, d):
+    """Compiled: the stages `before` and one more, as tuples of their u_q and of their u_v."""
+
+    @njit(**INLINE)
+    def stages(problem, t, q, v, slope, step, gamma_step, factors):
+        us_q, us_v = before(problem, t, q, v, slope, step, gamma_step, factors)
+        _, by_q, _, by_t = slope
+        at_q, at_v = combination(q, A, us_q), combination(v, A, us_v)
+        force = acceleration(problem, t + c * step, at_q, at_v)
+        inverse = 1.0 / step
+        lead = axpy(inverse, weighted(C, us_q), at_v)
+        right = axpy(inverse, weighted(C, us_v), axpy(d * step, by_t, force))
+        u_q, u_v = _solve_stage(gamma_step, by_q, factors, lead, right)
+        return (*us_q, u_q), (*us_v, u_v)
+
+    return stages
+
+
+def step_of(tableau):
+    """Compile one step of a method: `step_of(tableau)(problem, t, q, v, slope, step)` is a `Trial`.
+
+    The step starts at (t, q, v), where `slope` is the linearisation. The coefficients are compiled in.
+    """
+    stages = _first_stage(tableau.d[0])
+    for A, C, c, d in zip(tableau.A, tableau.C, tableau.c[1:], tableau.d[1:], strict=True):
+        stages = _then_stage(stages, A, C, c, d)
+    gamma, b, middle = tableau.gamma, tableau.b, tableau.middle
+    dense = len(middle)
+    # An error of the last stages alone costs no products with zeros.
+    first = next(j for j, weight in enumerate(tableau.error) if weight)
+    error = tableau.error[first:]
+
+    @njit(**INLINE)
+    def attempt(problem, t, q, v, slope, step):
+        _, by_q, by_v, _ = slope
+        gamma_step = gamma * step
+        factors = factorise(scaled_rows(-gamma_step, axpy_rows(gamma_step, by_q, by_v)))
+        us_q, us_v = stages(problem, t, q, v, slope, step, gamma_step, factors)
+        end_q, end_v = combination(q, b, us_q), combination(v, b, us_v)
+        error_q, error_v = weighted(error, us_q[first:]), weighted(error, us_v[first:])
+        middle_q = combination(axpy(0.5, q, scaled(0.5, end_q)), middle, us_q[:dense])
+        middle_v = combination(axpy(0.5, v, scaled(0.5, end_v)), middle, us_v[:dense])
+        return Trial(end_q, end_v, error_q, error_v, middle_q, middle_v)
+
+    return attempt
+
+
+def root_of(degree):
+    """Compile the root of a degree."""
+    if degree == 4:
+        # Faster than a power.
+        return njit(**INLINE)(lambda x: math.sqrt(math.sqrt(x)))
+    return njit(**INLINE)(lambda x: x ** (1.0 / degree))
+
+
+attempt, error_root = step_of(RODAS), root_of(RODAS.error_order + 1)
+EVALUATIONS = len(RODAS.c) - 1
+"""Of the acceleration in an attempt; the first stage takes it from the linearisation."""
 
 
 @njit(cache=True, **KERNEL)
@@ -184,14 +252,14 @@ def advance(problem, state, control, longest):
             break
         trial = attempt(problem, t, q, v, slope, step)
         attempts += 1
-        evaluations += _STAGES - 1
+        evaluations += EVALUATIONS
         # Root mean square over tolerance·(scale + |y|).
         squares = error_sum(trial.error_q, q, trial.q, control.scale_q)
         squares += error_sum(trial.error_v, v, trial.v, control.scale_v)
         error = math.sqrt(squares / (2 * len(q))) / control.tolerance
-        # An estimate of order three: the fourth root. The safety factor is 0.8 for the customary 0.9, and growth
-        # threefold at most: fewer steps are rejected where a contact begins.
-        factor = min(3.0, max(0.2, 0.8 / math.sqrt(math.sqrt(error)))) if math.isfinite(error) else 0.1
+        # The safety factor is 0.8 for the customary 0.9, and growth threefold at most: fewer steps are rejected where a
+        # contact begins.
+        factor = min(3.0, max(0.2, 0.8 / error_root(error))) if math.isfinite(error) else 0.1
         if error <= 1.0:
             step_next = step * (min(factor, 1.0) if rejected else factor)
             done = State(t + step, step_next, trial.q, trial.v, attempts, rejections, evaluations + 1)

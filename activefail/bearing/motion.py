@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import CubicHermiteSpline
 
+from activefail.bearing import outcome as o
 from activefail.bearing.contact import gap, vertex_force
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import System, lever, seen_by_plate, speed_seen_by_plate, system
@@ -48,7 +49,8 @@ class Motion:
     def __init__(self, response: Response) -> None:
         if len(response.t) < 2:
             raise InputError(
-                f"There is no motion to draw: the simulation ended at its start ({response.outcome}, {response.cause})."
+                f"There is no motion to draw: the simulation ended at its start ("
+                f"{response.outcome_name}, {response.cause_name})."
             )
         # A last step may be cut to almost nothing, over which the spline's coefficients overflow.
         keep = np.append(np.diff(response.t) > 1e-9, True)
@@ -117,19 +119,19 @@ class Motion:
 def describe_outcome(response: Response) -> str:
     """What happened, in a sentence."""
     margins = response.margins
-    cause = response.cause.replace("_", " ")
+    cause = response.cause_name.replace("_", " ")
     match response.outcome:
-        case "no_impact":
-            peak = margins["peak_displacement_ratio"]
+        case o.NO_IMPACT:
+            peak = margins.peak_displacement_ratio
             return f"No impact: peak displacement {peak:.2f} of the capacity"
-        case "impact":
+        case o.IMPACT:
             return (
-                f"Rim impact without failure: first touch at {seconds(margins['first_touch_time'])} "
-                f"with {margins['first_touch_velocity']:.2f} m/s"
+                f"Rim impact without failure: first touch at {seconds(margins.first_touch_time)} "
+                f"with {margins.first_touch_velocity:.2f} m/s"
             )
-        case "failure":
-            after = margins["failure_time"] - margins["first_touch_time"]
-            return f"Failure by {cause} at {seconds(margins['failure_time'])}, {after:.2f} s after the first rim touch"
+        case o.FAILURE:
+            after = margins.failure_time - margins.first_touch_time
+            return f"Failure by {cause} at {seconds(margins.failure_time)}, {after:.2f} s after the first rim touch"
         case _:
             return f"Numerical failure ({cause}): no statement about the bearing"
 
@@ -169,13 +171,13 @@ def instants(response: Response) -> dict[str, float]:
     """Four moments worth a look, by name, in the order of time [s]."""
     motion, margins = Motion(response), response.margins
     chosen = {"at rest": motion.start}
-    touch = margins["first_touch_time"]
+    touch = margins.first_touch_time
     t = motion.fine_times()
     x_t = motion.position(t)[:, 3]
-    if response.outcome == "failure":
+    if response.outcome == o.FAILURE:
         chosen["first rim touch"] = touch
-        chosen["half-way to failure"] = 0.5 * (touch + margins["failure_time"])
-        chosen["failure"] = margins["failure_time"]
+        chosen["half-way to failure"] = 0.5 * (touch + margins.failure_time)
+        chosen["failure"] = margins.failure_time
     elif math.isfinite(touch):
         gaps = motion.contacts(t)[0].max(axis=1)
         chosen["first rim touch"] = touch

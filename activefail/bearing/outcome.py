@@ -1,4 +1,4 @@
-"""The events of a motion, its three labels, and the margins that go with a label."""
+"""The events of a motion, its three outcomes, and the margins that go with an outcome."""
 
 import math
 from typing import NamedTuple
@@ -13,7 +13,9 @@ from activefail.bearing.lanes import numbers, sign
 NO_IMPACT, IMPACT, FAILURE = 0, 1, 2
 NUMERICAL_FAILURE = -1
 OUTCOMES = ("no_impact", "impact", "failure")
-"""Names of the labels 0, 1, 2, least severe first."""
+"""Names of the outcomes 0, 1, 2, least severe first."""
+OUTCOME_NAMES = (*OUTCOMES, "numerical_failure")
+"""Names of all outcomes by index; that of a numerical failure, -1, is the last."""
 
 NONE, ESCAPE, LOSS_OF_CONFINEMENT, OVERTURNING, STEPS, UNDERFLOW, NOT_FINITE, NO_TOUCH = range(8)
 CAUSES = (
@@ -28,21 +30,31 @@ CAUSES = (
 )
 """Why a bearing failed (1 to 3, in the order in which they are looked for) or an integration gave up (4 to 7)."""
 
-MARGINS = (
-    "first_touch_time",  # first rim touch, after the pulse's centre [s]; NaN without one
-    "first_touch_velocity",  # of the vertex against the rim, approaching [m/s]; NaN without one
-    "peak_displacement_ratio",  # peak |x_t| / D_tot [-]
-    "peak_rim_force_ratio",  # largest normal force on the rim of one plate / M g [-]
-    "peak_gap_ratio",  # largest confinement gap / h_rim [-]; loss of confinement above 1
-    "peak_tilt",  # largest |theta| [rad]
-    "failure_time",  # after the pulse's centre [s]; NaN without failure
-    "end_time",  # of the integration [s]
-    "energy_error",  # largest imbalance over the larger of peak |work in| and M g * 1 mm [-]
-    "steps",  # attempted steps
-    "rejected_steps",
-    "evaluations",  # of the equations of motion
-)
-"""What is kept of a simulation besides its label, one column each; peaks are those until the run ended."""
+
+class Margins(NamedTuple):
+    """Limit-state margins of a simulation and what was observed of its motion; peaks are those until the run ended."""
+
+    first_touch_time: float  # first rim touch, after the pulse's centre [s]; NaN without one
+    first_touch_velocity: float  # of the vertex against the rim, approaching [m/s]; NaN without one
+    peak_displacement_ratio: float  # peak |x_t| / D_tot [-]
+    peak_rim_force_ratio: float  # largest normal force on the rim of one plate / M g [-]
+    peak_gap_ratio: float  # largest confinement gap / h_rim [-]; loss of confinement above 1
+    peak_tilt: float  # largest |theta| [rad]
+    failure_time: float  # after the pulse's centre [s]; NaN without failure
+    end_time: float  # of the integration [s]
+
+
+class Statistics(NamedTuple):
+    """What the solver took, and how well the energy balances."""
+
+    energy_error: float  # largest imbalance over the larger of peak |work in| and M g * 1 mm [-]
+    steps: int  # attempted steps
+    rejected_steps: int
+    evaluations: int  # of the equations of motion
+
+
+COLUMNS = (*Margins._fields, *Statistics._fields)
+"""Names of the columns that a table or a record keeps of a simulation besides its outcome and cause."""
 
 
 class Observation(NamedTuple):

@@ -36,17 +36,18 @@ HISTORY = 1 + 3 * COORDINATES
 SCALE_Q, SCALE_V = (0.1, 0.1, 0.2, 0.025, 0.025), (1.0, 1.0, 2.0, 0.25, 0.25)
 """Coordinates [m, rad] and speeds below which errors are absolute: centimetres and the speeds of sliding, not metres.
 
-The plate's count four times the slider's, which is light: energy and label hang on the plate. A radian of the slider
-moves a vertex by half a metre at the most.
+The plate's count four times the slider's, which is light: energy and outcome depend on the plate. A radian of the
+slider moves a vertex by half a metre at the most.
 """
 
 
 class Run(NamedTuple):
     """What the kernel returns for one simulation."""
 
-    label: int
+    outcome: int
     cause: int
-    margins: Array
+    margins: o.Margins
+    statistics: o.Statistics
     recorded: int  # rows of the history that were written, or would have been
 
 
@@ -64,9 +65,9 @@ def _record(history, row, system, state):
 
 @njit(cache=True, nogil=True, **KERNEL)
 def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
-    """Integrate one bearing from rest until it fails, its label is settled or, `to_the_end`, its time is over; a `Run`.
+    """Integrate one bearing from rest until it fails, its outcome is settled or, `to_the_end`, its time is over.
 
-    `history`, shape (rows, 16), takes the accepted steps as far as it reaches.
+    `history`, shape (rows, 16), takes the accepted steps as far as it reaches. Returns a `Run`.
     """
     t = -HALF_DURATION * system.period
     pulse_end = -t
@@ -82,9 +83,9 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
     before = at_rest
     work_in, dissipated, peak_work, peak_imbalance = 0.0, 0.0, 0.0, 0.0
 
-    margins = np.zeros(len(o.MARGINS))
-    margins[0] = margins[1] = margins[6] = np.nan
-    label, cause, touched, rows = o.NO_IMPACT, o.NONE, False, 0
+    first_touch_time, first_touch_velocity, failure_time = math.nan, math.nan, math.nan
+    peak_displacement, peak_rim_force, peak_gap, peak_tilt = 0.0, 0.0, 0.0, 0.0
+    outcome, cause, touched, rows = o.NO_IMPACT, o.NONE, False, 0
     while True:
         _record(history, rows, system, state)
         rows += 1
@@ -102,25 +103,26 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
             bound = min(bound, EVENT_STEP)
         status, state, middle_q, middle_v = advance(system, state, control, min(bound, end - t))
         if status != ACCEPTED:
-            label, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
+            outcome, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
             break
         step = state.t - t
         t = state.t
         after, seen = o.examine(system, t, state.q, state.v)
         if not math.isfinite(after.stored):
-            label, cause = o.NUMERICAL_FAILURE, o.NOT_FINITE
+            outcome, cause = o.NUMERICAL_FAILURE, o.NOT_FINITE
             break
 
         halfway, seen_middle = o.examine(system, t - 0.5 * step, middle_q, middle_v)
-        margins[2] = max(margins[2], abs(state.q[3]), abs(middle_q[3]))
-        margins[3] = max(margins[3], seen.rim_force, seen_middle.rim_force)
-        margins[4] = max(margins[4], seen.confinement_gap)
-        margins[5] = max(margins[5], seen.tilt)
+        peak_displacement = max(peak_displacement, abs(state.q[3]), abs(middle_q[3]))
+        peak_rim_force = max(peak_rim_force, seen.rim_force, seen_middle.rim_force)
+        peak_gap = max(peak_gap, seen.confinement_gap)
+        peak_tilt = max(peak_tilt, seen.tilt)
         if seen.touch > 0.0 and not touched:
-            touched, label = True, o.IMPACT
+            touched, outcome = True, o.IMPACT
             fraction = o.crossing(seen_before.touch, seen.touch, 0.0)
-            margins[0] = t - (1.0 - fraction) * step
-            margins[1] = seen.touch_velocity + (1.0 - fraction) * (seen_before.touch_velocity - seen.touch_velocity)
+            first_touch_time = t - (1.0 - fraction) * step
+            slowing = seen_before.touch_velocity - seen.touch_velocity
+            first_touch_velocity = seen.touch_velocity + (1.0 - fraction) * slowing
         cause = o.failure_cause(seen, system, confinement)
 
         work_in += step / 6.0 * (before.input + 4.0 * halfway.input + after.input)
@@ -131,24 +133,32 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
             peak_imbalance = max(peak_imbalance, abs(after.stored - at_rest.stored - work_in + dissipated))
         if cause != o.NONE:
             if touched:
-                label = o.FAILURE
-                margins[6] = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
+                outcome = o.FAILURE
+                failure_time = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
             else:
-                label, cause = o.NUMERICAL_FAILURE, o.NO_TOUCH
+                outcome, cause = o.NUMERICAL_FAILURE, o.NO_TOUCH
             _record(history, rows, system, state)
             rows += 1
             break
         before, seen_before = after, seen
 
-    margins[2] /= capacity
-    margins[3] /= weight
-    margins[4] /= system.rim_height
-    margins[7] = t
-    margins[8] = peak_imbalance / max(peak_work, weight * 1e-3)
-    margins[9] = state.attempts
-    margins[10] = state.rejections
-    margins[11] = state.evaluations
-    return Run(label, cause, margins, rows)
+    margins = o.Margins(
+        first_touch_time=first_touch_time,
+        first_touch_velocity=first_touch_velocity,
+        peak_displacement_ratio=peak_displacement / capacity,
+        peak_rim_force_ratio=peak_rim_force / weight,
+        peak_gap_ratio=peak_gap / system.rim_height,
+        peak_tilt=peak_tilt,
+        failure_time=failure_time,
+        end_time=t,
+    )
+    statistics = o.Statistics(
+        energy_error=peak_imbalance / max(peak_work, weight * 1e-3),
+        steps=state.attempts,
+        rejected_steps=state.rejections,
+        evaluations=state.evaluations,
+    )
+    return Run(outcome, cause, margins, statistics, rows)
 
 
 def _simulate(
@@ -175,9 +185,10 @@ class Response:
     """The outcome of one simulation and its motion.
 
     Attributes:
-        outcome: "no_impact", "impact", "failure" or "numerical_failure".
-        cause: why the bearing failed or the integration gave up; empty otherwise.
-        margins: by name, as in `activefail.bearing.outcome.MARGINS`.
+        outcome: 0 no impact, 1 impact, 2 failure, -1 numerical failure.
+        cause: index into `activefail.bearing.outcome.CAUSES`.
+        margins: limit-state margins and what was observed of the motion.
+        statistics: of the solver.
         t: (n,) times of the accepted steps, 0 at the pulse's centre [s].
         q: (n, 5) x_s, z_s, theta, x_t, z_t [m, rad].
         v: (n, 5) their velocities [m/s, rad/s].
@@ -187,13 +198,24 @@ class Response:
     bearing: Bearing
     pulse: Pulse
     model: Model
-    outcome: str
-    cause: str
-    margins: dict[str, float]
+    outcome: int
+    cause: int
+    margins: o.Margins
+    statistics: o.Statistics
     t: Array
     q: Array
     v: Array
     a: Array
+
+    @property
+    def outcome_name(self) -> str:
+        """One of `activefail.bearing.outcome.OUTCOME_NAMES`."""
+        return o.OUTCOME_NAMES[self.outcome]
+
+    @property
+    def cause_name(self) -> str:
+        """Why the bearing failed or the integration gave up; empty otherwise."""
+        return o.CAUSES[self.cause]
 
 
 @dataclass(frozen=True)
@@ -201,25 +223,41 @@ class Responses:
     """Outcomes of n simulations.
 
     Attributes:
-        label: (n,) int8: 0 no impact, 1 impact, 2 failure, -1 numerical failure.
+        outcome: (n,) int8: 0 no impact, 1 impact, 2 failure, -1 numerical failure.
         cause: (n,) int8, index into `activefail.bearing.outcome.CAUSES`.
-        margins: (n, 12) float64, columns as in `activefail.bearing.outcome.MARGINS`.
+        margins: (n, 8) float64, columns as in `activefail.bearing.outcome.Margins`.
+        statistics: (n, 4) float64, columns as in `activefail.bearing.outcome.Statistics`.
         seconds: (n,) float64, wall time of each simulation [s].
     """
 
-    label: NDArray[np.int8]
+    outcome: NDArray[np.int8]
     cause: NDArray[np.int8]
     margins: Array
+    statistics: Array
     seconds: Array
 
     @property
-    def outcome(self) -> NDArray[np.str_]:
-        """Names of the labels, shape (n,)."""
-        return np.array([*o.OUTCOMES, "numerical_failure"])[self.label]
+    def outcome_name(self) -> NDArray[np.str_]:
+        """Names of the outcomes, shape (n,)."""
+        return np.array(o.OUTCOME_NAMES)[self.outcome]
+
+    @property
+    def cause_name(self) -> NDArray[np.str_]:
+        """Names of the causes, shape (n,)."""
+        return np.array(o.CAUSES)[self.cause]
+
+    @property
+    def columns(self) -> Array:
+        """Margins, then statistics, as in `activefail.bearing.outcome.COLUMNS`, shape (n, 12)."""
+        return np.hstack((self.margins, self.statistics))
 
     def margin(self, name: str) -> Array:
         """One margin by name, shape (n,)."""
-        return self.margins[:, o.MARGINS.index(name)]
+        return self.margins[:, o.Margins._fields.index(name)]
+
+    def statistic(self, name: str) -> Array:
+        """One of the solver's statistics by name, shape (n,)."""
+        return self.statistics[:, o.Statistics._fields.index(name)]
 
 
 def simulate_one(
@@ -236,7 +274,7 @@ def simulate_one(
         pulse: the ground motion.
         model: settings of the model.
         tolerance: of the integration.
-        to_the_end: whether to go on, unlike `simulate`, for 2.5 T_b after the pulse although the label is settled.
+        to_the_end: whether to go on, unlike `simulate`, for 2.5 T_b after the pulse although the outcome is settled.
     """
     model, tolerance = model or Model(), tolerance or Tolerance()
     history = np.empty((4096, HISTORY))
@@ -249,9 +287,10 @@ def simulate_one(
         bearing,
         pulse,
         model,
-        outcome=(*o.OUTCOMES, "numerical_failure")[run.label],
-        cause=o.CAUSES[run.cause],
-        margins=dict(zip(o.MARGINS, run.margins.tolist(), strict=True)),
+        outcome=run.outcome,
+        cause=run.cause,
+        margins=run.margins,
+        statistics=run.statistics,
         t=history[:, 0],
         q=history[:, 1:6],
         v=history[:, 6:11],
@@ -289,9 +328,9 @@ def simulate(
 ) -> Responses:
     """Simulate a batch of designs on all cores; a row's result depends neither on the others nor on the threads.
 
-    A run ends with failure, after 2.5 T_b of free motion, or as soon as energy says that its label is settled: after an
-    impact when the bearing cannot fail any more, without one when the pulse is over and no rim can be met. The margins
-    are those up to there; a bearing that was hit may yet swing further than its `peak_displacement_ratio`.
+    A run ends with failure, after 2.5 T_b of free motion, or as soon as energy says that its outcome is settled: after
+    an impact when the bearing cannot fail any more, without one when the pulse is over and no rim can be met. The
+    margins are those up to there; a bearing that was hit may yet swing further than its `peak_displacement_ratio`.
 
     Args:
         X: (n, 9) designs: T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g].
@@ -310,15 +349,16 @@ def simulate(
         raise InputError(f"`threads` must be at least 1, got {threads}.")
     designs = [_design(row, values, model) for row, values in enumerate(X.tolist())]
     n = len(designs)
-    label, cause = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.int8)
-    margins, seconds = np.empty((n, len(o.MARGINS))), np.empty(n)
+    outcome, cause, seconds = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.int8), np.empty(n)
+    margins, statistics = np.empty((n, len(o.Margins._fields))), np.empty((n, len(o.Statistics._fields)))
     no_history = np.empty((0, HISTORY))
 
     def run(rows: range) -> int:
         for row in rows:
             began = time.perf_counter()
             answer = _simulate(*designs[row], model, tolerance, no_history)
-            label[row], cause[row], margins[row] = answer.label, answer.cause, answer.margins
+            outcome[row], cause[row] = answer.outcome, answer.cause
+            margins[row], statistics[row] = answer.margins, answer.statistics
             seconds[row] = time.perf_counter() - began
         return len(rows)
 
@@ -331,4 +371,4 @@ def simulate(
         for done in mapped(run, chunks):
             if progress is not None:
                 progress(done)
-    return Responses(label, cause, margins, seconds)
+    return Responses(outcome, cause, margins, statistics, seconds)

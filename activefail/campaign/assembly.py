@@ -97,7 +97,7 @@ class Campaign:
 
     @property
     def severity(self) -> int:
-        """The label at and above which an outcome counts as beyond the boundary that is sought (mainly)."""
+        """The outcome at and above which a simulation counts as beyond the boundary that is sought (mainly)."""
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
 
 

@@ -55,20 +55,21 @@ def simulate_table(
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
-    added = ("outcome", "cause", *o.MARGINS)
+    added = ("outcome", "cause", *o.COLUMNS)
     table = DesignTable.checked(source, TABLE_1.names, added, check_bearing(model))
     advance = begin(table.rows)
-    counts = dict.fromkeys((*o.OUTCOMES, "numerical_failure"), 0)
+    counts = dict.fromkeys(o.OUTCOME_NAMES, 0)
     with writing(target, [*table.header, *added]) as write:
         for texts, X in table.chunks():
             answers = simulate(X, model, tolerance, progress=advance)
-            for name in answers.outcome.tolist():
-                counts[name] += 1
+            outcomes, causes = answers.outcome_name.tolist(), answers.cause_name.tolist()
+            for outcome in outcomes:
+                counts[outcome] += 1
             write(
                 [
-                    [*text, outcome, o.CAUSES[cause], *("" if np.isnan(m) else repr(m) for m in margins)]
-                    for text, outcome, cause, margins in zip(
-                        texts, answers.outcome.tolist(), answers.cause.tolist(), answers.margins.tolist(), strict=True
+                    [*text, outcome, cause, *("" if np.isnan(value) else repr(value) for value in values)]
+                    for text, outcome, cause, values in zip(
+                        texts, outcomes, causes, answers.columns.tolist(), strict=True
                     )
                 ]
             )
@@ -124,7 +125,7 @@ def export_table(campaign: Campaign, store: Store, target: Path) -> int:
         for batch in store.batches:
             answers = batch.results
             for row in range(len(batch)):
-                label = int(answers.outcome[row])
+                outcome = int(answers.outcome[row])
                 margins = answers.margins[row].tolist()
                 write(
                     [
@@ -133,7 +134,7 @@ def export_table(campaign: Campaign, store: Store, target: Path) -> int:
                             batch.iteration,
                             "seed" if batch.origin[row] == SEED else "active",
                             *map(repr, batch.designs[row].tolist()),
-                            "numerical_failure" if label == NUMERICAL_FAILURE else names[label],
+                            "numerical_failure" if outcome == NUMERICAL_FAILURE else names[outcome],
                             cause_name(campaign.simulator.causes, int(answers.cause[row])),
                             *("" if np.isnan(m) else repr(m) for m in margins),
                             repr(float(answers.seconds[row])),

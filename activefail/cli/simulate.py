@@ -130,7 +130,7 @@ def _simulate_one(
         with writing_to(animate):
             save_animation(response, animate)
         print(f"film       {visible(str(animate))}")
-    if response.outcome == "numerical_failure":
+    if response.outcome_name == "numerical_failure":
         raise typer.Exit(1)
 
 
@@ -140,24 +140,25 @@ def _print_response(response: "Response") -> None:
     def row(name: str, value: str, meaning: str) -> None:
         print(f"{name:<10} {value:<10} {meaning}")
 
-    print(f"outcome    {response.outcome}{f' ({response.cause})' if response.cause else ''}")
-    if response.cause == "failure_without_rim_touch":
+    print(f"outcome    {response.outcome_name}{f' ({response.cause_name})' if response.cause_name else ''}")
+    if response.cause_name == "failure_without_rim_touch":
         print(
             "           the slider failed before it touched a rim, which is none of the outcomes; are the units right?"
         )
-    elif response.outcome == "numerical_failure":
+    elif response.outcome_name == "numerical_failure":
         print("           the integration gave up; this says nothing about the bearing")
-    if margins["first_touch_time"] == margins["first_touch_time"]:
-        speed = margins["first_touch_velocity"]
-        row("impact", f"{margins['first_touch_time']:.3f} s", f"first rim touch, at {speed:.3f} m/s")
-    if margins["failure_time"] == margins["failure_time"]:
-        row("failure", f"{margins['failure_time']:.3f} s", "after the pulse's centre")
-    row("x / D_tot", f"{margins['peak_displacement_ratio']:.3f}", "peak displacement over the capacity")
-    row("F_rim / Mg", f"{margins['peak_rim_force_ratio']:.3f}", "peak rim force over the weight")
-    row("gap / rim", f"{margins['peak_gap_ratio']:.3f}", "largest uplift of a plate over the rim height; lost above 1")
-    row("tilt", f"{margins['peak_tilt']:.3f} rad", "largest rotation of the slider")
-    steps, rejected = margins["steps"], margins["rejected_steps"]
-    row("energy", f"{margins['energy_error']:.1e}", f"imbalance, relative; {steps:.0f} steps, {rejected:.0f} rejected")
+    if margins.first_touch_time == margins.first_touch_time:
+        speed = margins.first_touch_velocity
+        row("impact", f"{margins.first_touch_time:.3f} s", f"first rim touch, at {speed:.3f} m/s")
+    if margins.failure_time == margins.failure_time:
+        row("failure", f"{margins.failure_time:.3f} s", "after the pulse's centre")
+    row("x / D_tot", f"{margins.peak_displacement_ratio:.3f}", "peak displacement over the capacity")
+    row("F_rim / Mg", f"{margins.peak_rim_force_ratio:.3f}", "peak rim force over the weight")
+    row("gap / rim", f"{margins.peak_gap_ratio:.3f}", "largest uplift of a plate over the rim height; lost above 1")
+    row("tilt", f"{margins.peak_tilt:.3f} rad", "largest rotation of the slider")
+    statistics = response.statistics
+    steps, rejected = statistics.steps, statistics.rejected_steps
+    row("energy", f"{statistics.energy_error:.1e}", f"imbalance, relative; {steps} steps, {rejected} rejected")
 
 
 def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:

@@ -227,7 +227,7 @@ class Answers:
         """
         simulator, response = self._simulated(point)
         answer: Answer = {
-            "outcome": response.outcome,
+            "outcome": response.outcome_name,
             "said": describe_outcome(response),
             "command": _command(simulator, self.space.names, point),
         }

@@ -191,9 +191,9 @@ def _speed(slow_motion: float) -> str:
 
 def _state(response: Response, time: float) -> tuple[str, str]:
     """What has happened until now, in words and colour."""
-    touch, failure = response.margins["first_touch_time"], response.margins["failure_time"]
+    touch, failure = response.margins.first_touch_time, response.margins.failure_time
     if time >= failure:
-        return f"FAILURE: {response.cause.replace('_', ' ')}", style.VERMILION
+        return f"FAILURE: {response.cause_name.replace('_', ' ')}", style.VERMILION
     if time >= touch:
         return "rim was touched", style.PURPLE
     return "no impact", style.BLACK

@@ -117,7 +117,7 @@ def titled_figure(response: Response, width: float, height: float) -> Figure:
     """An empty figure of this size [inch] under the outcome and a line on the design."""
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - 0.58 / height)))
     FigureCanvasAgg(figure)
-    colour = {"failure": style.VERMILION, "numerical_failure": style.GREY}.get(response.outcome, style.BLACK)
+    colour = {"failure": style.VERMILION, "numerical_failure": style.GREY}.get(response.outcome_name, style.BLACK)
     lines = (
         (0.19, describe_outcome(response), min(12.0, 1.3 * width)),
         (0.44, describe_design(response), min(8.5, width)),
@@ -130,7 +130,7 @@ def titled_figure(response: Response, width: float, height: float) -> Figure:
 
 def mark_events(axes: Axes, response: Response) -> None:
     """Lines at the first rim touch and at the failure, where the response has them, on axes over time."""
-    touch, failure = response.margins["first_touch_time"], response.margins["failure_time"]
+    touch, failure = response.margins.first_touch_time, response.margins.failure_time
     if math.isfinite(touch):
         axes.axvline(touch, color=style.PURPLE, linestyle=":", linewidth=1.5, label="first rim touch")
     if math.isfinite(failure):
@@ -139,11 +139,11 @@ def mark_events(axes: Axes, response: Response) -> None:
 
 def _zoom_on_failure(response: Response, panels: Sequence[Axes]) -> None:
     """Show the last moments only, where a failure follows its first rim touch quickly, and say so."""
-    lasted = response.margins["failure_time"] - response.margins["first_touch_time"]
+    lasted = response.margins.failure_time - response.margins.first_touch_time
     if not lasted < 0.2 * (response.t[-1] - response.t[0]):
         return
     for panel in panels:
-        panel.set_xlim(response.margins["first_touch_time"] - 0.5 * lasted, response.t[-1] + 0.02 * lasted)
+        panel.set_xlim(response.margins.first_touch_time - 0.5 * lasted, response.t[-1] + 0.02 * lasted)
         panel.set_title(f"{panel.get_title(loc='left')} (last {1.5 * lasted:.2f} s)")
 
 
@@ -207,7 +207,7 @@ def _plot_loop(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
     axes.set(title="Hysteresis loop", xlabel="Displacement of the top plate $x_t$ [m]")
     axes.set_ylabel(r"Force $-M(\ddot{x}_t + \ddot{u}_g)/Mg$ [-]")
     # Impacts are many times what sliding transfers; the axis is the loop's.
-    touch = response.margins["first_touch_time"]
+    touch = response.margins.first_touch_time
     shown = 2.0 * float(np.abs(force[t < touch]).max()) if math.isfinite(touch) else math.inf
     peak = float(force[np.abs(force).argmax()])
     if abs(peak) > shown:

@@ -36,7 +36,7 @@ SPLITS = 5
 """Random splits of each draw on which the Laplace process is held out: a quarter is only about 62 points."""
 
 BOUNDARIES = {"impact": 1, "failure": 2}
-"""The paper's two questions, and the least label that answers yes."""
+"""The paper's two questions, and the least outcome that answers yes."""
 
 METHODS = ("laplace", "ep", "variational", "variational_log")
 """Gaussian processes compared: the paper's Laplace, its expectation propagation, and variational ones,
@@ -89,27 +89,27 @@ class Draw:
 
 @dataclass(frozen=True)
 class Data:
-    """Simulated designs: draws, (draws, 250, 9), fresh ones, (n, 9), and their labels."""
+    """Simulated designs: draws, (draws, 250, 9), fresh ones, (n, 9), and their outcomes."""
 
     X: Array
-    label: NDArray[np.int8]
+    outcome: NDArray[np.int8]
     X_fresh: Array
-    label_fresh: NDArray[np.int8]
+    outcome_fresh: NDArray[np.int8]
 
     @property
     def simulations(self) -> int:
         """How many designs were simulated."""
-        return self.label.size + self.label_fresh.size
+        return self.outcome.size + self.outcome_fresh.size
 
     @property
     def numerical_failures(self) -> int:
         """How many of them have no answer."""
-        return int(np.sum(self.label < 0) + np.sum(self.label_fresh < 0))
+        return int(np.sum(self.outcome < 0) + np.sum(self.outcome_fresh < 0))
 
     @property
     def shares(self) -> Array:
         """Shares of the three outcomes in the draws, (3,)."""
-        answered = self.label[self.label >= 0]
+        answered = self.outcome[self.outcome >= 0]
         return np.asarray(np.bincount(answered, minlength=3) / len(answered))
 
 
@@ -119,8 +119,8 @@ class Variant:
 
     Attributes:
         name: of the choice.
-        moved: share of the draws' labels that differ from the default model's; None where the designs are others.
-        data: its designs and labels.
+        moved: share of the draws' outcomes that differ from the default model's; None where the designs are others.
+        data: its designs and outcomes.
         draws: of the Laplace process alone, on one split.
     """
 
@@ -151,13 +151,13 @@ def designs(draws: int, fresh: int, seed: int) -> tuple[Array, Array]:
 
 
 def simulated(X: Array, X_fresh: Array, model: Model) -> Data:
-    """Labels of draws and fresh designs under a model; numerical failures stay -1."""
-    label = simulate(X.reshape(-1, TABLE_1.dimension), model).label.reshape(X.shape[:2])
-    return Data(X, label, X_fresh, simulate(X_fresh, model).label)
+    """Outcomes of draws and fresh designs under a model; numerical failures stay -1."""
+    outcome = simulate(X.reshape(-1, TABLE_1.dimension), model).outcome.reshape(X.shape[:2])
+    return Data(X, outcome, X_fresh, simulate(X_fresh, model).outcome)
 
 
-def _answered(X: Array, label: NDArray[np.int8]) -> tuple[Array, NDArray[np.int8]]:
-    return X[label >= 0], label[label >= 0]
+def _answered(X: Array, outcome: NDArray[np.int8]) -> tuple[Array, NDArray[np.int8]]:
+    return X[outcome >= 0], outcome[outcome >= 0]
 
 
 def logistic_of_draw(X: Array, y: NDArray[np.bool_], F_fresh: Array, y_fresh: NDArray[np.bool_]) -> Logistic:
@@ -255,9 +255,9 @@ def held_out_accuracy(X: Array, failed: NDArray[np.bool_], rng: np.random.Genera
 
 def study_draw(
     X: Array,
-    label: NDArray[np.int8],
+    outcome: NDArray[np.int8],
     X_fresh: Array,
-    label_fresh: NDArray[np.int8],
+    outcome_fresh: NDArray[np.int8],
     seed: int,
     draw: int,
     methods: tuple[str, ...],
@@ -275,10 +275,10 @@ def study_draw(
 
     torch.set_num_threads(1)
     with threadpool_limits(1):
-        X, label = _answered(X, label)
-        X_fresh, label_fresh = _answered(X_fresh, label_fresh)
+        X, outcome = _answered(X, outcome)
+        X_fresh, outcome_fresh = _answered(X_fresh, outcome_fresh)
         F, F_fresh = paper_features(X), paper_features(X_fresh)
-        failed, failed_fresh = label == 2, label_fresh == 2
+        failed, failed_fresh = outcome == 2, outcome_fresh == 2
         train, _ = split(of_split(0), len(X))
         processes = {
             method: process_of_draw(method, X, failed, of_split(0), X_fresh, failed_fresh) for method in methods
@@ -286,7 +286,7 @@ def study_draw(
         others = [held_out_accuracy(X, failed, of_split(number)) for number in range(1, splits)]
         return Draw(
             logistic={
-                name: logistic_of_draw(X, label >= least, F_fresh, label_fresh >= least)
+                name: logistic_of_draw(X, outcome >= least, F_fresh, outcome_fresh >= least)
                 for name, least in BOUNDARIES.items()
             },
             three_quarters=logistic_regression(F[train], failed[train]).accuracy(F_fresh, failed_fresh),
@@ -298,8 +298,8 @@ def study_draw(
 def study_draws(pool: ProcessPool, data: Data, seed: int, methods: tuple[str, ...], splits: int) -> list[Draw]:
     """`study_draw` of every draw, side by side; the results do not depend on the pool's size."""
     futures = [
-        pool.submit(study_draw, X, label, data.X_fresh, data.label_fresh, seed, draw, methods, splits)
-        for draw, (X, label) in enumerate(zip(data.X, data.label, strict=True))
+        pool.submit(study_draw, X, outcome, data.X_fresh, data.outcome_fresh, seed, draw, methods, splits)
+        for draw, (X, outcome) in enumerate(zip(data.X, data.outcome, strict=True))
     ]
     return [future.result() for future in futures]
 
@@ -346,8 +346,8 @@ def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = 
                 varied, moved = simulated(tilted(X), tilted(X_fresh), Model()), None
             else:
                 varied = simulated(X, X_fresh, VARIANTS[name])
-                both = (varied.label >= 0) & (data.label >= 0)
-                moved = float(np.mean(varied.label[both] != data.label[both]))
+                both = (varied.outcome >= 0) & (data.outcome >= 0)
+                moved = float(np.mean(varied.outcome[both] != data.outcome[both]))
             variants.append(Variant(name, moved, varied, study_draws(pool, varied, seed, ("laplace",), 1)))
     return Study(data, studied, variants)
 
@@ -382,9 +382,9 @@ def typical_process(study: Study, seed: int) -> PaperProcess:
     processes = [draw.processes["laplace"] for draw in study.draws]
     alike = [i for i, process in enumerate(processes) if orders_as_the_paper(process)] or list(range(len(processes)))
     draw = sorted(alike, key=lambda i: processes[i].fresh)[len(alike) // 2]
-    X, label = _answered(study.data.X[draw], study.data.label[draw])
+    X, outcome = _answered(study.data.X[draw], study.data.outcome[draw])
     train, _ = split(np.random.default_rng([seed, 2, draw, 0]), len(X))
-    F, failed = paper_features(X[train]), label[train] == 2
+    F, failed = paper_features(X[train]), outcome[train] == 2
     center, spread = _paper_scaling()
     trained = laplace((F - center) / spread, failed)
     return PaperProcess(F, failed, lambda G: trained.moments((G - center) / spread))

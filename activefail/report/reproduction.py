@@ -219,7 +219,7 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
         "slider_diameter": f"{Model().slider_diameter:.2f}",
         "peak_displacement": f"{_peak_displacement():.4f}",
         "simulations": study.data.simulations,
-        "answered_fresh": int(np.sum(study.data.label_fresh >= 0)),
+        "answered_fresh": int(np.sum(study.data.outcome_fresh >= 0)),
         "numerical_failures": study.data.numerical_failures,
         "claims": [vars(line) for line in lines],
         "not_reproduced": [line.item for line in lines if line.verdict == NOT_REPRODUCED],
@@ -316,7 +316,7 @@ def write_reproduction(study: Study, out: Path, command: dict[str, int], stage: 
     stage("drawing")
     trained = paper.typical_process(study, command["seed"])
     figures = {plane.name: plot_plane(plane, trained) for plane in PLANES}
-    y_fresh = np.tile(study.data.label_fresh[study.data.label_fresh >= 0] == 2, len(study.draws))
+    y_fresh = np.tile(study.data.outcome_fresh[study.data.outcome_fresh >= 0] == 2, len(study.draws))
     pooled = {TITLES[method]: claims.process(study.draws, method, "probability").ravel() for method in METHODS}
     figures["reliability"] = plot_reliability(pooled, y_fresh, len(study.draws))
     with styled():

@@ -26,7 +26,7 @@ class DfpSimulator:
 
     outcomes = o.OUTCOMES
     causes = o.CAUSES
-    margins = o.MARGINS
+    margins = o.COLUMNS
     releases_gil = True
 
     @classmethod
@@ -63,7 +63,7 @@ class DfpSimulator:
     def run(self, X: Array) -> Results:
         """Simulate designs, (n, d), on the calling thread."""
         answers = simulate(self.space.table(X, TABLE_1.names), self.model, self.tolerance, threads=1)
-        return Results(answers.label, answers.cause, answers.margins, answers.seconds)
+        return Results(answers.outcome, answers.cause, answers.columns, answers.seconds)
 
     def response(self, design: Array) -> Response:
         """The motion of one design, (d,), to the end of the run."""

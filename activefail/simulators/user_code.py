@@ -56,7 +56,9 @@ def load_function(
             f"{key}: {module_name} is {refused}, in the run folder, which may come from someone else. Code in run "
             f"folders is not run. Name another folder, or that one itself if you trust it: --code FOLDER."
         ) from None
-    except (Exception, SystemExit) as error:  # a script that ends itself must not end us, and in silence
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a script that ends itself must not end us, and in silence
         reason = visible(description_of(error))
         raise InputError(f"{key}: {module_name} cannot be imported: {reason}.") from error
     function = getattr(module, name, None)

@@ -38,12 +38,12 @@ def test_at_the_touching_displacement_the_seated_slider_is_at_the_rim(D_tot, h_s
 
 
 def test_the_bearing_touches_at_that_displacement_with_the_slider_in_the_middle(designs, production):
-    touched = np.flatnonzero(production.label >= 1)[:40]
+    touched = np.flatnonzero(production.outcome >= 1)[:40]
     for row in designs[touched].tolist():
         row[6] *= 100.0  # nearly rigid: elastic rocking would touch earlier
         bearing, pulse = Bearing.from_row(row, 0.30), Pulse.from_table(*row[7:])
         motion = simulate_one(bearing, pulse)
-        first = motion.margins["first_touch_time"]
+        first = motion.margins.first_touch_time
         if math.isnan(first):
             continue
         x_s, x_t = (np.interp(first, motion.t, motion.q[:, column]) for column in (0, 3))
@@ -55,8 +55,8 @@ def test_the_bearing_touches_at_that_displacement_with_the_slider_in_the_middle(
 
 def test_the_reduced_model_alone_tells_impact_in_99_and_failure_in_98_of_100_samples(designs, production):
     severity = collision_severity(designs)
-    assert np.mean((severity > 0.0) == (production.label >= 1)) >= 0.985
-    assert np.mean((severity > 1.0) == (production.label == 2)) >= 0.98
+    assert np.mean((severity > 0.0) == (production.outcome >= 1)) >= 0.985
+    assert np.mean((severity > 1.0) == (production.outcome == 2)) >= 0.98
 
 
 def test_what_fails_at_the_first_collision_is_foretold_in_98_of_100_samples(designs, production):
@@ -103,7 +103,7 @@ def test_a_faster_arrival_lifts_the_plate_higher():
 
 
 def test_without_a_touch_the_severity_is_0_and_the_feature_its_floor(designs, production):
-    calm = (production.label == 0) & (production.margin("peak_displacement_ratio") < 0.7)
+    calm = (production.outcome == 0) & (production.margin("peak_displacement_ratio") < 0.7)
     assert calm.sum() > 100
     assert np.all(collision_severity(designs[calm]) == 0.0)
     assert_allclose(collision_features(designs[calm])[:, 0], math.tanh(-1.5), rtol=1e-12)

@@ -1,16 +1,30 @@
-"""The Rosenbrock method on problems of which the answer is known, apart from any bearing."""
+"""The Rosenbrock methods: their tables, and problems of which the answer is known, apart from any bearing."""
 
 import math
+import tomllib
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba import njit
 from numba.core.caching import NullCache
 from numba.extending import overload
 from scipy.integrate import solve_ivp
 
 from activefail.bearing import integrator
-from activefail.bearing.integrator import ACCEPTED, STEP_UNDERFLOW, TOO_MANY_STEPS, Control, State, advance, start
+from activefail.bearing.integrator import (
+    ACCEPTED,
+    RODAS,
+    STEP_UNDERFLOW,
+    TOO_MANY_STEPS,
+    Control,
+    State,
+    Tableau,
+    advance,
+    start,
+    step_of,
+)
 from activefail.space import Array
 
 UNLIMITED = 10**9
@@ -137,7 +151,7 @@ def fixed_steps(problem, t: float, q: list[float], v: list[float], duration: flo
     return np.array([state.q, state.v]), np.array(halves)
 
 
-def orders(errors: list[float]) -> Array:
+def orders(errors: list[float] | Array) -> Array:
     return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
@@ -153,6 +167,94 @@ def duffing_reference(problem: Duffing, t: Array, y0: list[float]) -> Array:
 
 
 DUFFING = Duffing(damping=0.3, linear=1.0, cubic=2.0, push=1.5, frequency=1.7)
+
+
+def tableaux() -> list[Tableau]:
+    """The simulator's table and those of benchmarks/integrators.toml."""
+    text = (Path(__file__).parents[2] / "benchmarks" / "integrators.toml").read_text(encoding="utf-8")
+    others = [Tableau(name=name, **frozen(table)) for name, table in tomllib.loads(text).items() if "C" in table]
+    return [RODAS, *others]
+
+
+def frozen(value):
+    match value:
+        case dict():
+            return {key: frozen(part) for key, part in value.items()}
+        case list():
+            return tuple(map(frozen, value))
+    return value
+
+
+each_tableau = pytest.mark.parametrize("tableau", tableaux(), ids=lambda tableau: tableau.name)
+
+
+class Classical(NamedTuple):
+    """A table in the variables k of the definition: stage i takes h f' Σ_j gamma_ij k_j."""
+
+    alpha: Array
+    gamma: Array
+    b: Array
+    error: Array
+
+
+def classical(tableau: Tableau) -> Classical:
+    """A table in the variables k = Γ⁻¹ u, with Γ⁻¹ = I/γ − C (Hairer and Wanner 1996, section IV.7)."""
+    A, C = (np.zeros((len(tableau.c),) * 2) for _ in range(2))
+    for i, (a, c) in enumerate(zip(tableau.A, tableau.C, strict=True), start=1):
+        A[i, :i], C[i, :i] = a, c
+    gamma = np.linalg.inv(np.eye(len(A)) / tableau.gamma - C)
+    return Classical(A @ gamma, gamma, np.array(tableau.b) @ gamma, np.array(tableau.error) @ gamma)
+
+
+@each_tableau
+def test_the_times_and_the_derivative_weights_of_a_table_follow_from_its_matrices(tableau):
+    made = classical(tableau)
+    assert made.alpha.sum(axis=1) == pytest.approx(tableau.c, abs=1e-9)
+    assert made.gamma.sum(axis=1) == pytest.approx(tableau.d, abs=1e-9)
+
+
+@each_tableau
+def test_a_table_and_its_embedded_method_meet_the_order_conditions(tableau):
+    made = classical(tableau)
+    alpha, beta = made.alpha, made.alpha + made.gamma
+    a, e = alpha.sum(axis=1), beta.sum(axis=1)
+    # Hairer and Wanner (1996), table IV.7.1: order, weights of the stages, value.
+    conditions = [
+        (1, np.ones(len(a)), 1.0),
+        (2, e, 1 / 2),
+        (3, a**2, 1 / 3),
+        (3, beta @ e, 1 / 6),
+        (4, a**3, 1 / 4),
+        (4, a * (alpha @ e), 1 / 8),
+        (4, beta @ a**2, 1 / 12),
+        (4, beta @ beta @ e, 1 / 24),
+    ]
+    for weights, order in ((made.b, tableau.order), (made.b - made.error, tableau.error_order)):
+        for degree, stages, value in conditions:
+            if degree <= order:
+                assert weights @ stages == pytest.approx(value, abs=1e-9), (order, degree)
+
+
+@each_tableau
+def test_the_step_of_a_table_has_its_order_and_its_error_estimate_that_of_the_embedded_method(tableau):
+    attempt = step_of(tableau)
+
+    @njit
+    def motion(problem, t, q, v, step, steps):
+        largest = 0.0
+        for _ in range(steps):
+            trial = attempt(problem, t, q, v, integrator.linearisation(problem, t, q, v), step)
+            largest = max(largest, abs(trial.error_q[0]))
+            t, q, v = t + step, trial.q, trial.v
+        return q[0], v[0], largest
+
+    exact = duffing_reference(DUFFING, np.array([0.4, 3.4]), [0.7, -0.2])[-1]
+    ends = np.array([motion(DUFFING, 0.4, (0.7,), (-0.2,), 3.0 / n, n) for n in (60, 120, 240)])
+    found = orders(np.abs(ends[:, :2] - exact).max(axis=1))
+    assert found[-1] > tableau.order - 0.3, found
+    # Of one step: one order more.
+    found = orders(ends[:, 2])
+    assert found == pytest.approx(tableau.error_order + 1, abs=0.3)
 
 
 def test_a_linear_oscillator_is_integrated_with_order_four():

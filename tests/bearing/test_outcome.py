@@ -1,4 +1,4 @@
-"""The events and the three labels on states made by hand."""
+"""The events and the three outcomes on states made by hand."""
 
 import math
 from dataclasses import replace

@@ -8,7 +8,7 @@ from numba import njit
 
 from activefail.bearing import TABLE_1, Bearing, Model, Pulse, simulate_one
 from activefail.bearing.dynamics import cosine_and_sine, dfp_linearisation, system
-from activefail.bearing.integrator import GAMMA
+from activefail.bearing.integrator import RODAS
 from activefail.bearing.lanes import any_positive, lanes, numbers, positive, sign, sqrt, where
 from activefail.bearing.tuples import axpy, axpy_rows, combination, error_sum, factorise, product, scaled_rows, solve
 
@@ -54,7 +54,7 @@ def test_elimination_without_pivoting_is_accurate_for_the_matrices_of_the_bearin
             state = tuple(response.q[i].tolist()), tuple(response.v[i].tolist())
             _, by_q, by_v, _ = map(np.array, dfp_linearisation(constants, response.t[i], *state))
             for stretch in (1.0, 10.0):
-                step = GAMMA * stretch * (response.t[i + 1] - response.t[i])
+                step = RODAS.gamma * stretch * (response.t[i + 1] - response.t[i])
                 matrix = -step * (by_v + step * by_q)
                 x = np.array(_solution(rows_of(matrix), tuple(response.a[i].tolist())))
                 matrix = matrix + np.eye(5)

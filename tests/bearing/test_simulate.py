@@ -1,7 +1,7 @@
-"""Whole simulations: known answers, invariances, labels and what is reported with them."""
+"""Whole simulations: known answers, invariances, outcomes and what is reported with them."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -39,24 +39,24 @@ def pendulum(made: Bearing) -> tuple[float, float]:
     return length, math.asin(2.0 * made.radius * math.sin(math.atan(made.mu)) / (length * incline))
 
 
-# Labels
+# Outcomes
 
 
-def test_labels_equal_those_at_a_tolerance_100_times_tighter(production, tight):
-    assert (production.label == tight.label).mean() >= 0.995
+def test_outcomes_equal_those_at_a_tolerance_100_times_tighter(production, tight):
+    assert (production.outcome == tight.outcome).mean() >= 0.995
 
 
 def test_failure_without_a_rim_touch_and_numerical_failure_do_not_happen(production, tight):
     for responses in (production, tight):
         assert not (responses.cause == o.NO_TOUCH).any()
-        assert (responses.label == o.NUMERICAL_FAILURE).mean() < 1e-3
+        assert (responses.outcome == o.NUMERICAL_FAILURE).mean() < 1e-3
 
 
 def test_the_shares_of_the_outcomes_are_those_of_the_first_study(production):
     # Section 7: 36, 8 and 56 %. Three standard errors of 2,000 points, and half a percent for its rounding.
-    for label, share in ((o.NO_IMPACT, 0.36), (o.IMPACT, 0.08), (o.FAILURE, 0.56)):
-        error = 3.0 * math.sqrt(share * (1.0 - share) / len(production.label)) + 0.005
-        assert (production.label == label).mean() == pytest.approx(share, abs=error)
+    for outcome, share in ((o.NO_IMPACT, 0.36), (o.IMPACT, 0.08), (o.FAILURE, 0.56)):
+        error = 3.0 * math.sqrt(share * (1.0 - share) / len(production.outcome)) + 0.005
+        assert (production.outcome == outcome).mean() == pytest.approx(share, abs=error)
 
 
 @pytest.mark.parametrize(
@@ -64,25 +64,25 @@ def test_the_shares_of_the_outcomes_are_those_of_the_first_study(production):
     [(Model(restitution="assembly"), 0.47), (Model(slider_diameter=0.15), 0.60), (Model(slider_diameter=0.60), 0.43)],
 )
 def test_damping_and_size_of_the_slider_move_the_failures_as_in_the_first_study(designs, model, share):
-    failures = (simulate(designs[:500], model).label == o.FAILURE).mean()
+    failures = (simulate(designs[:500], model).outcome == o.FAILURE).mean()
     assert failures == pytest.approx(share, abs=3.0 * math.sqrt(share * (1.0 - share) / 500) + 0.005)
 
 
 def test_without_loss_of_confinement_there_are_fewer_failures_and_none_of_that_cause(designs, production):
     some = simulate(designs[:200], Model(loss_of_confinement=False))
-    before = production.label[:200] == o.FAILURE
+    before = production.outcome[:200] == o.FAILURE
     assert not (some.cause == o.LOSS_OF_CONFINEMENT).any()
     assert (production.cause[:200] == o.LOSS_OF_CONFINEMENT).any()
-    assert ((some.label == o.FAILURE) <= before).all()
-    assert (some.label == o.FAILURE).sum() < before.sum()
+    assert ((some.outcome == o.FAILURE) <= before).all()
+    assert (some.outcome == o.FAILURE).sum() < before.sum()
 
 
-def test_labels_do_not_depend_on_how_finely_events_are_looked_for(designs, production):
+def test_outcomes_do_not_depend_on_how_finely_events_are_looked_for(designs, production):
     fine = simulate(designs[:150], tolerance=Tolerance(longest_step=5e-4))
     coarse = simulate(designs[:400], tolerance=Tolerance(longest_step=1e-2))
-    assert (fine.label == coarse.label[:150]).all()
-    assert (coarse.label == production.label[:400]).all()
-    assert fine.margin("steps").mean() > 5.0 * coarse.margin("steps").mean()
+    assert (fine.outcome == coarse.outcome[:150]).all()
+    assert (coarse.outcome == production.outcome[:400]).all()
+    assert fine.statistic("steps").mean() > 5.0 * coarse.statistic("steps").mean()
 
 
 def test_steps_are_short_enough_for_events_where_a_plate_is_off_the_slider_or_a_vertex_on_a_rim(designs):
@@ -104,8 +104,8 @@ def test_steps_are_short_enough_for_events_where_a_plate_is_off_the_slider_or_a_
 
 def test_a_run_that_ends_early_would_have_met_no_later_event(designs, production, drift):
     went_on = 0
-    for row, label in zip(designs[:120], production.label, strict=False):
-        if label == o.FAILURE:
+    for row, outcome in zip(designs[:120], production.outcome, strict=False):
+        if outcome == o.FAILURE:
             continue
         response = simulate_one(bearing_of(row), pulse_of(row))
         constants = system(response.bearing, response.pulse, response.model)
@@ -113,33 +113,33 @@ def test_a_run_that_ends_early_would_have_met_no_later_event(designs, production
             constants, response.t[-1], response.q[-1], response.v[-1], 10.0, tolerance=1e-4, longest=EVENT_STEP
         )
         assert path[-1, 0] == pytest.approx(response.t[-1] + 10.0)  # no failure
-        if label == o.NO_IMPACT:
+        if outcome == o.NO_IMPACT:
             assert response.t[-1] > 1.5 * response.pulse.period
             assert max(o.observe(constants, state[1:6], state[6:11]).touch for state in path) < 0.0
         went_on += 1
     assert went_on > 30
 
 
-def test_a_run_that_goes_to_the_end_has_the_same_label_and_its_motion_the_same_beginning(designs, production):
+def test_a_run_that_goes_to_the_end_has_the_same_outcome_and_its_motion_the_same_beginning(designs, production):
     cut = {o.NO_IMPACT: 0, o.IMPACT: 0}
-    for row, label in zip(designs, production.label, strict=True):
-        if label == o.FAILURE:
+    for row, outcome in zip(designs, production.outcome, strict=True):
+        if outcome == o.FAILURE:
             continue
         whole = simulate_one(bearing_of(row), pulse_of(row), to_the_end=True)
-        assert whole.outcome == o.OUTCOMES[label]
+        assert whole.outcome == outcome
         assert whole.t[-1] == pytest.approx(1.5 * row[7] + 2.5 * row[0])
-        if cut[label] < 20:
+        if cut[outcome] < 20:
             short = simulate_one(bearing_of(row), pulse_of(row))
             np.testing.assert_array_equal(short.q, whole.q[: len(short.q)])
-            cut[label] += len(short.t) < len(whole.t)
+            cut[outcome] += len(short.t) < len(whole.t)
     assert min(cut.values()) == 20
 
 
-# What is reported with a label
+# What is reported with an outcome
 
 
-def test_the_margins_agree_with_the_label(production):
-    touched, failed = production.label >= o.IMPACT, production.label == o.FAILURE
+def test_the_margins_agree_with_the_outcome(production):
+    touched, failed = production.outcome >= o.IMPACT, production.outcome == o.FAILURE
     first, velocity, failure = (
         production.margin(name) for name in ("first_touch_time", "first_touch_velocity", "failure_time")
     )
@@ -162,30 +162,30 @@ def test_the_margins_agree_with_the_label(production):
 
 
 def test_the_last_failure_comes_before_the_pulse_ends(designs, production):
-    failed = production.label == o.FAILURE
+    failed = production.outcome == o.FAILURE
     assert (production.margin("failure_time")[failed] < 1.5 * designs[failed, 7]).all()
 
 
 def test_the_margins_are_those_of_the_motion(designs):
     for row in designs[:25]:
         response = simulate_one(bearing_of(row), pulse_of(row))
-        margins = response.margins
+        margins, statistics = response.margins, response.statistics
         assert response.t[0] == -1.5 * row[7]
-        assert response.t[-1] == margins["end_time"]
+        assert response.t[-1] == margins.end_time
         assert (np.diff(response.t) > 0.0).all()
-        assert len(response.t) == 1 + margins["steps"] - margins["rejected_steps"]
-        assert margins["evaluations"] == 6 * margins["steps"] - margins["rejected_steps"]
+        assert len(response.t) == 1 + statistics.steps - statistics.rejected_steps
+        assert statistics.evaluations == 6 * statistics.steps - statistics.rejected_steps
         constants = system(response.bearing, response.pulse, response.model)
         np.testing.assert_array_equal(response.q[0], equilibrium(constants))
         np.testing.assert_array_equal(response.v[0], np.zeros(5))
         # The peak is looked for half way through the steps too.
         peak = np.abs(response.q[:, 3]).max() / row[2]
-        assert peak <= margins["peak_displacement_ratio"] < 1.002 * peak
-        assert margins["peak_tilt"] == np.abs(response.q[:, 2]).max()
+        assert peak <= margins.peak_displacement_ratio < 1.002 * peak
+        assert margins.peak_tilt == np.abs(response.q[:, 2]).max()
         gaps = [o.observe(constants, q, v).confinement_gap for q, v in zip(response.q, response.v, strict=True)]
-        assert margins["peak_gap_ratio"] == pytest.approx(max(0.0, *gaps) / response.bearing.rim_height, abs=1e-12)
-        if response.outcome != "no_impact":
-            after = np.searchsorted(response.t, margins["first_touch_time"])
+        assert margins.peak_gap_ratio == pytest.approx(max(0.0, *gaps) / response.bearing.rim_height, abs=1e-12)
+        if response.outcome != o.NO_IMPACT:
+            after = np.searchsorted(response.t, margins.first_touch_time)
             touch = [
                 o.observe(constants, response.q[i], response.v[i]).touch for i in (after - 1, min(after, len(gaps) - 1))
             ]
@@ -194,7 +194,7 @@ def test_the_margins_are_those_of_the_motion(designs):
 
 def test_velocities_and_accelerations_of_a_response_are_the_derivatives_of_its_motion(bearing):
     response = simulate_one(bearing, Pulse(2.0, 0.2 * G), tolerance=Tolerance(1e-7, longest_step=2e-3))
-    assert response.outcome == "no_impact"
+    assert response.outcome == o.NO_IMPACT
     middle = 0.5 * (response.t[1:] + response.t[:-1])
     slopes = np.diff(response.q, axis=0) / np.diff(response.t)[:, None]
     velocities = CubicHermiteSpline(response.t, response.v, response.a)(middle)
@@ -219,41 +219,51 @@ def test_the_columns_of_a_design_are_read_in_table_1s_order_and_units(designs, p
             stiffness=k,
         )
         response = simulate_one(made, Pulse(period=T_p, amplitude=A_p * 9.81))
-        assert response.outcome == production.outcome[i] == o.OUTCOMES[production.label[i]]
-        assert response.cause == o.CAUSES[production.cause[i]]
+        assert (response.outcome, response.cause) == (production.outcome[i], production.cause[i])
+        assert response.outcome_name == production.outcome_name[i] == o.OUTCOMES[response.outcome]
+        assert response.cause_name == production.cause_name[i] == o.CAUSES[response.cause]
         # The radius differs in its last digit: rounding, grown by the motion.
-        if response.outcome == "no_impact":
+        if response.outcome == o.NO_IMPACT:
             batch = production.margin("peak_displacement_ratio")[i]
-            assert response.margins["peak_displacement_ratio"] == pytest.approx(batch, rel=1e-4)
+            assert response.margins.peak_displacement_ratio == pytest.approx(batch, rel=1e-4)
     for i in range(40):
         response = simulate_one(bearing_of(designs[i]), pulse_of(designs[i]))
-        np.testing.assert_array_equal(list(response.margins.values()), production.margins[i])
-        assert tuple(response.margins) == o.MARGINS
+        np.testing.assert_array_equal(response.margins, production.margins[i])
+        np.testing.assert_array_equal(response.statistics, production.statistics[i])
+        np.testing.assert_array_equal((*response.margins, *response.statistics), production.columns[i])
+        for name in o.Margins._fields:
+            np.testing.assert_array_equal(production.margin(name)[i], getattr(response.margins, name))
+        for name in o.Statistics._fields:
+            assert production.statistic(name)[i] == getattr(response.statistics, name)
+
+
+FIELDS = tuple(field.name for field in fields(Responses))
 
 
 def same(left: Responses, right: Responses) -> None:
-    np.testing.assert_array_equal(left.label, right.label)
+    np.testing.assert_array_equal(left.outcome, right.outcome)
     np.testing.assert_array_equal(left.cause, right.cause)
-    np.testing.assert_array_equal(left.margins, right.margins)
+    np.testing.assert_array_equal(left.columns, right.columns)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_a_rows_result_is_the_same_bit_for_bit_whatever_the_threads(designs, production, threads):
     some = simulate(designs[:150], threads=threads)
-    same(some, Responses(*(getattr(production, f)[:150] for f in ("label", "cause", "margins", "seconds"))))
+    same(some, Responses(*(getattr(production, f)[:150] for f in FIELDS)))
 
 
 def test_a_rows_result_is_the_same_bit_for_bit_in_any_order_and_any_subset(designs, production):
     for rows in (np.random.default_rng(10).permutation(120), np.arange(5, 118, 7), np.array([63]), np.array([8, 8, 3])):
         some = simulate(designs[rows])
-        same(some, Responses(*(getattr(production, f)[rows] for f in ("label", "cause", "margins", "seconds"))))
+        same(some, Responses(*(getattr(production, f)[rows] for f in FIELDS)))
 
 
 def test_an_empty_batch_gives_empty_responses():
     responses = simulate(np.empty((0, 9)))
-    assert responses.label.shape == (0,)
-    assert responses.margins.shape == (0, len(o.MARGINS))
     assert responses.outcome.shape == (0,)
+    assert responses.margins.shape == (0, len(o.Margins._fields))
+    assert responses.columns.shape == (0, len(o.COLUMNS))
+    assert responses.outcome_name.shape == (0,)
 
 
 def test_progress_counts_every_row_once_and_may_stop_the_batch(designs):
@@ -281,28 +291,28 @@ def test_the_designs_given_are_not_changed_and_may_be_any_array_of_numbers(desig
 
 def test_too_many_steps_are_a_numerical_failure_with_its_cause_and_never_a_bearing_failure(designs, production):
     some = simulate(designs[:200], tolerance=Tolerance(most_steps=300))
-    gave_up = some.label == o.NUMERICAL_FAILURE
+    gave_up = some.outcome == o.NUMERICAL_FAILURE
     assert 20 < gave_up.sum() < 200
     assert (some.cause[gave_up] == o.STEPS).all()
-    assert (some.outcome[gave_up] == "numerical_failure").all()
+    assert (some.outcome_name[gave_up] == "numerical_failure").all()
     assert np.isnan(some.margin("failure_time")[gave_up]).all()
-    assert (some.margin("steps")[gave_up] == 300).all()
+    assert (some.statistic("steps")[gave_up] == 300).all()
     # What did finish is what it was.
     kept = ~gave_up
-    np.testing.assert_array_equal(some.margins[kept], production.margins[:200][kept])
-    np.testing.assert_array_equal(some.label[kept], production.label[:200][kept])
+    np.testing.assert_array_equal(some.columns[kept], production.columns[:200][kept])
+    np.testing.assert_array_equal(some.outcome[kept], production.outcome[:200][kept])
     # Failed bearings, too, come out as given up when the steps end before the failure.
-    assert (production.label[:200][gave_up] == o.FAILURE).any()
+    assert (production.outcome[:200][gave_up] == o.FAILURE).any()
 
     one = simulate_one(bearing_of(designs[0]), pulse_of(designs[0]), tolerance=Tolerance(most_steps=20))
-    assert (one.outcome, one.cause) == ("numerical_failure", "too_many_steps")
+    assert (one.outcome_name, one.cause_name) == ("numerical_failure", "too_many_steps")
 
 
 def test_a_history_longer_than_the_first_guess_is_whole(bearing):
     response = simulate_one(bearing, Pulse(1.0, 0.2 * G), tolerance=Tolerance(longest_step=5e-4))
     assert len(response.t) > 4096
-    assert len(response.t) == 1 + response.margins["steps"] - response.margins["rejected_steps"]
-    assert response.t[-1] == response.margins["end_time"]
+    assert len(response.t) == 1 + response.statistics.steps - response.statistics.rejected_steps
+    assert response.t[-1] == response.margins.end_time
     assert (np.diff(response.t) > 0.0).all()
 
 
@@ -313,30 +323,30 @@ def motions(response: Response, t: Array) -> Array:
     return CubicHermiteSpline(response.t, response.q, response.v)(t)
 
 
-def test_the_reversed_pulse_gives_the_mirrored_motion_and_the_same_label(designs):
+def test_the_reversed_pulse_gives_the_mirrored_motion_and_the_same_outcome(designs):
     for row in designs[:100]:
         made, pulse = bearing_of(row), pulse_of(row)
         response, mirrored = simulate_one(made, pulse), simulate_one(made, replace(pulse, amplitude=-pulse.amplitude))
         assert mirrored.outcome == response.outcome
-        assert mirrored.cause == response.cause or response.outcome == "failure"
+        assert mirrored.cause == response.cause or response.outcome == o.FAILURE
         # Rounding differs, hence steps do: equal within the tolerance up to the first impact, which magnifies.
-        touch = response.margins["first_touch_time"]
+        touch = response.margins.first_touch_time
         t = np.linspace(response.t[0], min(response.t[-1], mirrored.t[-1]) if math.isnan(touch) else touch, 200)
         difference = np.abs(motions(response, t) - MIRROR * motions(mirrored, t))
         assert difference.max() < 2e-5
         if not math.isnan(touch):
-            assert mirrored.margins["first_touch_time"] == pytest.approx(touch, abs=2e-5)
+            assert mirrored.margins.first_touch_time == pytest.approx(touch, abs=2e-5)
 
 
 def test_the_energy_balance_closes_within_ten_times_the_tolerance(production, tight):
     # The tolerance bounds the error of a step in parts of 5 cm and 0.5 m/s; of a run's thousand steps the largest and
     # the impacts among them add up. In 2,000 samples: median 0.2, worst 9.5 times the tolerance.
-    error = production.margin("energy_error")[:500]
+    error = production.statistic("energy_error")[:500]
     assert error.max() < 1e-3
     assert np.median(error) < 1e-4
     # And it is an error of the integration, not of the balance: it falls with the tolerance.
-    assert tight.margin("energy_error")[:500].max() < 1e-4
-    assert np.median(tight.margin("energy_error")[:500]) < 0.02 * np.median(error)
+    assert tight.statistic("energy_error")[:500].max() < 1e-4
+    assert np.median(tight.statistic("energy_error")[:500]) < 0.02 * np.median(error)
 
 
 @pytest.mark.parametrize("period", [0.25, 0.5, 1.0, 2.0])
@@ -344,9 +354,7 @@ def test_below_the_friction_coefficient_nothing_slides(bearing, period):
     # Millimetres, of creep in the regularised friction and of elastic rocking; less than one with less creep.
     made = replace(bearing, mu=0.07)
     peaks = [
-        simulate_one(made, Pulse(period, 0.99 * 0.07 * G), Model(friction_velocity=v_r)).margins[
-            "peak_displacement_ratio"
-        ]
+        simulate_one(made, Pulse(period, 0.99 * 0.07 * G), Model(friction_velocity=v_r)).margins.peak_displacement_ratio
         * made.displacement_capacity
         for v_r in (1e-3, 1e-5)
     ]
@@ -362,7 +370,7 @@ def test_sliding_sets_in_at_the_friction_angle_of_the_whole_bearing(designs):
         onset = math.tan(pendulum(made)[1]) * G
         for peaks, factor in ((below, 0.99), (above, 1.2)):
             response = simulate_one(made, Pulse(row[7], factor * onset), Model(friction_velocity=1e-5))
-            peaks.append(response.margins["peak_displacement_ratio"] * row[2] / (onset * row[7] ** 2))
+            peaks.append(response.margins.peak_displacement_ratio * row[2] / (onset * row[7] ** 2))
     assert max(below) < 2e-4
     assert min(above) > 4.0 * max(below)
     assert np.median(above) > 100.0 * np.median(below)
@@ -403,7 +411,7 @@ def test_rigid_sliding_without_rims_is_that_of_a_one_dimensional_friction_pendul
         # Beyond 0.4 of the length the plate is thrown off its dish, which one angle cannot tell.
         if np.abs(response.q[:, 3]).max() > 0.4 * pendulum(made)[0]:
             continue
-        assert response.outcome == "no_impact"
+        assert response.outcome == o.NO_IMPACT
         t, x = sliding(made, pulse_of(row), response.t[-1])
         peak = np.abs(x).max()
         deviations.append(np.abs(response.q[:, 3]).max() / peak - 1.0)
@@ -416,7 +424,7 @@ def test_rigid_sliding_without_rims_is_that_of_a_one_dimensional_friction_pendul
 def test_elastic_rocking_moves_the_peak_by_some_percent_and_more_for_short_pulses(designs, production):
     # 4 % in the median: physical, at Table 1's own stiffness.
     deviations, periods = [], []
-    for row in designs[:150][production.label[:150] == o.NO_IMPACT]:
+    for row in designs[:150][production.outcome[:150] == o.NO_IMPACT]:
         response = simulate_one(bearing_of(row), pulse_of(row))
         _, x = sliding(response.bearing, response.pulse, response.t[-1])
         deviations.append(abs(np.abs(response.q[:, 3]).max() / np.abs(x).max() - 1.0))
@@ -460,7 +468,7 @@ def test_table_1_reaches_every_outcome_from_its_corners():
         i = TABLE_1.names.index(column)
         mild[i], harsh[i] = high[i], low[i]
     responses = simulate(np.array([mild, harsh]))
-    assert responses.outcome.tolist() == ["no_impact", "failure"]
+    assert responses.outcome_name.tolist() == ["no_impact", "failure"]
 
 
 def test_a_design_that_cannot_be_built_is_refused_with_its_row():

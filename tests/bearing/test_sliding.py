@@ -124,12 +124,12 @@ def test_the_error_falls_with_the_step_and_is_small_at_the_one_used():
 
 def test_the_unstopped_peak_predicts_impact_in_98_of_100_samples(designs, production):
     predicted = sliding_features(designs)[:, 0] > 0.0
-    assert np.mean(predicted == (production.label >= 1)) >= 0.98
+    assert np.mean(predicted == (production.outcome >= 1)) >= 0.98
 
 
 def test_faster_impacts_fail_more_often(designs, production):
     v = sliding_features(designs)[:, 0]
-    failed = production.label == 2
+    failed = production.outcome == 2
     shares = [failed[(v > low) & (v <= high)].mean() for low, high in ((0.0, 0.7), (0.7, 1.5), (1.5, np.inf))]
     assert shares == sorted(shares)
     assert shares[2] - shares[0] > 0.4

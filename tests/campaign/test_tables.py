@@ -9,7 +9,7 @@ import pytest
 from ran import Run
 
 from activefail.bearing import TABLE_1, Model, Tolerance, simulate
-from activefail.bearing.outcome import CAUSES, MARGINS, OUTCOMES
+from activefail.bearing.outcome import CAUSES, COLUMNS, OUTCOME_NAMES
 from activefail.campaign.tables import check_bearing, export_table, predict_table, simulate_table
 from activefail.errors import InputError
 from activefail.space import Array
@@ -51,13 +51,13 @@ def test_a_simulated_table_holds_what_simulate_answers_to_the_last_bit(tmp_path:
     counts = simulate_table(save(tmp_path / "in.csv", X), tmp_path / "out.csv", model, tolerance, begin)  # type: ignore[arg-type]
     answers = simulate(X, model, tolerance)
     header, rows = written(tmp_path / "out.csv")
-    assert header == [*TABLE_1.names, "outcome", "cause", *MARGINS]
+    assert header == [*TABLE_1.names, "outcome", "cause", *COLUMNS]
     assert numbers(rows, slice(0, 9)).tobytes() == X.tobytes()
-    assert [row[9] for row in rows] == answers.outcome.tolist()
+    assert [row[9] for row in rows] == answers.outcome_name.tolist()
     assert [row[10] for row in rows] == [CAUSES[cause] for cause in answers.cause]
-    assert np.array_equal(numbers(rows, slice(11, None)), answers.margins, equal_nan=True)
-    assert counts == {name: int((answers.outcome == name).sum()) for name in (*OUTCOMES, "numerical_failure")}
-    assert len(set(answers.outcome.tolist())) == 3
+    assert np.array_equal(numbers(rows, slice(11, None)), answers.columns, equal_nan=True)
+    assert counts == {name: int((answers.outcome_name == name).sum()) for name in OUTCOME_NAMES}
+    assert len(set(answers.outcome_name.tolist())) == 3
     assert sum(told) == 40
 
 
@@ -77,9 +77,9 @@ def test_other_columns_and_the_text_of_numbers_are_carried_along_in_any_order(tm
         csv.writer(file).writerows([header, *lines])
     simulate_table(tmp_path / "in.csv", tmp_path / "out.csv", Model(), Tolerance())
     found, rows = written(tmp_path / "out.csv")
-    assert found == [*header, "outcome", "cause", *MARGINS]
+    assert found == [*header, "outcome", "cause", *COLUMNS]
     assert [row[:11] for row in rows] == lines
-    assert [row[11] for row in rows] == simulate(X).outcome.tolist()
+    assert [row[11] for row in rows] == simulate(X).outcome_name.tolist()
 
 
 def test_a_table_may_be_written_over_itself(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_a_table_may_be_written_over_itself(tmp_path: Path) -> None:
 
 def test_a_table_without_designs_becomes_a_header(tmp_path: Path) -> None:
     counts = simulate_table(save(tmp_path / "in.csv", np.empty((0, 9))), tmp_path / "out.csv", Model(), Tolerance())
-    assert written(tmp_path / "out.csv") == ([*TABLE_1.names, "outcome", "cause", *MARGINS], [])
+    assert written(tmp_path / "out.csv") == ([*TABLE_1.names, "outcome", "cause", *COLUMNS], [])
     assert sum(counts.values()) == 0
 
 
@@ -141,7 +141,7 @@ def test_a_design_that_is_no_bearing_is_refused_by_row_line_rule_and_value_and_n
     assert (tmp_path / "out.csv").read_text() == "the old one"
 
 
-@pytest.mark.parametrize("column", ["outcome", "cause", MARGINS[0], MARGINS[-1]])
+@pytest.mark.parametrize("column", ["outcome", "cause", COLUMNS[0], COLUMNS[-1]])
 def test_a_table_that_has_an_answer_already_is_refused(tmp_path: Path, column: str) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER},{column}\n{GOOD},x\n")
     with pytest.raises(InputError, match=f"column '{column}': will be written"):
@@ -155,7 +155,7 @@ def test_what_passes_the_check_of_a_bearing_can_be_simulated() -> None:
     X = np.exp(rng.uniform(np.log(TABLE_1.low / 5.0), np.log(TABLE_1.high * 5.0), (60, 9)))
     passed = X[[check(row) is None for row in X]]
     assert 10 < len(passed) < 60
-    assert len(simulate(passed).label) == len(passed)
+    assert len(simulate(passed).outcome) == len(passed)
 
 
 # --- predict -----------------------------------------------------------------------------------------------------

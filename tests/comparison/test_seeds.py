@@ -44,7 +44,7 @@ def test_every_seed_has_every_arm_scored_where_it_should_be(scores):
 def test_samplings_of_one_seed_share_the_test_set_and_their_features_the_static_design(folder, scores):
     with open_campaign(folder / "designs", write=False) as (_, store):
         X, answers = store.read_set("test-300-0")
-        assert np.array_equal(answers.outcome, simulate(X).label)
+        assert np.array_equal(answers.outcome, simulate(X).outcome)
         assert len(store.read_set("static-60-seed4-0")[0]) == 60
         assert not np.array_equal(store.read_set("static-60-seed4-0")[0], store.read_set("static-60-seed3-0")[0])
 

@@ -129,8 +129,8 @@ def test_the_bearing_answers_as_the_bearing_model_does_whatever_the_order_of_the
     answers = simulate(X, model, tolerance)
     for space in (TABLE_1, TURNED):
         results = DfpSimulator.on(space, model, tolerance).run(TABLE_1.table(X, space.names))
-        assert (results.outcome.tolist(), results.cause.tolist()) == (answers.label.tolist(), answers.cause.tolist())
-        assert results.margins.tobytes() == answers.margins.tobytes()
+        assert (results.outcome.tolist(), results.cause.tolist()) == (answers.outcome.tolist(), answers.cause.tolist())
+        assert results.margins.tobytes() == answers.columns.tobytes()
 
 
 # --- results -----------------------------------------------------------------------------------------------------

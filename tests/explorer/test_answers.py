@@ -48,7 +48,7 @@ def test_the_interval_of_every_boundary_holds_its_probability(answers, findings)
 def test_a_simulation_is_the_simulator_s_and_its_frames_are_the_motion(answers):
     said = answers.simulate(FAILING)
     response = simulate_one(Bearing.from_row(FAILING, 0.3), Pulse.from_table(*FAILING[7:]), to_the_end=True)
-    assert said["outcome"] == response.outcome == "failure"
+    assert said["outcome"] == response.outcome_name == "failure"
     q = np.array(said["frames"]["q"])
     assert q.shape == (240, 5)
     np.testing.assert_allclose(q[-1], response.q[-1], atol=1e-4)

@@ -53,10 +53,10 @@ def words(figure: Figure) -> str:
 
 
 def test_the_examples_have_the_outcomes_that_they_are_named_after(failure, impact, no_impact, given_up):
-    assert (failure.outcome, failure.cause) == ("failure", "loss_of_confinement")
-    assert impact.outcome == "impact"
-    assert no_impact.outcome == "no_impact"
-    assert given_up.outcome == "numerical_failure"
+    assert (failure.outcome_name, failure.cause_name) == ("failure", "loss_of_confinement")
+    assert impact.outcome_name == "impact"
+    assert no_impact.outcome_name == "no_impact"
+    assert given_up.outcome_name == "numerical_failure"
 
 
 def test_every_panel_of_a_response_is_finite_and_names_its_axes_with_units(response):
@@ -86,13 +86,13 @@ def test_histories_share_one_axis_of_time_and_mark_what_befell(failure, no_impac
 
 def test_the_title_states_the_outcome_its_cause_and_the_design_with_units(response):
     title = words(m.plot_response(response))
-    when = f"{response.margins['failure_time']:.3f}".replace("-", "−")
+    when = f"{response.margins.failure_time:.3f}".replace("-", "−")
     assert {
         "failure": f"Failure by loss of confinement at t = {when} s",
         "impact": "Rim impact without failure",
         "no_impact": "No impact",
         "numerical_failure": "Numerical failure (too many steps): no statement about the bearing",
-    }[response.outcome] in title
+    }[response.outcome_name] in title
     assert "$D_{sl}$ 0.300 m" in title
     assert "MPa" in title
     assert "N/m$^{1.5}$" in title
@@ -188,7 +188,7 @@ def test_the_sliders_ends_are_spheres_of_the_dishes_radius():
 
 def test_a_mirrored_pulse_gives_the_mirrored_picture(failure):
     mirrored = simulate_one(FAILING, Pulse(2.5, -0.5 * GRAVITY))
-    time = failure.margins["first_touch_time"]
+    time = failure.margins.first_touch_time
     one = m.draw_bearing(Figure().subplots(), failure, time).slider.get_xy()[:-1]
     other = m.draw_bearing(Figure().subplots(), mirrored, time).slider.get_xy()[:-1]
     # Mirrored, each arc is run through the other way.
@@ -209,7 +209,7 @@ def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
     bearing = Bearing.from_table(2.676, 0.05454, 0.5592, 0.3724, 0.05096, 56.82, 1.737e9)
     response = simulate_one(bearing, Pulse(3.178, 0.618 * GRAVITY))
     motion = Motion(response)
-    assert response.cause == "escape"
+    assert response.cause_name == "escape"
     assert m.OVER_RIM in m.vertex_states(motion, response.q[-1])
     assert m.OVER_RIM not in m.vertex_states(motion, response.q[-2])
 

@@ -4,6 +4,7 @@ Each campaign is there twice: `finished`, and `interrupted` by kill -9 after two
 Version 0.1.0 made both on one machine.
 """
 
+import hashlib
 import shutil
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from commandline import activefail
 
+from activefail.bearing import TABLE_1, Bearing, Pulse, Tolerance, simulate, simulate_one
 from activefail.campaign.opening import open_campaign
 from activefail.campaign.provenance import provenance
 
@@ -21,6 +23,10 @@ DECIDES = ("python", "numpy", "scipy", "torch", "gpytorch", "botorch", "numba", 
 """Of the provenance: what the bits of a campaign depend on besides its settings."""
 
 
+ANSWERS = "25bf9ac94942cc3dcc493de32d996fce6a760eb954c7d1a5fa59b0fd825088dc"
+"""SHA-256 of the simulator's answers, see `test_the_simulator_gives_the_answers_of_the_earlier_version_bit_for_bit`."""
+
+
 def code(name):
     return ("--code", HERE) if name == "custom" else ()
 
@@ -29,6 +35,13 @@ def code(name):
 def folder(tmp_path):
     """Copies an old run folder to where it may be changed."""
     return lambda state, name: Path(shutil.copytree(HERE / state / name, tmp_path / state / name))
+
+
+def skip_elsewhere(store):
+    """Skip a test of bits where versions or the processor are others than those of a run folder."""
+    made, here = store._segments[-1].provenance, provenance()
+    if any(made[key] != here[key] for key in DECIDES):
+        pytest.skip("the old run folders were made with other versions or on another processor")
 
 
 @pytest.mark.parametrize("state", ["finished", "interrupted"])
@@ -60,10 +73,8 @@ def test_an_old_interrupted_campaign_resumes_to_the_bits_of_the_finished_one(nam
         open_campaign(run, write=False, code=HERE) as (_, resumed),
         open_campaign(finished, write=False, code=HERE) as (_, expected),
     ):
-        made, here = expected._segments[-1].provenance, provenance()
         assert sum(len(batch) for batch in resumed.batches) == 40
-        if any(made[key] != here[key] for key in DECIDES):
-            pytest.skip("the old run folders were made with other versions or on another processor")
+        skip_elsewhere(expected)
         for one, other in zip(resumed.batches, expected.batches, strict=True):
             assert one.iteration == other.iteration
             assert np.array_equal(one.designs, other.designs)
@@ -90,3 +101,18 @@ def test_sets_of_an_old_run_folder_are_read_and_not_simulated_again(folder):
     assert said.code == 0
     assert "20 fresh simulations" in said.out
     assert {path.name: path.read_bytes() for path in (run / "sets").iterdir()} == before
+
+
+def test_the_simulator_gives_the_answers_of_the_earlier_version_bit_for_bit():
+    with open_campaign(HERE / "finished" / "bearing", write=False) as (_, store):
+        skip_elsewhere(store)
+    X, digest = TABLE_1.latin_hypercube(1000, np.random.default_rng(7)), hashlib.sha256()
+    for rows, tolerance in ((1000, Tolerance()), (100, Tolerance(relative=1e-6)), (100, Tolerance(most_steps=300))):
+        answers = simulate(X[:rows], tolerance=tolerance)
+        for column in (answers.outcome, answers.cause, answers.columns):
+            digest.update(column.tobytes())
+    for row in X[:40]:
+        response = simulate_one(Bearing.from_table(*row[:7]), Pulse.from_table(*row[7:]), to_the_end=True)
+        for history in (response.t, response.q, response.v, response.a):
+            digest.update(history.tobytes())
+    assert digest.hexdigest() == ANSWERS

@@ -44,15 +44,15 @@ def test_more_draws_do_not_change_the_first_ones():
     assert np.array_equal(paper.designs(2, 10, 5)[0], paper.designs(4, 10, 5)[0][:2])
 
 
-def test_the_labels_are_the_simulators(study):
+def test_the_outcomes_are_the_simulators(study):
     answers = simulate(study.data.X[1][:20])
-    assert np.array_equal(study.data.label[1][:20], answers.label)
-    assert np.array_equal(study.data.label_fresh[:10], simulate(study.data.X_fresh[:10]).label)
+    assert np.array_equal(study.data.outcome[1][:20], answers.outcome)
+    assert np.array_equal(study.data.outcome_fresh[:10], simulate(study.data.X_fresh[:10]).outcome)
 
 
 def test_a_draw_studied_alone_is_the_draw_of_the_study(study):
     alone = paper.study_draw(
-        study.data.X[1], study.data.label[1], study.data.X_fresh, study.data.label_fresh, 3, 1, ("laplace",), 2
+        study.data.X[1], study.data.outcome[1], study.data.X_fresh, study.data.outcome_fresh, 3, 1, ("laplace",), 2
     )
     assert alone.processes["laplace"].fresh == study.draws[1].processes["laplace"].fresh
     assert np.array_equal(alone.logistic["failure"].p_values, study.draws[1].logistic["failure"].p_values)
@@ -70,10 +70,10 @@ def test_the_splits_of_a_draw_are_others_each_time(study):
 
 
 def test_the_regression_compared_on_fresh_designs_saw_the_points_that_the_processes_saw(study):
-    X, failed = study.data.X[0], study.data.label[0] == 2
+    X, failed = study.data.X[0], study.data.outcome[0] == 2
     train, _ = paper.split(np.random.default_rng([3, 2, 0, 0]), 250)
     fitted = logistic_regression(paper_features(X[train]), failed[train])
-    expected = fitted.accuracy(paper_features(study.data.X_fresh), study.data.label_fresh == 2)
+    expected = fitted.accuracy(paper_features(study.data.X_fresh), study.data.outcome_fresh == 2)
     assert study.draws[0].three_quarters == pytest.approx(expected)
 
 
@@ -135,7 +135,7 @@ def test_intervals_cover_the_mean_and_the_next_sample_as_often_as_they_say():
     assert 0.94 < covers_one < 0.985
 
 
-def test_a_variant_that_is_the_default_moves_no_label(study):
+def test_a_variant_that_is_the_default_moves_no_outcome(study):
     assert study.variants[0].name == next(iter(VARIANTS))
     assert study.variants[0].draws is study.draws
     assert study.variants[0].data is study.data
@@ -146,12 +146,12 @@ def test_the_tilted_variant_is_of_other_designs(study):
     variant = study.variants[-1]
     assert (variant.name, variant.moved) == (TILTED, None)
     assert np.array_equal(variant.data.X, published.tilted(study.data.X))
-    assert np.array_equal(variant.data.label[0][:10], simulate(variant.data.X[0][:10]).label)
+    assert np.array_equal(variant.data.outcome[0][:10], simulate(variant.data.X[0][:10]).outcome)
 
 
-def test_a_variant_counts_the_labels_that_its_model_moves(study):
-    assembly = simulate(study.data.X.reshape(-1, 9), Model(restitution="assembly")).label
-    moved = np.mean(assembly != study.data.label.ravel())
+def test_a_variant_counts_the_outcomes_that_its_model_moves(study):
+    assembly = simulate(study.data.X.reshape(-1, 9), Model(restitution="assembly")).outcome
+    moved = np.mean(assembly != study.data.outcome.ravel())
     variant = next(v for v in study.variants if "assembly" in v.name)
     assert variant.moved == pytest.approx(moved)
 
@@ -240,7 +240,7 @@ def test_the_process_that_is_drawn_is_the_median_one_of_those_that_order_the_fea
         drawn = paper.typical_process(replace(study, draws=draws([0.95, 0.94], lengths)), 3)
         train, _ = paper.split(np.random.default_rng([3, 2, expected, 0]), 250)
         assert np.array_equal(drawn.F, paper_features(study.data.X[expected][train]))
-        assert np.array_equal(drawn.failed, study.data.label[expected][train] == 2)
+        assert np.array_equal(drawn.failed, study.data.outcome[expected][train] == 2)
 
 
 def test_the_command_writes_the_page_and_says_every_verdict(study, tmp_path, monkeypatch, capsys):
@@ -277,7 +277,9 @@ def test_the_documented_numbers_are_those_of_this_simulator_and_these_methods():
     X, X_fresh = paper.designs(numbers["draws"], 10, numbers["seed"])
     assert numbers["table2"] == table_2(X)
     data = paper.simulated(X[:1], X_fresh, Model())
-    alone = paper.study_draw(X[0], data.label[0], X_fresh, data.label_fresh, numbers["seed"], 0, ("laplace",), SPLITS)
+    alone = paper.study_draw(
+        X[0], data.outcome[0], X_fresh, data.outcome_fresh, numbers["seed"], 0, ("laplace",), SPLITS
+    )
     first = numbers["first_sample"]
     assert first["logistic"] == {name: fitted.in_sample for name, fitted in alone.logistic.items()}
     for name, p_values in first["p_values"].items():

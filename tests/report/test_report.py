@@ -12,6 +12,7 @@ from campaign.stub import disc
 from matplotlib.figure import Figure
 
 from activefail.bearing.design import TABLE_1
+from activefail.campaign import quantities
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.findings import findings_of
 from activefail.campaign.learning import current_classifier
@@ -24,7 +25,7 @@ from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
-from activefail.figures import contours, quantities, samples, svg
+from activefail.figures import contours, samples, svg
 from activefail.figures.marks import outcome_colour
 from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page

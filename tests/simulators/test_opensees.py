@@ -183,7 +183,7 @@ def untouched() -> Array:
     answers = simulate(X)
     peak = answers.margin("peak_displacement_ratio") * X[:, 2]
     # Near the rim the two may part: a vertex may touch in one alone.
-    return X[(answers.label == 0) & (peak > 0.05) & (peak < 0.85 * X[:, 2])][:20]
+    return X[(answers.outcome == 0) & (peak > 0.05) & (peak < 0.85 * X[:, 2])][:20]
 
 
 def of_bearing(row: Array, model: Model, stiffness: float) -> tuple[Array, Array]:
@@ -192,7 +192,7 @@ def of_bearing(row: Array, model: Model, stiffness: float) -> tuple[Array, Array
     design[6] *= stiffness
     bearing, pulse = Bearing.from_row(design.tolist(), model.slider_diameter), Pulse.from_table(*design[7:])
     response = simulate_one(bearing, pulse, model, Tolerance(1e-5), to_the_end=True)
-    assert response.outcome == "no_impact"
+    assert response.outcome_name == "no_impact"
     return response.t, response.q[:, 3]
 
 
