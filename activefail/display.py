@@ -1,6 +1,5 @@
-"""How long work is shown while it runs, and how the user asks it to stop."""
+"""How work is shown while it runs."""
 
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,32 +14,6 @@ if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
     from activefail.campaign.progress import Observer, Progress
     from activefail.campaign.verification import ErrorEstimate
-
-
-@contextmanager
-def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Callable[[], bool]]:
-    """The first Ctrl-C or SIGTERM asks for a stop and says what is done before it, the second stops at once."""
-    asked = at_once = False
-
-    def ask(number: int, frame: object) -> None:
-        nonlocal asked, at_once
-        if asked:
-            at_once = True
-            raise KeyboardInterrupt
-        asked = True
-        print(f"\n{stopping}; once more to stop now", file=sys.stderr)
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: asked
-    except Exception as broken:
-        # An interrupt in the middle of one of Python's own locks comes out as that lock's complaint.
-        if at_once:
-            raise KeyboardInterrupt from broken
-        raise
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

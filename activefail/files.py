@@ -4,7 +4,7 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -42,6 +42,33 @@ def replacing(path: Path, mode: Literal["x", "xb"] = "x") -> Iterator[IO[Any]]:
         with suppress(OSError):
             os.unlink(temporary)
         raise
+
+
+@contextmanager
+def writing_to(path: Path) -> Iterator[None]:
+    """Names the file or folder of a fault of writing.
+
+    Raises:
+        InputError: instead of what the system raised.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from None
+
+
+def check_file(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
+    """Check that a file to be written has a folder and one of these suffixes; nothing for None.
+
+    Raises:
+        InputError: naming the file and the rule.
+    """
+    if path is None:
+        return
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
+    if path.suffix.lower() not in suffixes:
+        raise InputError(f"{path}: the name of {what} must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}.")
 
 
 def target_of(path: Path) -> Path:

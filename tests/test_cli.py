@@ -27,8 +27,8 @@ from activefail.campaign.opening import open_campaign
 from activefail.campaign.progress import Observer
 from activefail.campaign.settings import read_settings
 from activefail.cli import app
-from activefail.display import stop_on_signals
 from activefail.execution.local import ThreadExecutor
+from activefail.interrupts import stop_on_signals
 from activefail.record.run_folder import FolderStore
 
 COMMANDS = tuple(typer.main.get_group(app).commands)

@@ -269,3 +269,12 @@ def check_designs(X: Array) -> Array:
         name = TABLE_1.names[column]
         raise InputError(f"Row {row}, column {name}: `{name} > 0` must hold and be finite, got {X[row, column]}.")
     return X
+
+
+def outside_table_1(row: Sequence[float]) -> list[str]:
+    """What lies outside the paper's ranges of a design, a row of TABLE_1's variables; a text each."""
+    return [
+        f"{parameter.name} = {value:g} lies outside the paper's range {parameter.low:g} to {parameter.high:g}"
+        for parameter, value in zip(TABLE_1.parameters, row, strict=True)
+        if not parameter.low <= value <= parameter.high
+    ]

@@ -157,6 +157,35 @@ def describe_design(response: Response) -> str:
     )
 
 
+def response_lines(response: Response) -> list[str]:
+    """The outcome of a simulated bearing, and what decided it, in lines for a terminal."""
+    margins, statistics = response.margins, response.statistics
+    lines = [f"outcome    {response.outcome_name}{f' ({response.cause_name})' if response.cause_name else ''}"]
+    if response.cause_name == "failure_without_rim_touch":
+        lines.append(
+            "           the slider failed before it touched a rim, which is none of the outcomes; are the units right?"
+        )
+    elif response.outcome_name == "numerical_failure":
+        lines.append("           the integration gave up; this says nothing about the bearing")
+    rows = [
+        ("x / D_tot", f"{margins.peak_displacement_ratio:.3f}", "peak displacement over the capacity"),
+        ("F_rim / Mg", f"{margins.peak_rim_force_ratio:.3f}", "peak rim force over the weight"),
+        ("gap / rim", f"{margins.peak_gap_ratio:.3f}", "largest uplift of a plate over the rim height; lost above 1"),
+        ("tilt", f"{margins.peak_tilt:.3f} rad", "largest rotation of the slider"),
+        (
+            "energy",
+            f"{statistics.energy_error:.1e}",
+            f"imbalance, relative; {statistics.steps} steps, {statistics.rejected_steps} rejected",
+        ),
+    ]
+    if not math.isnan(margins.failure_time):
+        rows.insert(0, ("failure", f"{margins.failure_time:.3f} s", "after the pulse's centre"))
+    if not math.isnan(margins.first_touch_time):
+        touch = f"first rim touch, at {margins.first_touch_velocity:.3f} m/s"
+        rows.insert(0, ("impact", f"{margins.first_touch_time:.3f} s", touch))
+    return [*lines, *(f"{name:<10} {value:<10} {meaning}" for name, value, meaning in rows)]
+
+
 def minus(number: str) -> str:
     """A number with a typographical minus."""
     return number.replace("-", "−")

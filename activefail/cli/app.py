@@ -1,12 +1,9 @@
 """The application: its entry, and how a fault ends it."""
 
-import atexit
 import errno
 import io
 import os
-import signal
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
@@ -15,8 +12,8 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand
 
-from activefail.cli.common import INTERRUPTED
 from activefail.errors import ActivefailError, InputError, place_of, reason_of
+from activefail.interrupts import INTERRUPTED, end_without_waiting, hearing_every_ctrl_c
 from activefail.screen import OUTPUT, visible_output
 
 app = typer.Typer(
@@ -36,22 +33,8 @@ def program() -> None:
         main()
     except SystemExit as end:
         if end.code == INTERRUPTED:
-            _leave()
+            end_without_waiting()
         raise
-
-
-def _leave() -> None:
-    """End the process after a Ctrl-C without waiting for its threads.
-
-    Where a Ctrl-C meets the start of a thread, Python may wait for that thread for ever, or not at all, and then abort
-    while compiled code runs on in it.
-    """
-    # Ends the processes that were started, too.
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(AttributeError, OSError, ValueError):
-            stream.flush()
-    os._exit(INTERRUPTED)
 
 
 def main() -> None:
@@ -64,9 +47,9 @@ def main() -> None:
 
 
 def _main() -> None:
-    hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     try:
-        app()
+        with hearing_every_ctrl_c():
+            app()
     except ActivefailError as error:
         _end(str(error), 2 if isinstance(error, InputError) else 1)
     except ImportError as error:
@@ -84,12 +67,6 @@ def _main() -> None:
         if error.filename == OUTPUT:
             _silence()
         _end(_description_of(error), 2 if error.errno in _NO_NAMES else 1)
-    finally:
-        # It is ending. What is cleared away at exit has nothing to lose, and a Ctrl-C more ends it without a traceback.
-        for again in _coming_again:
-            again.cancel()
-        atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
-        sys.unraisablehook = hook
 
 
 def _end(message: str, code: int) -> NoReturn:
@@ -138,21 +115,6 @@ def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(INTERRUPTED) from None
 
     return ended
-
-
-_coming_again: list[threading.Timer] = []
-"""What sends a Ctrl-C anew."""
-
-
-def _unraisable(dropped: "sys.UnraisableHookArgs") -> None:
-    """Has a Ctrl-C come again that met a call from compiled code, from which Python can raise nothing."""
-    if issubclass(dropped.exc_type, KeyboardInterrupt):
-        again = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
-        again.daemon = True
-        again.start()
-        _coming_again.append(again)
-    else:
-        sys.__unraisablehook__(dropped)
 
 
 def _description_of(error: OSError) -> str:

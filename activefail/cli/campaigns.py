@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from activefail.cli.common import (
-    INTERRUPTED,
     Code,
     ExecutorName,
     RunFolder,
     Scheduler,
     Workers,
-    check_output,
     make_executor,
     show_unseen,
     show_warnings,
 )
-from activefail.display import campaign_display, error_text, progress_bar, stop_on_signals
+from activefail.display import campaign_display, error_text, progress_bar
+from activefail.interrupts import INTERRUPTED, stop_on_signals
+from activefail.record.layout import check_output
 from activefail.shares import percent
 from activefail.visible import quoted, visible
 

@@ -1,8 +1,6 @@
 """What commands share: options, warnings, and how a full disk is met."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,9 +14,6 @@ if TYPE_CHECKING:
     from activefail.campaign.summary import Summary
     from activefail.execution.executor import AsynchronousExecutor
     from activefail.record.run_folder import FolderStore
-
-INTERRUPTED = 130
-"""The exit code of a program that a Ctrl-C ended, as shells have it."""
 
 RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", metavar="DIR", show_default=False)]
 
@@ -66,35 +61,6 @@ def make_executor(
     from activefail.campaign.provenance import simulation_versions
 
     return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)
-
-
-def check_output(option: str, path: Path | None) -> None:
-    """Check that what is to be written is nothing that a run folder keeps for itself; before anything is done.
-
-    Raises:
-        InputError: naming the option and the file.
-    """
-    from activefail.record.layout import link_in_run_folder, run_folder_owning
-
-    if path is None:
-        return
-    if run_folder_owning(path) is not None:
-        raise InputError(f"{option}: {path} is a file of the run folder itself; name another.")
-    if (link := link_in_run_folder(path)) is not None:
-        raise InputError(f"{option}: {link} is a symbolic link in a run folder, which is not followed; name another.")
-
-
-@contextmanager
-def writing_to(path: Path) -> Iterator[None]:
-    """Names the file or folder of a fault of writing.
-
-    Raises:
-        InputError: instead of what the system raised.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from None
 
 
 def show_stage(text: str) -> None:

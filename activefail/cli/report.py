@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, check_output, show_stage, show_warnings, writing_to
-from activefail.errors import InputError
+from activefail.cli.common import Code, RunFolder, show_stage, show_warnings
+from activefail.files import check_file, writing_to
+from activefail.record.layout import check_output
 from activefail.visible import visible
 
 
@@ -22,11 +23,8 @@ def report(
     from activefail.run import open_run
 
     check_output("--out", out)
+    check_file(out, "a report", (".html", ".htm"))
     target = out or folder / REPORT
-    if target.suffix.lower() not in {".html", ".htm"}:
-        raise InputError(f"--out: must end in .html, got {str(target)!r}.")
-    if out is not None and not target.absolute().parent.is_dir():
-        raise InputError(f"--out: the folder {target.absolute().parent} does not exist.")
     with open_run(folder, code=code) as opened:
         show_warnings(opened.store)
         opened.learn(show_stage)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import check_output, writing_to
 from activefail.display import progress_bar
 from activefail.errors import InputError
+from activefail.files import check_file, writing_to
+from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.bearing import Model, Response, Tolerance
+    from activefail.bearing import Model, Tolerance
 
 
 def simulate(
@@ -50,21 +51,13 @@ def simulate(
     tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
 ) -> None:
     """Simulate one bearing under one pulse, or a table of them."""
-    from activefail.bearing.design import Model, Tolerance
+    from activefail.bearing.design import TABLE_1, Model, Tolerance
 
     for option, path in {"--out": out, "--plot": plot, "--animate": animate}.items():
         check_output(option, path)
-    design = {
-        "--t-b": t_b,
-        "--mu": mu,
-        "--d-tot": d_tot,
-        "--h-sl-ratio": h_sl_ratio,
-        "--h-rim-ratio": h_rim_ratio,
-        "--p": p,
-        "--k": k,
-        "--t-p": t_p,
-        "--a-p": a_p,
-    }
+    values = (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p)
+    options = (f"--{name.lower().replace('_', '-')}" for name in TABLE_1.names)
+    design = dict(zip(options, values, strict=True))
     model = Model(
         slider_diameter=slider_diameter,
         restitution_coefficient=restitution_coefficient,
@@ -96,27 +89,18 @@ def simulate(
 def _simulate_one(
     design: list[float], model: "Model", tolerance: "Tolerance", plot: Path | None, animate: Path | None
 ) -> None:
-    from activefail.bearing.design import TABLE_1, Bearing, Pulse
+    from activefail.bearing.design import Bearing, Pulse, outside_table_1
+    from activefail.bearing.motion import response_lines
     from activefail.bearing.simulation import simulate_one
 
-    for path in (plot, animate):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise InputError(f"{path}: the folder {path.absolute().parent} does not exist.")
-    if plot is not None and plot.suffix.lower() not in {".png", ".svg", ".pdf"}:
-        raise InputError(f"{plot}: a plot's name must end in .png, .svg or .pdf.")
-    if animate is not None and animate.suffix.lower() not in {".gif", ".mp4"}:
-        raise InputError(f"{animate}: a film's name must end in .gif or .mp4.")
+    check_file(plot, "a plot", (".png", ".svg", ".pdf"))
+    check_file(animate, "a film", (".gif", ".mp4"))
     bearing, pulse = Bearing.from_row(design, model.slider_diameter), Pulse.from_table(*design[7:])
     # One bearing is looked at: its motion is wanted beyond the moment that settles its outcome.
     response = simulate_one(bearing, pulse, model, tolerance, to_the_end=True)
-    _print_response(response)
-    for parameter, value in zip(TABLE_1.parameters, design, strict=True):
-        if not parameter.low <= value <= parameter.high:
-            print(
-                f"note: {parameter.name} = {value:g} lies outside the paper's range "
-                f"{parameter.low:g} to {parameter.high:g}",
-                file=sys.stderr,
-            )
+    print("\n".join(response_lines(response)))
+    for note in outside_table_1(design):
+        print(f"note: {note}", file=sys.stderr)
     if plot is not None:
         from activefail.figures.motion import plot_response
         from activefail.figures.style import save_figure
@@ -132,33 +116,6 @@ def _simulate_one(
         print(f"film       {visible(str(animate))}")
     if response.outcome_name == "numerical_failure":
         raise typer.Exit(1)
-
-
-def _print_response(response: "Response") -> None:
-    margins = response.margins
-
-    def row(name: str, value: str, meaning: str) -> None:
-        print(f"{name:<10} {value:<10} {meaning}")
-
-    print(f"outcome    {response.outcome_name}{f' ({response.cause_name})' if response.cause_name else ''}")
-    if response.cause_name == "failure_without_rim_touch":
-        print(
-            "           the slider failed before it touched a rim, which is none of the outcomes; are the units right?"
-        )
-    elif response.outcome_name == "numerical_failure":
-        print("           the integration gave up; this says nothing about the bearing")
-    if margins.first_touch_time == margins.first_touch_time:
-        speed = margins.first_touch_velocity
-        row("impact", f"{margins.first_touch_time:.3f} s", f"first rim touch, at {speed:.3f} m/s")
-    if margins.failure_time == margins.failure_time:
-        row("failure", f"{margins.failure_time:.3f} s", "after the pulse's centre")
-    row("x / D_tot", f"{margins.peak_displacement_ratio:.3f}", "peak displacement over the capacity")
-    row("F_rim / Mg", f"{margins.peak_rim_force_ratio:.3f}", "peak rim force over the weight")
-    row("gap / rim", f"{margins.peak_gap_ratio:.3f}", "largest uplift of a plate over the rim height; lost above 1")
-    row("tilt", f"{margins.peak_tilt:.3f} rad", "largest rotation of the slider")
-    statistics = response.statistics
-    steps, rejected = statistics.steps, statistics.rejected_steps
-    row("energy", f"{statistics.energy_error:.1e}", f"imbalance, relative; {steps} steps, {rejected} rejected")
 
 
 def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:

@@ -9,9 +9,11 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import INTERRUPTED, Code, check_output, show_stage, show_unseen, show_warnings, writing_to
-from activefail.display import stop_on_signals
+from activefail.cli.common import Code, show_stage, show_unseen, show_warnings
 from activefail.errors import InputError
+from activefail.files import writing_to
+from activefail.interrupts import INTERRUPTED, stop_on_signals
+from activefail.record.layout import check_output
 from activefail.visible import visible
 
 
@@ -54,14 +56,8 @@ def compare(
     designs over several seeds, criteria and features; it can be interrupted and goes on when given again.
     """
     if source.is_dir():
-        for name, value in {
-            "seeds": seeds,
-            "criteria": criteria,
-            "features": features,
-            "static": static,
-            "jobs": jobs,
-            "out": out,
-        }.items():
+        names = ("seeds", "criteria", "features", "static", "jobs", "out")
+        for name, value in zip(names, (seeds, criteria, features, static, jobs, out), strict=True):
             if value is not None:
                 raise InputError(f"--{name}: is for the comparison of a campaign file, and {source} is a run folder.")
         _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000, code)

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from activefail.errors import StoreError
+from activefail.errors import InputError, StoreError
 from activefail.visible import visible
 
 SETTINGS = "campaign.toml"
@@ -69,6 +69,20 @@ def _linked(path: Path) -> StoreError:
         f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it with "
         f"the file it points to, or remove it."
     )
+
+
+def check_output(option: str, path: Path | None) -> None:
+    """Check that what is to be written is nothing that a run folder keeps for itself; before anything is done.
+
+    Raises:
+        InputError: naming the option and the file.
+    """
+    if path is None:
+        return
+    if run_folder_owning(path) is not None:
+        raise InputError(f"{option}: {path} is a file of the run folder itself; name another.")
+    if (link := link_in_run_folder(path)) is not None:
+        raise InputError(f"{option}: {link} is a symbolic link in a run folder, which is not followed; name another.")
 
 
 def run_folder_owning(path: Path) -> Path | None:
