@@ -483,7 +483,7 @@ def test_workers_end_with_the_process_that_leads_them_however_it_ends(tmp_path: 
     program = (
         "import numpy as np\n"
         "from contracts.test_executor import Noted\n"
-        "from activefail.execution.executor import ProcessExecutor\n"
+        "from activefail.execution.local import ProcessExecutor\n"
         "if __name__ == '__main__':\n"
         f"    ProcessExecutor(2).run(Noted(folder={str(tmp_path)!r}), np.zeros((2, 2)))\n"
     )
