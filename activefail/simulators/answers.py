@@ -24,8 +24,8 @@ def read_answer(said: object, outcomes: tuple[str, ...], margins: tuple[str, ...
         raise UnusableAnswerError(f"the answer may hold outcome and margins, got {sorted(map(str, unknown))[0]!r} too")
     outcome, told = said.get("outcome"), said.get("margins", {})
     # A text, of its own characters: not what says that it equals one.
-    name = str.__str__(outcome) if isinstance(outcome, str) else None
-    if name not in outcomes:
+    text = str.__str__(outcome) if isinstance(outcome, str) else None
+    if text not in outcomes:
         raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
     if not isinstance(told, Mapping):
         raise UnusableAnswerError(f"margins: must be a table of {', '.join(margins) or 'nothing'}, got {told!r}")
@@ -39,7 +39,7 @@ def read_answer(said: object, outcomes: tuple[str, ...], margins: tuple[str, ...
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
             raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
     return Results(
-        np.array([outcomes.index(name)], dtype=np.int8),
+        np.array([outcomes.index(text)], dtype=np.int8),
         np.zeros(1, dtype=np.int8),
         np.array([values], dtype=np.float64).reshape(1, len(margins)),
         np.array([seconds]),
