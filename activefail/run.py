@@ -188,13 +188,13 @@ class Run:
             stage: is told when learning begins.
 
         Raises:
-            InputError: if there is no simulation with an answer to learn from.
+            InputError: if there is no simulation, or none with an answer, to learn from.
         """
         from activefail.campaign.learning import current_classifier
 
         if self._classifier is not None:
             return self._classifier
-        if not self.history.answered.any():
+        if not len(self.history):
             raise InputError(
                 f"{self.folder}: has no simulations to learn from yet; `{self.resume_command()}` continues it."
             )

@@ -121,7 +121,7 @@ class OwnSimulator(_Section):
 
 
 class PythonSimulator(OwnSimulator):
-    """A simulator that is a function (`activefail.simulators.custom`); its module is looked for as those of features.
+    """A simulator that is a function (`activefail.simulators.function`); its module is looked for as those of features.
 
     Attributes:
         renew: how many simulations one worker process may run before a fresh one replaces it; any number if None.
@@ -132,7 +132,7 @@ class PythonSimulator(OwnSimulator):
 
 
 class CommandSimulator(OwnSimulator):
-    """A simulator that is a program (`activefail.simulators.custom`).
+    """A simulator that is a program (`activefail.simulators.command`).
 
     Attributes:
         command: with the values of the variables in braces.
