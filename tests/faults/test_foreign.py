@@ -464,7 +464,7 @@ SPACE = DesignSpace((Parameter("y", 0.0, 1.0),))
 )
 def test_a_format_that_would_fill_the_memory_is_refused_before_it_is_used(received: Path, form: str) -> None:
     command = f"model {{y:{form}}} {{out}}"
-    limit = rf"a width and a precision of at most {LONGEST_NUMBER}, unlike that of {{y}}"
+    limit = rf"the format of {{y}} must have a width and a precision of at most {LONGEST_NUMBER}"
     with pytest.raises(InputError, match=re.escape(limit)):
         CommandSimulator(SPACE, command, None, Path("work"), ("safe", "failure"), ())
     text = (received / "campaign.toml").read_text()
