@@ -30,8 +30,8 @@ def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, .
         )
     outcome, margin_values = answer.get("outcome"), answer.get("margins", {})
     # A subclass of str may override `==`; compare its characters.
-    name = str.__str__(outcome) if isinstance(outcome, str) else None
-    if name not in outcomes:
+    outcome_name = str.__str__(outcome) if isinstance(outcome, str) else None
+    if outcome_name not in outcomes:
         raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
     if not isinstance(margin_values, Mapping):
         raise UnusableAnswerError(
@@ -47,7 +47,7 @@ def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, .
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
             raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
     return Results(
-        np.array([outcomes.index(name)], dtype=np.int8),
+        np.array([outcomes.index(outcome_name)], dtype=np.int8),
         np.zeros(1, dtype=np.int8),
         np.array([values], dtype=np.float64).reshape(1, len(margins)),
         np.array([seconds]),
