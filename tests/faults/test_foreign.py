@@ -536,7 +536,7 @@ def test_without_flock_a_kill_locks_nothing_and_a_lock_made_elsewhere_is_not_bus
         with traced(victim.pid, *no_flock):
             victim.go_on()
             assert victim.end() == 0, victim.told
-        assert "has no locks: make sure that one process at a time writes there" in victim.told[-1]
+        assert "has no locks: make sure that only one process writes at a time" in victim.told[-1]
     assert "(INJECTED)" in (tmp_path / "trace").read_text()
     assert finished(folder) == uninterrupted
 

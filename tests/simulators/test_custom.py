@@ -827,8 +827,8 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     assert said.code == 0
     digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, f"{MODEL}# other\n")]
     assert said.err == (
-        "warning: Your own code has changed since the last batch, model:run (simulator.python) or what it imports: "
-        f"{digests[0]} -> {digests[1]}. What follows is by the code as it is now.\n"
+        "warning: Your code has changed since the last batch, model:run (simulator.python) or a module "
+        f"that it imports: {digests[0]} -> {digests[1]}. New simulations use the current code.\n"
     )
 
 
