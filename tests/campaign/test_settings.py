@@ -114,7 +114,7 @@ BROKEN = {
     ),
     "a normal far from its bounds": (
         "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
-        ["space.mu: 0.1 to 0.2 must hold at least 1e-06 of the normal"],
+        ["space.mu: 0.1 to 0.2 must contain at least 1e-06 of the normal"],
     ),
     "a logarithm of what is not positive": (
         "space.mu = {low = 0.0, high = 0.2, distribution = 'log_uniform'}",

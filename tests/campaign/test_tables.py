@@ -144,7 +144,7 @@ def test_a_design_that_is_no_bearing_is_refused_by_row_line_rule_and_value_and_n
 @pytest.mark.parametrize("column", ["outcome", "cause", COLUMNS[0], COLUMNS[-1]])
 def test_a_table_that_has_an_answer_already_is_refused(tmp_path: Path, column: str) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER},{column}\n{GOOD},x\n")
-    with pytest.raises(InputError, match=f"column '{column}': will be written"):
+    with pytest.raises(InputError, match=f"column '{column}': is an output column"):
         simulate_table(tmp_path / "in.csv", tmp_path / "out.csv", Model(), Tolerance())
 
 
