@@ -323,7 +323,7 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
     sites = _extended_sites(warm, features, labels)
     previous = condition(features, labels, kernel, warm.hyperparameters, sites, accuracy, evaluations, n, warm.inducing)
     # Hyperparameters learned on a subset may be worse for all points.
-    return max(previous, latest, key=objective)
+    return max(previous, updated, key=objective)
 
 
 def _fit_many(
@@ -345,11 +345,7 @@ def _fit_many(
         h, sites, inducing = warm.hyperparameters, _extended_sites(warm, features, labels), warm.inducing
     else:
         assert latest.inducing is not None
-        h, sites, inducing = (
-            latest.hyperparameters,
-            _predicted_sites(updated, features, labels),
-            rows[updated.inducing],
-        )
+        h, sites, inducing = latest.hyperparameters, _predicted_sites(latest, features, labels), rows[latest.inducing]
     return condition(features, labels, kernel, h, sites, accuracy, evaluations, len(labels), inducing)
 
 
