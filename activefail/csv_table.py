@@ -1,4 +1,4 @@
-"""Tables of designs as CSV: every cell checked before anything is done, read and written in constant memory."""
+"""Tables of designs as CSV, checked in full before use, and read and written in constant memory."""
 
 import csv
 import math
@@ -17,18 +17,18 @@ from activefail.space import Array
 ROWS_AT_ONCE = 2048
 
 Check = Callable[[Array], str | None]
-"""A rule on one design, (d,): None when it holds, else "column: rule, got value" without the row."""
+"""A rule for one design, (d,): None if it holds, otherwise "column: rule, got value", without the row."""
 
 
 @dataclass(frozen=True)
 class DesignTable:
-    """A CSV file with a header and at least the named columns; others are carried along.
+    """A CSV file with a header and at least the named columns; other columns are kept.
 
     Attributes:
-        path: of the file.
-        header: all its columns.
-        names: the columns that make a design, in its order.
-        rows: how many.
+        path: path of the file.
+        header: names of all columns.
+        names: names of a design's columns, in order.
+        rows: number of rows.
     """
 
     path: Path
@@ -41,31 +41,31 @@ class DesignTable:
         """Read the whole file once and check each cell of the named columns.
 
         Args:
-            adds: columns that will be added, which the file must not have.
-            check: a rule on each design beyond its cells being finite numbers.
+            adds: output columns, which the file must not contain.
+            check: a rule for each design, in addition to finite numbers.
 
         Raises:
-            InputError: naming the file, and row, column, rule and value of the first bad cell.
+            InputError: naming the file, and row, column, rule and value of the first invalid cell.
         """
         with _reading(path) as lines:
             header = next(lines, None)
             if header is None:
-                raise InputError(f"{path}: is empty; a header with the columns {', '.join(names)} is needed.")
+                raise InputError(f"{path}: is empty; a header with the columns {', '.join(names)} is required.")
             header = [name.strip() for name in header]
             for name in header:
                 if header.count(name) > 1:
-                    raise InputError(f"{path}: column {name!r}: must come once, comes {header.count(name)} times.")
+                    raise InputError(f"{path}: column {name!r}: must occur once, occurs {header.count(name)} times.")
             missing = [name for name in names if name not in header]
             for separator in (";", "\t"):
                 if missing and len(header) == 1 and separator in header[0]:
                     raise InputError(f"{path}: columns must be separated by commas, not by {separator!r}.")
             if missing:
                 raise InputError(
-                    f"{path}: column {missing[0]!r}: required, but not there; needed are {','.join(names)}."
+                    f"{path}: column {missing[0]!r}: required, but missing; the required columns are {','.join(names)}."
                 )
             for name in adds:
                 if name in header:
-                    raise InputError(f"{path}: column {name!r}: will be written and must not be there already.")
+                    raise InputError(f"{path}: column {name!r}: is an output column and must not be in the table.")
             columns = [header.index(name) for name in names]
             rows = 0
             for cells in filter(None, lines):  # blank lines are no rows
@@ -76,7 +76,7 @@ class DesignTable:
         return cls(path, tuple(header), tuple(names), rows)
 
     def chunks(self) -> Iterator[tuple[list[list[str]], Array]]:
-        """The rows as text and their designs, (n, d), a few thousand at a time."""
+        """The rows as text with their designs, (n, d), up to ROWS_AT_ONCE at a time."""
         columns = [self.header.index(name) for name in self.names]
         with _reading(self.path) as lines:
             next(lines, None)
@@ -96,16 +96,16 @@ def _designs(texts: list[list[str]], columns: list[int]) -> Array:
 
 def _problem(cells: list[str], header: list[str], columns: list[int], check: Check) -> str | None:
     if len(cells) != len(header):
-        return f"must have {len(header)} cells as the header does, has {len(cells)}"
+        return f"must have {len(header)} cells, like the header, has {len(cells)}"
     design = np.empty(len(columns))
-    for place, column in enumerate(columns):
+    for index, column in enumerate(columns):
         text = cells[column].strip()
         try:
-            # Python's own 1_000 is no number to anyone else.
-            design[place] = float(text.replace("_", "?"))
+            # Reject 1_000, which only Python reads as a number.
+            design[index] = float(text.replace("_", "?"))
         except ValueError:
             return f"column {header[column]}: must be a number, got {text!r}"
-        if not math.isfinite(design[place]):
+        if not math.isfinite(design[index]):
             return f"column {header[column]}: must be finite, got {text!r}"
     return check(design)
 
@@ -115,8 +115,8 @@ def _reading(path: Path) -> Iterator[Any]:
     lines = None
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise InputError(f"{path}: must be a regular file, as it is read twice: checked, then used.")
-        # utf-8-sig: spreadsheets put a byte order mark in front.
+            raise InputError(f"{path}: must be a regular file, because it is read twice: to check it, then to use it.")
+        # utf-8-sig: spreadsheets write a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file, strict=True)
             yield lines
@@ -131,16 +131,16 @@ def _reading(path: Path) -> Iterator[Any]:
 
 @contextmanager
 def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Sequence[Any]]], None]]:
-    """Write a table under its final name only once it is whole; yields a function that appends rows.
+    """Write a table that gets its name once it is complete; yields a function that appends rows.
 
     Raises:
-        InputError: if the folder cannot be written to or is full.
+        InputError: if the table cannot be written.
     """
     try:
         path = target_of(path)
         with replacing(path) as file:
             plain = csv.writer(file, lineterminator="\n")
-            # The plain writer does not quote a lone carriage return, at which a reader would end the row.
+            # The plain writer does not quote a lone carriage return, which would end the row for a reader.
             quoting = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
 
             def write(rows: Sequence[Sequence[Any]]) -> None:

@@ -1,4 +1,4 @@
-"""What activefail raises: a mistake of the user's, or a fault that the run folder or the machine has."""
+"""The errors that activefail raises, for invalid input and for faults of a run folder or the machine."""
 
 import errno
 import resource
@@ -9,15 +9,15 @@ from pathlib import Path
 
 
 class ActivefailError(Exception):
-    """Base of every error that activefail raises on purpose; its text is meant for the user."""
+    """Base class of activefail's errors; the text is for the user."""
 
 
 class InputError(ActivefailError, ValueError):
-    """A value, file or option that the user gave breaks a rule; the text names it, the rule and the value."""
+    """A value, file or option breaks a rule; the text names it, the rule and the value."""
 
 
 class StoreError(ActivefailError):
-    """A run folder cannot be read or written as it is; nothing in it was changed."""
+    """A run folder cannot be read or written; its data is intact."""
 
 
 class BusyError(StoreError):
@@ -25,19 +25,19 @@ class BusyError(StoreError):
 
 
 class DamagedError(StoreError):
-    """A file is not what was written, or holds what activefail never writes; the text completes "<file> ..."."""
+    """A file was altered or contains what activefail never writes; the text completes "<file> ..."."""
 
 
 class SyncError(StoreError):
-    """fsync failed: the kernel may have dropped the pages, so neither a retry nor a later commit can be trusted."""
+    """fsync failed: the kernel may have dropped pages, so neither a retry nor a later commit is reliable."""
 
 
 class SimulationError(ActivefailError):
-    """The simulator did not do its work: too many numerical failures, or workers that keep dying."""
+    """The simulations failed: too many numerical failures, or workers that cannot run."""
 
 
 def reason_of(error: OSError) -> str:
-    """The system's reason, and the limit where too many files are open."""
+    """The system's reason for an error, with the limit if too many files are open."""
     reason = error.strerror or str(error)
     if error.errno in (errno.EMFILE, errno.ENFILE):
         limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -46,7 +46,7 @@ def reason_of(error: OSError) -> str:
 
 
 def signal_name(number: int) -> str:
-    """The name of a signal, such as SIGKILL, or its number: Python has no names for most real-time signals."""
+    """The name of a signal, such as SIGKILL; Python names most real-time signals by number only."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -54,28 +54,25 @@ def signal_name(number: int) -> str:
 
 
 def description_of(error: BaseException) -> str:
-    """An error's class and message. The message may be the user's code, too, and fail itself."""
+    """An error's class and message. The message may come from the user's code, which may fail too."""
     name = type(error).__name__
     try:
         return f"{name}: {error}"
     except KeyboardInterrupt:
         raise
-    except BaseException as again:
-        return f"{name}, whose message cannot be read ({type(again).__name__})"
+    except BaseException as message_error:
+        return f"{name}, whose message cannot be read ({type(message_error).__name__})"
 
 
 def place_of(error: BaseException) -> str:
-    """Where an error was raised, as " (file:line)".
-
-    Of the frames that were left, the innermost one in the user's code; the innermost one of all if none is the user's.
-    """
-    places = [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
-    users = [(file, line) for file, line in places if _is_users(file)]
-    return "".join(f" ({file}:{line})" for file, line in (users or places)[-1:])
+    """Where an error was raised, as " (file:line)": the innermost frame of user code, or else of all code."""
+    lines = [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
+    user_lines = [(file, line) for file, line in lines if _is_user_code(file)]
+    return "".join(f" ({file}:{line})" for file, line in (user_lines or lines)[-1:])
 
 
-def _is_users(file: str) -> bool:
-    """Whether a file of Python code belongs neither to Python, nor to a library, nor to activefail."""
+def _is_user_code(file: str) -> bool:
+    """Whether a file belongs to neither Python, a library nor activefail."""
     path = Path(file)
     libraries = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), Path(__file__).parent)
     return (

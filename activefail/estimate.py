@@ -1,4 +1,4 @@
-"""A statistic over independent samples: its mean, and what one sample more may show."""
+"""A statistic over independent samples: its mean, and a prediction for one more sample."""
 
 from dataclasses import dataclass
 
@@ -12,12 +12,12 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Estimate:
-    """Of a statistic over independent samples, both intervals at 95 % by Student's t.
+    """A statistic over independent samples, with 95 % intervals from Student's t.
 
     Attributes:
-        mean: over the samples.
+        mean: mean over the samples.
         of_mean: confidence interval of the mean.
-        of_one: prediction interval for the statistic of one more sample, as a published figure is.
+        of_one: prediction interval for one more sample, such as a published figure.
     """
 
     mean: float
@@ -26,9 +26,9 @@ class Estimate:
 
     @classmethod
     def over(cls, values: Array) -> "Estimate":
-        """From one value a sample, (samples,), or several repetitions in each, (samples, repetitions).
+        """From one value per sample, (samples,), or several repetitions of each, (samples, repetitions).
 
-        Repetitions within a sample sharpen its mean; one of them alone varies as much within as between samples.
+        Repetitions reduce the variance of a sample's mean; a single one also has the variance within samples.
         """
         values = values.reshape(len(values), -1)
         n, repetitions = values.shape

@@ -1,4 +1,4 @@
-"""Arithmetic that a campaign's file holds: read without running code, computed with the arrays of any library."""
+"""Arithmetic expressions in campaign files: parsed without running code, evaluated on arrays of any library."""
 
 import ast
 import operator
@@ -13,7 +13,7 @@ import numpy as np
 from activefail.bearing.design import GRAVITY
 
 CONSTANTS = {"pi": float(np.pi), "g": GRAVITY}
-"""Names that stand for numbers; g is the acceleration of free fall [m/s²]."""
+"""Named constants; g is the acceleration of free fall [m/s²]."""
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -26,34 +26,34 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 }
 
 FUNCTIONS = ("sqrt", "exp", "log", "sin", "cos", "tan", "arctan", "tanh", "abs", "minimum", "maximum")
-"""What an expression may call; the last two take two arguments, the others one."""
+"""Functions of expressions; the last two take two arguments, the others one."""
 
 _LONGEST = 1000
-"""Characters."""
+"""Most characters in an expression."""
 
 _DEEPEST = 500
-"""Levels: to follow more would exhaust the stack."""
+"""Most levels of nesting: more would exhaust the stack."""
 
 
 @dataclass(frozen=True)
 class Expression:
-    """An arithmetic expression of named quantities, as it was written."""
+    """An arithmetic expression of named quantities."""
 
     text: str
     _tree: ast.expr
 
     def __call__(self, quantities: Mapping[str, Any]) -> Any:
-        """Its value, for numbers or for arrays of NumPy or torch."""
+        """The value for numbers, or for arrays of NumPy or torch."""
         return _value(self._tree, {**CONSTANTS, **{parsed_name(name): value for name, value in quantities.items()}})
 
 
 def parsed_name(name: str) -> str:
-    """A name as Python's parser gives it back: µ, the micro sign of keyboards, as the Greek letter μ, for one."""
+    """A name as Python's parser normalises it: µ, the micro sign of keyboards, becomes the Greek letter μ."""
     return unicodedata.normalize("NFKC", name)
 
 
 def _number(value: float) -> Any:
-    # NumPy's: a power of Python's own integers can have millions of digits, and one of its floats can be complex.
+    # A NumPy number: a power of Python integers may have millions of digits, one of Python floats may be complex.
     return np.float64(value)
 
 
@@ -61,26 +61,26 @@ def parse_expression(text: str, known: Collection[str]) -> Expression:
     """An expression of numbers, `+ - * / **`, FUNCTIONS, CONSTANTS and known names.
 
     Raises:
-        ValueError: saying what in it is none of these.
+        ValueError: naming the part that is none of these.
     """
     if len(text) > _LONGEST:
         raise ValueError(f"must have at most {_LONGEST} characters, got {len(text)}")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, MemoryError, RecursionError) as malformed:
-        raise ValueError(f"must be an arithmetic expression, got {text!r} ({malformed})") from None
-    deep = 0
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        raise ValueError(f"must be an arithmetic expression, got {text!r} ({error})") from None
+    depth = 0
     level: list[ast.AST] = [tree]
     while level:
-        deep, level = deep + 1, [child for node in level for child in ast.iter_child_nodes(node)]
-    if deep > _DEEPEST:
-        raise ValueError(f"may be nested {_DEEPEST} deep, got {deep}; in {text!r}")
-    written: dict[str, str] = {}
+        depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
+    if depth > _DEEPEST:
+        raise ValueError(f"must have at most {_DEEPEST} levels of nesting, got {depth}; in {text!r}")
+    names: dict[str, str] = {}
     for name in known:
-        other = written.setdefault(parsed_name(name), name)
+        other = names.setdefault(parsed_name(name), name)
         if other != name:
-            raise ValueError(f"cannot tell {other!a} from {name!a}, which Python reads alike; rename one")
-    _check(tree, text, {*written, *CONSTANTS})
+            raise ValueError(f"cannot distinguish {other!a} from {name!a}, the same name in Python; rename one")
+    _check(tree, text, {*names, *CONSTANTS})
     return Expression(text, tree)
 
 
@@ -90,11 +90,11 @@ def _check(node: ast.expr, text: str, known: Collection[str]) -> None:
             pass
         case ast.Constant(value=int() | float() as value):
             if abs(value) > sys.float_info.max:
-                raise ValueError(f"may hold numbers up to {sys.float_info.max:g}; in {text!r}")
+                raise ValueError(f"may contain numbers up to {sys.float_info.max:g}; in {text!r}")
             return
         case ast.Name(id=name):
             if name not in known:
-                raise ValueError(f"knows no {name!r}, only {', '.join(sorted(known))}; in {text!r}")
+                raise ValueError(f"unknown name {name!r}, known are {', '.join(sorted(known))}; in {text!r}")
             return
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
             _check(left, text, known)
@@ -104,14 +104,14 @@ def _check(node: ast.expr, text: str, known: Collection[str]) -> None:
             _check(operand, text, known)
             return
         case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]) if function in FUNCTIONS:
-            wanted = 2 if function in FUNCTIONS[-2:] else 1
-            if len(arguments) != wanted:
-                raise ValueError(f"{function} takes {wanted} argument{'s' * (wanted > 1)}, got {len(arguments)}")
+            arity = 2 if function in FUNCTIONS[-2:] else 1
+            if len(arguments) != arity:
+                raise ValueError(f"{function} takes {arity} argument{'s' * (arity > 1)}, got {len(arguments)}")
             for argument in arguments:
                 _check(argument, text, known)
             return
     raise ValueError(
-        f"may hold numbers, names, + - * / **, brackets and {', '.join(FUNCTIONS)}; "
+        f"may contain numbers, names, + - * / **, brackets and {', '.join(FUNCTIONS)}; "
         f"got {ast.get_source_segment(text.strip(), node)!r} in {text!r}"
     )
 

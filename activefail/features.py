@@ -1,4 +1,4 @@
-"""What the classifier sees of a design: the paper's six features, the variables themselves, or physics beside them."""
+"""The classifier's features of a design: the paper's six, the variables, variables with physics, or custom ones."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,7 @@ PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_
 """Names of the paper's features, in the order of its section 3.1."""
 
 PAPER_LOGARITHMIC = (True, True, True, False, False, True)
-"""Which of them enter by their logarithm: the ratios that span decades over Table 1."""
+"""Whether each enters as its logarithm: the ratios that span decades over Table 1."""
 
 
 def _paper_formula(columns: Sequence[Any]) -> list[Any]:
@@ -44,21 +44,21 @@ def paper_features(X: Array) -> Array:
 
 
 _LEAST_PART = 64
-"""Designs below which their features are not worth a thread: some 10 ms."""
+"""Fewest designs per thread: computing their features takes about 10 ms."""
 
 
 @dataclass(frozen=True)
 class FeatureMap:
-    """From designs to what the classifier sees, in standard units over the design space.
+    """Maps designs to features, in standard units over the design space.
 
     Attributes:
-        names: of the features.
-        raw: the features of designs, (n, d) -> (n, m), before scaling.
-        logarithmic: (m,) whether a feature enters by its logarithm.
-        center: (m,) subtracted from the (logarithms of) features.
-        spread: (m,) then divided by.
-        formula: `raw` as arithmetic on the columns of a design array of any library, list of d -> list of m, which
-            automatic differentiation follows; None where there is no such formula.
+        names: names of the features.
+        raw: function of designs, (n, d), to unscaled features, (n, m).
+        logarithmic: (m,) whether a feature enters as its logarithm.
+        center: (m,) mean of the (logarithms of) features.
+        spread: (m,) their standard deviation.
+        formula: `raw` as differentiable arithmetic on the columns of a design array of any library, list of d -> list
+            of m; None if there is no such formula.
     """
 
     names: tuple[str, ...]
@@ -78,14 +78,14 @@ class FeatureMap:
 
 
 @dataclass(frozen=True)
-class OwnFeatures:
-    """Features by a user's own function.
+class CustomFeatures:
+    """Custom features from a user's function.
 
     Attributes:
-        name: of the function, for the features' names and for messages.
-        function: designs, (n, d) in the variables' units, and their design space -> features, (n, m). Each row depends
-            on its own design alone.
-        variables: whether the variables themselves come before them.
+        name: name of the function, for the features' names and for messages.
+        function: takes designs, (n, d) in the variables' units, and their design space; returns features, (n, m). Each
+            row must depend on its design alone.
+        variables: whether the variables are features too, before the function's.
     """
 
     name: str
@@ -93,24 +93,24 @@ class OwnFeatures:
     variables: bool = True
 
     def __call__(self, X: Array, space: DesignSpace) -> Array:
-        """The function's features of designs, (n, d) -> (n, m), with its answer's type and shape checked.
+        """The function's features of designs, (n, d) -> (n, m), checked for type and shape.
 
         Raises:
-            InputError: if it raises, or they are no (n, m) numbers.
+            InputError: if the function raises or does not return (n, m) numbers.
         """
         try:
-            answer = self.function(X.copy(), space)
+            returned = self.function(X.copy(), space)
         except Exception as error:
             raise InputError(
                 visible(f"classifier.features: {self.name} raised {description_of(error)}{place_of(error)}.")
             ) from error
         try:
-            F = np.asarray(answer, dtype=np.float64)
+            F = np.asarray(returned, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(f"classifier.features: {self.name} must return numbers: {error}.") from None
         if F.ndim != 2 or len(F) != len(X) or F.shape[1] == 0:
             raise InputError(
-                f"classifier.features: {self.name} must return one row of features a design, "
+                f"classifier.features: {self.name} must return one row of features per design, "
                 f"shape ({len(X)}, m); got shape {F.shape}."
             )
         return F
@@ -121,8 +121,8 @@ class ExpressionFeatures:
     """Features as arithmetic on the variables and the fixed quantities.
 
     Attributes:
-        expressions: by the features' names (`activefail.expressions`).
-        variables: whether the variables themselves come before them.
+        expressions: feature names -> expressions (`activefail.expressions`).
+        variables: whether the variables are features too, before the expressions.
     """
 
     expressions: Mapping[str, str]
@@ -130,7 +130,7 @@ class ExpressionFeatures:
 
 
 def _on_all_cores(function: Callable[[Array], Array], X: Array) -> Array:
-    """function(X) of compiled kernels, which hold no lock and take each row for itself: X in parts, on all cores."""
+    """function(X) in parallel on parts of X, for compiled kernels that hold no lock and treat rows independently."""
     cores = os.cpu_count() or 1
     if cores == 1 or len(X) < 2 * _LEAST_PART:
         return function(X)
@@ -140,29 +140,29 @@ def _on_all_cores(function: Callable[[Array], Array], X: Array) -> Array:
 
 
 def feature_map(
-    features: FeatureSet | OwnFeatures | ExpressionFeatures, space: DesignSpace, model: Model | None = None
+    features: FeatureSet | CustomFeatures | ExpressionFeatures, space: DesignSpace, model: Model | None = None
 ) -> FeatureMap:
     """A feature set on a design space, scaled by its mean and standard deviation over the design measure.
 
-    Scaling by the design measure, not by the training points, keeps the features of a design the same all through a
-    campaign. Ratios enter by their logarithm: over Table 1 they span up to three decades.
+    Scaling by the design measure, not by the training points, keeps a design's features constant throughout a campaign.
+    Ratios enter as logarithms: over Table 1 they span up to three decades.
 
     Args:
-        features: "paper"; "design", the variables themselves; "sliding", these and what the sliding block says;
-            "collision", these and what the reduced model of the collision says; or a user's own.
-            Variables with a uniform logarithm enter by it.
+        features: "paper"; "design", the variables; "sliding", the variables and the sliding block's features;
+            "collision", these and the features of the reduced collision model; or custom features. Log-uniform
+            variables enter as logarithms.
         space: the design space.
         model: settings of the bearing model that the sliding block and the reduced model share.
 
     Raises:
-        InputError: if the paper's features or those of a bearing are asked of a space without the paper's nine
-            variables, or if features are not finite, or constant, over the space.
+        InputError: if "paper", "sliding" or "collision" is requested for a space without the paper's nine variables, or
+            if a feature is not finite, or constant, over the space.
     """
     if features in ("paper", "sliding", "collision"):
         for name in TABLE_1.names:
             if name not in (*space.names, *space.fixed):
                 raise InputError(
-                    f"classifier.features: {features!r} needs the variables of a bearing, and space lacks the variable "
+                    f"classifier.features: {features!r} needs the variables of a bearing, but space lacks the variable "
                     f"{name!r}; it has {', '.join((*space.names, *space.fixed))}."
                 )
     match features:
@@ -171,7 +171,7 @@ def feature_map(
 
         case "paper":
             if np.any(space.table(space.low[None], TABLE_1.names) <= 0.0):
-                raise InputError("The paper's features need positive variables; a lower bound of the space is not.")
+                raise InputError("The paper's features need positive variables, but a lower bound is not positive.")
             return _scaled(
                 PAPER_FEATURES,
                 lambda X: paper_features(space.table(X, TABLE_1.names)),
@@ -201,8 +201,8 @@ def feature_map(
             names = (*space.names, *SLIDING_FEATURES, *COLLISION_FEATURES)
             return _scaled(names, with_collision, space, _logarithms(space))
 
-        case OwnFeatures():
-            return _own(features, space)
+        case CustomFeatures():
+            return _custom(features, space)
 
         case ExpressionFeatures():
             return _of_expressions(features, space)
@@ -211,61 +211,62 @@ def feature_map(
             raise InputError(f"`features` must be paper, design, sliding or collision, got {features!r}.")
 
 
-def _own(own: OwnFeatures, space: DesignSpace) -> FeatureMap:
-    width = own(space.sobol(8, np.random.default_rng(0)), space).shape[1]
+def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
+    width = custom(space.sobol(8, np.random.default_rng(0)), space).shape[1]
 
     def raw(X: Array) -> Array:
         X = np.asarray(X, dtype=np.float64)
-        F = own(X, space)
+        F = custom(X, space)
         if F.shape[1] != width:
             raise InputError(
-                f"classifier.features: {own.name} must always return as many features; got {width}, then {F.shape[1]}."
+                f"classifier.features: {custom.name} must always return the same number of features; got {width}, then "
+                f"{F.shape[1]}."
             )
-        return np.column_stack([X, F]) if own.variables else F
+        return np.column_stack([X, F]) if custom.variables else F
 
-    names = tuple(f"{own.name}[{column}]" for column in range(width))
-    if own.variables:
+    names = tuple(f"{custom.name}[{column}]" for column in range(width))
+    if custom.variables:
         scaled = _scaled((*space.names, *names), raw, space, _logarithms(space))
     else:
         scaled = _scaled(names, raw, space)
-    # A function that normalises over the rows it is given would call one design by many names.
+    # A function that normalises over its rows would give one design different features.
     X = space.sobol(64, np.random.default_rng(1))
     if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
         raise InputError(
-            f"classifier.features: {own.name} must give a design the same features whatever the designs beside it."
+            f"classifier.features: {custom.name} must give a design the same features, whatever the other designs are."
         )
     return scaled
 
 
-def _of_expressions(given: ExpressionFeatures, space: DesignSpace) -> FeatureMap:
+def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> FeatureMap:
     known = (*space.names, *space.fixed)
     expressions = []
-    for name, text in given.expressions.items():
+    for name, text in features.expressions.items():
         if name in space.names:
             raise InputError(f"classifier.features.expressions.{visible(name)}: is the name of a variable.")
         try:
             expressions.append(parse_expression(text, known))
-        except ValueError as broken:
-            raise InputError(visible(f"classifier.features.expressions.{name}: {broken}.")) from None
+        except ValueError as error:
+            raise InputError(visible(f"classifier.features.expressions.{name}: {error}.")) from None
 
     def formula(variables: Sequence[Any]) -> list[Any]:
         quantities = dict(zip(known, space.pick(variables, known), strict=True))
         values = [expression(quantities) for expression in expressions]
-        return [*variables, *values] if given.variables else values
+        return [*variables, *values] if features.variables else values
 
     def raw(X: Array) -> Array:
         X = np.asarray(X, dtype=np.float64)
-        with np.errstate(all="ignore"):  # what is not finite is told of with its design
+        with np.errstate(all="ignore"):  # `_scaled` reports values that are not finite
             return np.column_stack([np.broadcast_to(column, len(X)) for column in formula(list(X.T))])
 
-    names = tuple(given.expressions)
-    if given.variables:
+    names = tuple(features.expressions)
+    if features.variables:
         return _scaled((*space.names, *names), raw, space, _logarithms(space), formula)
     return _scaled(names, raw, space, formula=formula)
 
 
 def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
-    """Which variables the classifier sees by their logarithm."""
+    """Whether each variable enters as its logarithm."""
     return tuple(parameter.distribution == "log_uniform" for parameter in space.parameters)
 
 
@@ -276,11 +277,11 @@ def _scaled(
     logarithmic: tuple[bool, ...] = (),
     formula: Callable[[Sequence[Any]], list[Any]] | None = None,
 ) -> FeatureMap:
-    # The first ones may be told alone.
-    which = np.arange(len(names)) < 0
-    which[: len(logarithmic)] = logarithmic
-    unscaled = FeatureMap(names, raw, which, np.zeros(len(names)), np.ones(len(names)))
-    # A fixed sample: the scaling is part of the feature set's definition, not a random choice of a campaign.
+    # `logarithmic` may cover only the first features.
+    mask = np.arange(len(names)) < 0
+    mask[: len(logarithmic)] = logarithmic
+    unscaled = FeatureMap(names, raw, mask, np.zeros(len(names)), np.ones(len(names)))
+    # A fixed sample: the scaling belongs to the feature set's definition and must not depend on a campaign's seed.
     X = space.sobol(4096, np.random.default_rng(0))
     F = unscaled(X)
     for column, name in enumerate(names):
@@ -294,4 +295,4 @@ def _scaled(
             raise InputError(
                 f"classifier.features: {visible(name)} must vary over the space, got {F[0, column]} everywhere."
             )
-    return FeatureMap(names, raw, which, F.mean(axis=0), F.std(axis=0), formula)
+    return FeatureMap(names, raw, mask, F.mean(axis=0), F.std(axis=0), formula)

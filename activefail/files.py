@@ -1,4 +1,4 @@
-"""Files that have their names only once they are whole, durably or not, and files read without trust in their names."""
+"""Writing files that get their names only once complete, durably or not, and reading files from untrusted folders."""
 
 import errno
 import os
@@ -12,25 +12,25 @@ from typing import IO, Any, Literal
 from activefail.errors import InputError, StoreError, SyncError
 
 TEMPORARY = ".tmp-"
-"""Prefix of a file of a record that is being written; whoever holds the lock of its run folder may remove it."""
+"""Prefix of an unfinished file of a record; the holder of the run folder's lock may remove it."""
 
 _NEW = ".new-"
-"""Prefix of any other file that is being written, which may be in a run folder, too, and has no lock."""
+"""Prefix of any other unfinished file, which may also be in a run folder, but without a lock."""
 
 
 def temporary_beside(path: Path, prefix: str = TEMPORARY) -> Path:
-    """A new name in the folder of a path, short: the path's own name may be as long as names can be."""
+    """A new name in the folder of a path; short, because the path's name may have the maximal length."""
     return path.with_name(f"{prefix}{secrets.token_hex(8)}")
 
 
 @contextmanager
 def replacing(path: Path, mode: Literal["x", "xb"] = "x") -> Iterator[IO[Any]]:
-    """A file to write, UTF-8 if text, that takes its name at the end of the block, or is gone if that fails.
+    """A new file, UTF-8 if text, that gets its name at the end of the block and is removed if the block fails.
 
-    A file that had the name before stays as it is: other names of it (hard links) keep their content.
+    An older file of this name is not modified: other hard links to it keep their content.
 
     Raises:
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     temporary = temporary_beside(path, _NEW)
     try:
@@ -46,10 +46,10 @@ def replacing(path: Path, mode: Literal["x", "xb"] = "x") -> Iterator[IO[Any]]:
 
 @contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Names the file or folder of a fault of writing.
+    """Name the file or folder in errors of writing.
 
     Raises:
-        InputError: instead of what the system raised.
+        InputError: in place of OSError.
     """
     try:
         yield
@@ -58,7 +58,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def check_file(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
-    """Check that a file to be written has a folder and one of these suffixes; nothing for None.
+    """Check that an output file has an existing folder and one of these suffixes; None is not checked.
 
     Raises:
         InputError: naming the file and the rule.
@@ -72,53 +72,53 @@ def check_file(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
 
 
 def target_of(path: Path) -> Path:
-    """The file that a user's path leads to, links followed: a link keeps pointing where it did.
+    """The target of a user's path, with links followed, so that writing does not replace a link.
 
     Raises:
-        InputError: if there is something else than a file, as a device or a pipe.
+        InputError: if the target is neither a file nor a folder, such as a device or a pipe.
     """
     path = Path(os.path.realpath(path))
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise InputError(f"{path}: must be a file, and is something else.")
+        raise InputError(f"{path}: must be a file, not a device or a pipe.")
     return path
 
 
 def read_regular(path: Path, most: int, follow: bool = False) -> bytes:
-    """The content of a regular file; a pipe or a device, which may never end, is not read.
+    """The content of a regular file; pipes and devices, which may never end, are refused.
 
     Args:
-        path: of the file.
-        most: bytes that it may have; a larger one is not read.
-        follow: whether the name may be a symbolic link.
+        path: path of the file.
+        most: most bytes; a larger file is not read.
+        follow: whether to follow a symbolic link.
 
     Raises:
-        OSError: if it cannot be read.
-        ValueError: if it is no regular file, or larger; the text completes "<file> ...".
+        OSError: if the file cannot be read.
+        ValueError: if it is not a regular file or too large; the text completes "<file> ...".
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW))
     try:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
             raise ValueError("is not a regular file")
         with open(descriptor, "rb", closefd=False) as file:
-            # One more than it may have: it may grow as it is read.
-            data = b"" if found.st_size > most else file.read(most + 1)
+            # One byte more than allowed: the file may grow meanwhile.
+            data = b"" if status.st_size > most else file.read(most + 1)
     finally:
         os.close(descriptor)
-    if found.st_size > most or len(data) > most:
+    if status.st_size > most or len(data) > most:
         raise ValueError(f"is larger than {most} bytes")
     return data
 
 
 MOST_DOTS = 200
-"""Dots in a line of TOML: the time that a dotted key takes to read grows with the square of their number."""
+"""Most dots in a line of TOML: the time to parse a dotted key grows with the square of their number."""
 
 
 def check_dots(text: str) -> None:
-    """Check that TOML can be read in no time.
+    """Check that no line of TOML has so many dots that parsing takes long.
 
     Raises:
-        ValueError: naming the line that has too many dots.
+        ValueError: naming the first such line.
     """
     for number, line in enumerate(text.split("\n"), start=1):
         if line.count(".") > MOST_DOTS:
@@ -126,10 +126,10 @@ def check_dots(text: str) -> None:
 
 
 def end_of(path: Path, most: int) -> bytes:
-    """The last bytes of a file, `most` at the most, however large it is.
+    """The last bytes of a file, at most `most`.
 
     Raises:
-        OSError: if it cannot be read.
+        OSError: if the file cannot be read.
     """
     with path.open("rb") as file:
         file.seek(max(0, os.fstat(file.fileno()).st_size - most))
@@ -146,18 +146,18 @@ _NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
 
 
 def publish(path: Path, data: bytes) -> None:
-    """Write a new file durably; it is there, whole, from the moment of os.link on.
+    """Write a new file durably; os.link makes it appear as a whole.
 
     Raises:
         SyncError: if fsync failed.
-        StoreError: if the file exists already, or with the system's reason.
+        StoreError: if the file already exists or cannot be written.
     """
     temporary = _write_temporary(path, data)
     try:
-        # Unlike a rename, a link fails if the name is taken: it fences a second writer even without the lock.
+        # Unlike a rename, a link fails if the name exists: it stops a second writer even without the lock.
         os.link(temporary, path)
     except FileExistsError:
-        raise StoreError(f"{path} exists already: another writer got there first. Open the folder again.") from None
+        raise StoreError(f"{path} already exists: another writer got there first. Open the folder again.") from None
     except OSError as error:
         hint = " The folder's file system must support hard links." if error.errno in NO_LINKS else ""
         raise StoreError(_refused(path, error) + hint) from error
@@ -168,11 +168,11 @@ def publish(path: Path, data: bytes) -> None:
 
 
 def replace(path: Path, data: bytes) -> None:
-    """Write a file durably in the place of an older one, for content that can be rebuilt.
+    """Write a file durably in place of an older one, for content that can be rebuilt.
 
     Raises:
         SyncError: if fsync failed.
-        StoreError: with the system's reason; the older file is still there.
+        StoreError: if the file cannot be written; the older one remains.
     """
     temporary = _write_temporary(path, data)
     try:
@@ -185,14 +185,14 @@ def replace(path: Path, data: bytes) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, each durable in the one above it before the next is made.
+    """Create a folder and its missing parents, each durable in its parent before the next is created.
 
-    The nearest one that is there already may have been made a moment ago, by a program that was interrupted: its name
-    is made durable too, where the folder above it may be read.
+    The nearest existing folder may come from a program that was interrupted a moment ago: its name is made durable too,
+    if its parent is readable.
 
     Raises:
         SyncError: if fsync failed.
-        OSError: if one cannot be made.
+        OSError: if a folder cannot be created.
     """
     missing = not folder.is_dir()
     if missing:
@@ -206,7 +206,7 @@ def make_folder(folder: Path) -> None:
     try:
         sync_folder(folder.parent)
     except SyncError as error:
-        # Whoever made it may have rights above it that we have not.
+        # An existing folder may lie in one that this user cannot sync.
         if missing or getattr(error.__cause__, "errno", None) not in _NO_RIGHT_TO_SYNC:
             raise
 
@@ -215,7 +215,7 @@ def sync_folder(folder: Path) -> None:
     """Make the names in a folder durable.
 
     Raises:
-        SyncError: if that fails.
+        SyncError: if fsync failed.
     """
     try:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -228,7 +228,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _write_temporary(path: Path, data: bytes) -> Path:
-    """Write and fsync `data` under a temporary name beside `path`; nothing is left of it if that fails."""
+    """Write and fsync `data` under a temporary name beside `path`; removed if that fails."""
     temporary = temporary_beside(path)
     try:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
@@ -266,7 +266,7 @@ def _sync_file(descriptor: int, path: Path) -> None:
 
 
 def _refused(path: Path, error: OSError) -> str:
-    return f"Cannot write {path}: {error.strerror or error}. What was there before is whole; resume when it is cured."
+    return f"Cannot write {path}: {error.strerror or error}. Existing data is intact. Fix the problem, then resume."
 
 
 def _unsynced(path: Path, error: OSError) -> str:
@@ -277,5 +277,5 @@ def _unsynced(path: Path, error: OSError) -> str:
         )
     return (
         f"Cannot make {path} durable: {error.strerror or error} (fsync). The disk may be failing, so this run writes "
-        f"nothing more; what was acknowledged before is whole. Check the disk, then resume."
+        f"nothing more. Acknowledged data is intact. Check the disk, then resume."
     )

@@ -1,4 +1,4 @@
-"""The program's output streams, through which nothing but letters and line ends comes to the terminal."""
+"""Output streams that escape control characters before they reach the terminal."""
 
 import sys
 from collections.abc import Iterator
@@ -8,21 +8,21 @@ from typing import IO, Any
 from activefail.visible import visible
 
 OUTPUT = "output"
-"""What an error of a stream calls it: the system names a file, not a stream."""
+"""The name of a stream in error messages: the system names files only."""
 
 
 class Screen:
-    """A stream that shows control characters as escapes, and says of an error that the output caused it.
+    """A stream that escapes control characters and names the output in its errors.
 
-    The last defence only: a line break of a stranger's is told from one of our own where the text comes in
-    (`activefail.visible`), not here.
+    It is the last defence only: it cannot distinguish foreign line breaks from the program's. Foreign text is escaped
+    where it enters (`activefail.visible`).
     """
 
     def __init__(self, stream: IO[str]) -> None:
         self.stream = stream
 
     def write(self, text: str) -> int:
-        """Write a text, made visible but for line ends and tabs."""
+        """Write a text, with control characters escaped except line ends and tabs."""
         with _named():
             self.stream.write(visible(text, keep="\n\t"))
         return len(text)
@@ -52,9 +52,9 @@ def _named() -> Iterator[None]:
 
 @contextmanager
 def visible_output() -> Iterator[None]:
-    """Have standard output and error pass through screens meanwhile."""
+    """Pass standard output and error through screens in this context."""
     before = sys.stdout, sys.stderr
-    # None where it is closed.
+    # A closed stream is None.
     sys.stdout, sys.stderr = (None if stream is None else Screen(stream) for stream in before)
     try:
         yield
@@ -63,5 +63,5 @@ def visible_output() -> Iterator[None]:
 
 
 def terminal(stream: Any) -> Any:
-    """The stream itself, for a display that steers the terminal; what it shows must be visible text already."""
+    """The underlying stream, for a display that controls the terminal; its text must already be escaped."""
     return stream.stream if isinstance(stream, Screen) else stream

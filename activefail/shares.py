@@ -1,12 +1,12 @@
-"""Shares as text: none that is only near 0 or 1 is rounded to it."""
+"""Shares as text; a share near 0 or 1 is never rounded to it."""
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """A share as per cent, like "97.3 %"; with more digits where fewer would round it to 0 or 100 %.
+    """A share in per cent, like "97.3 %", with more digits where it would otherwise round to 0 or 100 %.
 
     Args:
         share: 0 to 1; NaN gives "–".
-        digits: after the point, at least.
+        digits: fewest digits after the point.
     """
     if share != share:
         return "–"

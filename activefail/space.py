@@ -1,4 +1,4 @@
-"""The design space: named variables with ranges and units, and samples of it."""
+"""The design space: named variables with ranges, distributions and units, and samples of it."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -17,41 +17,41 @@ Array = NDArray[np.float64]
 Distribution = Literal["uniform", "log_uniform", "truncated_normal"]
 
 _LEAST_MASS = 1e-6
-"""Of a normal between its bounds: far out in a tail its quantiles are lost to rounding."""
+"""Least probability of a normal between its bounds: far out in a tail, rounding destroys its quantiles."""
 
 
 _NARROWEST = 1e-9
-"""Of a range, over its larger bound: a narrower one holds too few numbers to choose from."""
+"""Least width of a range relative to its larger bound: a narrower one contains too few numbers."""
 
 
 def distribution_fault(
     low: float, high: float, distribution: Distribution, mean: float | None, sd: float | None
 ) -> str:
-    """Why numbers make no distribution of a variable, as a `Parameter` has them; empty where they do."""
+    """Why the numbers of a `Parameter` do not define a distribution; empty if they do."""
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         return f"`low < high` must hold, got {low} and {high}"
     if high - low < _NARROWEST * max(abs(low), abs(high)):
         return f"`high - low` must be at least {_NARROWEST:g} of the larger of the two, got {low} and {high}"
     if distribution == "log_uniform" and low <= 0.0:
-        return f"`low > 0` must hold with a uniform logarithm, got {low}"
+        return f"`low > 0` must hold for log_uniform, got {low}"
     numbers = {"mean": mean, "sd": sd}
     rule = "a mean and an sd belong to a truncated normal, and to it alone"
     missing = [name for name, number in numbers.items() if number is None]
     if distribution == "truncated_normal" and missing:
         return f"{rule}; missing: {', '.join(missing)}"
     if distribution != "truncated_normal" and len(missing) < len(numbers):
-        given = " and ".join(f"{name} {number}" for name, number in numbers.items() if number is not None)
-        return f"{rule}; got {distribution} with {given}"
+        extra = " and ".join(f"{name} {number}" for name, number in numbers.items() if number is not None)
+        return f"{rule}; got {distribution} with {extra}"
     if mean is not None and sd is not None:
         if not (np.isfinite(mean) and np.isfinite(sd) and sd > 0.0):
             return f"`sd > 0` must hold, got {sd}"
-        _, mass = _cut_normal(low, high, mean, sd)
+        _, mass = _truncated_mass(low, high, mean, sd)
         if not mass >= _LEAST_MASS:
-            return f"{low} to {high} must hold at least {_LEAST_MASS:g} of the normal, got {mass:.1g}"
+            return f"{low} to {high} must contain at least {_LEAST_MASS:g} of the normal, got {mass:.1g}"
     return ""
 
 
-def _cut_normal(low: float, high: float, mean: float, sd: float) -> tuple[float, float]:
+def _truncated_mass(low: float, high: float, mean: float, sd: float) -> tuple[float, float]:
     """Mass of a normal below the lower bound, and between the bounds."""
     normal = NormalDist(mean, sd)
     return normal.cdf(low), normal.cdf(high) - normal.cdf(low)
@@ -62,11 +62,11 @@ class Parameter:
     """One variable of the design space, between `low` and `high` (in `unit`).
 
     Attributes:
-        distribution: uniform; with a uniform logarithm; or normal, cut off at the bounds.
-        mean, sd: of the normal before it is cut off; None for the others.
+        distribution: uniform, log-uniform, or normal truncated at the bounds.
+        mean, sd: mean and standard deviation of the normal before truncation; None for the others.
 
     Raises:
-        InputError: if the name is not an identifier or the numbers make no distribution.
+        InputError: if the name is not an identifier or the numbers do not define a distribution.
     """
 
     name: str
@@ -87,14 +87,14 @@ class Parameter:
     def _normal(self) -> tuple[float, float]:
         assert self.mean is not None
         assert self.sd is not None
-        return _cut_normal(self.low, self.high, self.mean, self.sd)
+        return _truncated_mass(self.low, self.high, self.mean, self.sd)
 
     def quantile(self, u: Any, ndtri: Callable[[Any], Any]) -> Any:
-        """Values below which the shares u of the distribution lie.
+        """Quantiles of the distribution.
 
         Args:
-            u: an array of any library.
-            ndtri: that library's quantiles of the standard normal.
+            u: probabilities, an array of any library.
+            ndtri: that library's quantile function of the standard normal.
         """
         match self.distribution:
             case "uniform":
@@ -108,7 +108,7 @@ class Parameter:
                 return self.mean + self.sd * ndtri(below + u * mass)
 
     def share(self, x: Array) -> Array:
-        """The share of the distribution below values: what `quantile` undoes."""
+        """The distribution function, the inverse of `quantile`."""
         match self.distribution:
             case "uniform":
                 return (x - self.low) / (self.high - self.low)
@@ -123,19 +123,19 @@ class Parameter:
                 return np.asarray((ndtr((x - self.mean) / self.sd) - below) / mass)
 
     def standardised(self, x: Array) -> Array:
-        """Values in standard deviations from the middle: of a normal before it is cut off, of the logarithm where that
-        is uniform.
+        """Values in standard deviations from the middle: of a normal before truncation, of a log-uniform variable's
+        logarithm.
         """
         if self.mean is not None and self.sd is not None:
             return (x - self.mean) / self.sd
         return np.asarray(np.sqrt(12.0) * (self.share(x) - 0.5))
 
     def widened(self, x: Array, factor: float) -> Array:
-        """Values of the distribution as if a normal had a larger standard deviation; others stay, as their bounds do.
+        """Values stretched about a normal's mean and clipped to its bounds; other distributions' values do not change.
 
         Args:
             x: values.
-            factor: of the standard deviation.
+            factor: factor of the standard deviation.
         """
         if self.mean is None:
             return x
@@ -153,10 +153,10 @@ class DesignSpace:
 
     Attributes:
         parameters: the variables.
-        fixed: values of further quantities that a simulator needs and that are the same for every design.
+        fixed: values of further quantities that a simulator needs, the same for every design.
 
     Raises:
-        InputError: if there is no variable or a name comes twice.
+        InputError: if there is no variable, a name occurs twice or is not an identifier, or a value is not finite.
     """
 
     parameters: tuple[Parameter, ...]
@@ -165,8 +165,8 @@ class DesignSpace:
     def __post_init__(self) -> None:
         if not self.parameters:
             raise InputError("A design space needs at least one variable that is not fixed.")
-        for name, times in Counter(self.names).items():
-            if times > 1 or name in self.fixed:
+        for name, count in Counter(self.names).items():
+            if count > 1 or name in self.fixed:
                 raise InputError(f"The variable {name!r} is defined twice.")
         for name, value in self.fixed.items():
             if not name.isidentifier():
@@ -196,7 +196,7 @@ class DesignSpace:
 
     def from_unit(self, U: Array) -> Array:
         """Points of the unit cube, shape (..., d), as designs in the variables' units."""
-        # Here, as below: importing SciPy takes longer than simulating a bearing.
+        # Imported here, as below: importing SciPy takes longer than simulating a bearing.
         from scipy.special import ndtri
 
         columns = np.moveaxis(np.asarray(U), -1, 0)
@@ -215,7 +215,7 @@ class DesignSpace:
         return np.stack(columns, axis=1)
 
     def widened(self, X: Array, factor: float) -> Array:
-        """Designs, shape (n, d), of a space of which all normal variables spread `factor` times as far."""
+        """Designs, shape (n, d), with the normal variables stretched by `factor` (see Parameter.widened)."""
         columns = [p.widened(x, factor) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]
         return np.stack(columns, axis=1)
 
@@ -236,10 +236,10 @@ class DesignSpace:
         return self.from_unit(qmc.Sobol(self.dimension, rng=rng).random(n))
 
     def pick(self, columns: Sequence[Any], names: Sequence[str]) -> list[Any]:
-        """Of d columns of designs those of the named quantities, in the order asked for; numbers for the fixed ones.
+        """The columns of the named quantities, in the order of `names`, from d columns; fixed quantities as numbers.
 
         Raises:
-            InputError: if a name is neither a variable of this space nor fixed.
+            InputError: if a name is neither a variable nor a fixed quantity of this space.
         """
         known: dict[str, Any] = {**dict(zip(self.names, columns, strict=True)), **self.fixed}
         for name in names:

@@ -1,7 +1,7 @@
-"""Foreign text made safe to show: what a terminal or a reader would not see as a letter is written as an escape.
+"""Makes foreign text safe to show, with escapes for characters that are not printable.
 
-A description, a file's name or a simulator's message may hold escape sequences that rewrite a terminal, or line breaks
-that forge a message of the program's own.
+A description, a file's name or a simulator's message may contain escape sequences that control a terminal, or line
+breaks that forge a message of the program.
 """
 
 import os
@@ -10,21 +10,21 @@ import unicodedata
 
 
 def visible(text: str, keep: str = "") -> str:
-    r"""A text with every control character, line break, direction mark and surrogate as a backslash escape.
+    r"""The text with control characters, line breaks, direction marks and surrogates as backslash escapes.
 
     >>> visible("mu\nresults  good \x1b[2J")
     'mu\\nresults  good \\x1b[2J'
 
     Args:
-        text: from a file, a file's name or a simulator.
-        keep: characters that stay as they are.
+        text: foreign text.
+        keep: characters that are not escaped.
     """
     if text.isprintable():
         return text
     return "".join(
-        # Spaces of any width are harmless, and units have them.
-        one if one.isprintable() or one in keep or unicodedata.category(one) == "Zs" else _escape(one)
-        for one in text
+        # Spaces of any width are harmless and occur in units.
+        char if char.isprintable() or char in keep or unicodedata.category(char) == "Zs" else _escape(char)
+        for char in text
     )
 
 
@@ -35,7 +35,7 @@ def _escape(character: str) -> str:
 
 
 def quoted(word: str | os.PathLike[str]) -> str:
-    r"""A word for a shell to paste, on one line and in visible letters: `$'run\xff'` where quotes alone do not do."""
+    r"""A word quoted for a shell, on one line and in visible characters: `$'run\xff'` if quotes do not suffice."""
     text = os.fspath(word)
     if visible(text) == text:
         return shlex.quote(text)

@@ -542,7 +542,7 @@ def test_predictions_do_not_need_what_was_saved_of_the_learning(folder: Path, tm
         (f"{HEADER}\n{ROW},1\n", "row 1 (line 2), must have 9 cells"),
         (f"{HEADER}\n{ROW.replace('0.06', '')}\n", "row 1 (line 2), column mu: must be a number, got ''"),
         (f"{HEADER}\n{ROW.replace('0.06', '0')}\n", "row 1 (line 2), column mu: `mu > 0` must hold, got 0"),
-        (f"{HEADER},p_failure\n{ROW},1\n", "column 'p_failure': will be written"),
+        (f"{HEADER},p_failure\n{ROW},1\n", "column 'p_failure': is an output column"),
         ("", "is empty"),
         (None, "cannot be read: No such file or directory"),
     ],

@@ -8,7 +8,7 @@ from activefail.bearing import TABLE_1, Model
 from activefail.bearing.collision import collision_features
 from activefail.bearing.sliding import sliding_features
 from activefail.errors import InputError
-from activefail.features import PAPER_FEATURES, OwnFeatures, feature_map, paper_features
+from activefail.features import PAPER_FEATURES, CustomFeatures, feature_map, paper_features
 from activefail.space import Array, DesignSpace, Parameter
 
 # T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g]
@@ -170,7 +170,7 @@ def _product(X: Array, space: DesignSpace) -> Array:
 
 
 def test_a_function_of_ones_own_is_appended_to_the_variables_and_scaled_like_them() -> None:
-    features = feature_map(OwnFeatures("product", _product), SQUARE)
+    features = feature_map(CustomFeatures("product", _product), SQUARE)
     assert features.names == ("x", "y", "product[0]")
     X = SQUARE.sobol(2**14, np.random.default_rng(99))
     assert features.raw(X)[:, 2].tolist() == (X[:, 0] * X[:, 1] / 50.0).tolist()
@@ -179,7 +179,7 @@ def test_a_function_of_ones_own_is_appended_to_the_variables_and_scaled_like_the
 
 
 def test_a_function_of_ones_own_can_replace_the_variables() -> None:
-    features = feature_map(OwnFeatures("product", _product, variables=False), SQUARE)
+    features = feature_map(CustomFeatures("product", _product, variables=False), SQUARE)
     assert features.names == ("product[0]",)
 
 
@@ -189,30 +189,30 @@ def test_a_function_of_ones_own_cannot_change_the_designs() -> None:
         return X
 
     X = SQUARE.sobol(8, np.random.default_rng(0))
-    assert feature_map(OwnFeatures("greedy", greedy), SQUARE).raw(X)[:, :2].tolist() == X.tolist()
+    assert feature_map(CustomFeatures("greedy", greedy), SQUARE).raw(X)[:, :2].tolist() == X.tolist()
 
 
 @pytest.mark.parametrize(
     ("function", "says"),
     [
-        (lambda X, space: X[:, 0], r"one row of features a design, shape \(8, m\); got shape \(8,\)"),
-        (lambda X, space: X[:-1], r"one row of features a design, shape \(8, m\); got shape \(7, 2\)"),
+        (lambda X, space: X[:, 0], r"one row of features per design, shape \(8, m\); got shape \(8,\)"),
+        (lambda X, space: X[:-1], r"one row of features per design, shape \(8, m\); got shape \(7, 2\)"),
         (lambda X, space: X[:, :0], r"got shape \(8, 0\)"),
         (lambda X, space: None, r"got shape \(\)"),
         (lambda X, space: [["a"]] * len(X), r"must return numbers"),
         (lambda X, space: 1 // 0, r"mine raised ZeroDivisionError: .* \(.*test_features\.py:\d+\)"),
-        (lambda X, space: X[:, : 1 + (len(X) > 8)], r"always return as many features; got 1, then 2"),
+        (lambda X, space: X[:, : 1 + (len(X) > 8)], r"always return the same number of features; got 1, then 2"),
         (
             lambda X, space: np.where(X > 2.0, np.nan, X),
             r"mine\[0\] must be finite over the space, got nan for \{'x': 2\.",
         ),
         (lambda X, space: np.zeros((len(X), 1)), r"mine\[0\] must vary over the space, got 0\.0 everywhere"),
-        (lambda X, space: X - X.mean(axis=0), r"the same features whatever the designs beside it"),
+        (lambda X, space: X - X.mean(axis=0), r"the same features, whatever the other designs are"),
     ],
 )
 def test_a_function_that_gives_no_features_is_refused_with_key_rule_and_value(function: object, says: str) -> None:
     with pytest.raises(InputError, match=rf"^classifier\.features: mine.*{says}|^classifier\.features: {says}"):
-        feature_map(OwnFeatures("mine", function), SQUARE)  # type: ignore[arg-type]
+        feature_map(CustomFeatures("mine", function), SQUARE)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["sliding", "collision"])

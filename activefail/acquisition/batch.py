@@ -1,4 +1,4 @@
-"""A batch of designs to simulate next: a criterion maximised over the physical variables, point after point."""
+"""Proposal of a batch: a criterion is maximised over the physical variables, one design at a time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,19 +17,19 @@ from activefail.surrogate.classifier import Classifier, Latent
 from activefail.surrogate.sites import Sites
 
 POOL = 4096
-"""Designs of the Sobol' pool that is screened first; a power of two."""
+"""Designs in the Sobol' pool of candidates; a power of two."""
 
 SHORTLIST = 512
-"""Designs whose joint posterior the batch is chosen from."""
+"""Designs from whose joint posterior the batch is chosen."""
 
 REFERENCES = 1024
-"""Designs of the Sobol' sample that stands for the design measure in a look-ahead criterion; a power of two."""
+"""Designs in the Sobol' sample that represents the design measure in a look-ahead criterion; a power of two."""
 
 _BY_BALD, _AT_RANDOM = 768, 256
-"""Designs of the pool that a look-ahead criterion is evaluated at: the best by BALD, and some of the others."""
+"""Designs of the pool at which a look-ahead criterion is evaluated: the best by BALD, and a random part of the rest."""
 
 _LAZY_BLOCK = 64
-"""Candidates whose look-ahead value is brought up to date together."""
+"""Candidates whose look-ahead values are updated together."""
 
 _REFINEMENTS = (0.05, 0.02, 0.008)
 """Standard deviations of the local searches around the best designs so far, in units of the variables' ranges."""
@@ -39,9 +39,9 @@ _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 
 
 def expected_site_precision(mean: float, sd: float) -> float:
-    """λ = E_y E_f[−∂² log Φ(yf)/∂f²]: what one label at a point would add to the posterior's precision there.
+    """λ = E_y E_f[−∂² log Φ(yf)/∂f²]: the expected gain in the posterior's precision at a point from a label there.
 
-    The label's probability is the predictive one, the latent's distribution the present one.
+    The label has its predictive probability, the latent its present distribution.
     """
     f = mean + sd * _NODES
     p = float(np.exp(log_ndtr(mean / np.sqrt(1.0 + sd**2))))
@@ -54,9 +54,9 @@ def expected_site_precision(mean: float, sd: float) -> float:
 
 
 def _fantasise(mean: Array, covariance: Array, chosen: int) -> float:
-    """Take a label of yet unknown value at `chosen` into the covariance, in place; returns its site's precision.
+    """Update the covariance, in place, for an unknown label at `chosen`; returns the precision of its site.
 
-    The mean stays; Σ loses Σ_·* Σ_*·/(Σ_** + 1/λ*).
+    The mean does not change; Σ loses Σ_·* Σ_*·/(Σ_** + 1/λ*).
     """
     variance = float(covariance[chosen, chosen])
     precision = expected_site_precision(float(mean[chosen]), float(np.sqrt(max(variance, 0.0))))
@@ -66,9 +66,9 @@ def _fantasise(mean: Array, covariance: Array, chosen: int) -> float:
 
 
 def fantasised(latent: Latent, F: Array) -> Latent:
-    """The latent as if labels of yet unknown values had been seen at scaled features F, (k, m), one after another.
+    """The latent after unknown labels at scaled features F, (k, m), one after another.
 
-    Each becomes a site of its own with the present mean as its pseudo-observation: all means stay, covariances shrink.
+    Each label becomes a site with the present mean as pseudo-observation: means do not change, covariances shrink.
     """
     mean, covariance = latent.joint(F)
     covariance = covariance.copy()
@@ -87,15 +87,15 @@ def fantasised(latent: Latent, F: Array) -> Latent:
 
 
 def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -> NDArray[np.intp]:
-    """Rows of q candidates, each the criterion's best given those before it.
+    """Rows of q candidates, each the criterion's best given the ones before it.
 
-    A chosen point is fantasised by its site: the mean stays, the covariance loses
-    Σ_·* Σ_*·/(Σ_** + 1/λ*), as if a label of yet unknown value had been seen there.
+    A chosen point is fantasised: the mean does not change, the covariance loses Σ_·* Σ_*·/(Σ_** + 1/λ*), as after an
+    unknown label there.
 
     Args:
         mean: (n,) latent means of the candidates.
         covariance: (n, n) their joint covariance.
-        q: how many to choose, at most n.
+        q: number of candidates to choose, at most n.
         criterion: (mean, sd) -> value, larger is better.
     """
     covariance = covariance.copy()
@@ -111,17 +111,17 @@ def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -
 
 
 def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion: LookAhead) -> NDArray[np.intp]:
-    """Rows of q of the first n points, each the criterion's best given those before it; the others are references.
+    """Rows of q of the first n points, each the criterion's best given the ones before it; the others are references.
 
-    Chosen points are fantasised as in `greedy_batch`. Values are brought up to date lazily [Minoux1978]: what a
-    candidate was worth before a choice is taken for a bound of what it is worth after. Where few references depend on
-    each other it is one; elsewhere a batch loses a per cent or so.
+    Chosen points are fantasised as in `greedy_batch`. Values are updated lazily [Minoux1978]: a candidate's value
+    before a choice is taken as a bound of its value afterwards. This holds where references are nearly independent;
+    elsewhere a batch loses about one per cent.
 
     Args:
         mean: (n + R,) latent means of candidates and references.
         covariance: (n + R, n + R) their joint covariance.
-        n: how many of them are candidates.
-        q: how many to choose, at most n.
+        n: number of candidates.
+        q: number of candidates to choose, at most n.
         criterion: a look-ahead criterion.
     """
     covariance = covariance.copy()
@@ -155,19 +155,19 @@ def propose(
     pending: Array | None = None,
     failed: Array | None = None,
 ) -> Array:
-    """q designs, (q, d), where one more label is worth most for the latent's boundary.
+    """q designs, (q, d), where a label is most valuable for the latent's boundary.
 
-    A Sobol' pool over the design space is screened; the best of it are improved by local random searches, which need
-    neither gradients nor smooth features; the batch is chosen greedily from the best of all.
+    The criterion is evaluated on a Sobol' pool over the design space. Local random searches, which need neither
+    gradients nor smooth features, improve the best designs. The batch is chosen greedily from the results.
 
     Args:
-        pending: (k, d) designs in flight, whose labels are not known yet: fantasised by their sites before.
-        failed: (k, d) designs that were simulated and have no label: not proposed again.
+        pending: (k, d) designs in flight, which are fantasised first.
+        failed: (k, d) designs whose simulation was a numerical failure; they are not proposed again.
     """
     if pending is not None and len(pending) > 0:
         latent = fantasised(latent, features(pending))
     if isinstance(criterion, LookAhead):
-        # Its candidates are drawn anew for each batch: none of them is one of before.
+        # Its candidates are drawn anew for each batch, so none is an earlier design.
         return _propose_ahead(latent, features, space, criterion, q, rng)
     return _propose_pointwise(latent, features, space, criterion, q, rng, failed)
 
@@ -188,19 +188,19 @@ def _propose_pointwise(
         unit = space.to_unit(pool[best])
         moved = space.from_unit(np.clip(unit + spread * rng.standard_normal(unit.shape), 0.0, 1.0))
         moved_values = criterion(*latent.moments(features(moved)))
-        # A search from each start replaces its start: the shortlist stays spread over the whole boundary.
+        # Each search replaces its own start, so that the shortlist stays spread over the whole boundary.
         improved = moved_values > values[best]
         pool = np.where(improved[:, None], moved, pool[best])
         values = np.where(improved, moved_values, values[best])
     F = features(pool)
     new = _not_seen(pool, F, latent, failed)
     if len(new) < q:
-        # All searches ended at a few corners that are known: elsewhere, then.
+        # The searches ended at a few known corners; add other candidates.
         pool = np.concatenate([pool[new], space.sobol(POOL, rng)])
         F = features(pool)
         new = _not_seen(pool, F, latent, failed)[:SHORTLIST]
     if len(new) < q:
-        # Features with few values, all of them known: another design with the same ones tells how sure they are.
+        # All values of discrete features are known; repeating some still adds information.
         others = np.setdiff1d(np.arange(len(pool)), new)
         failures = set() if failed is None else {row.tobytes() for row in failed}
         new = np.concatenate([new, [row for row in others if pool[row].tobytes() not in failures][: q - len(new)]])
@@ -211,12 +211,12 @@ def _propose_pointwise(
 
 
 def _not_seen(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArray[np.intp]:
-    """Rows of designs X, (n, d), of features F, (n, m), not among the latent's points, failed designs or rows before.
+    """Rows of designs X, (n, d), with features F, (n, m), that repeat no training point, failed design or earlier row.
 
-    A search may end in a corner where a design has been simulated or is in flight: a second time would tell nothing.
+    A search may end in a corner where a design was simulated or is in flight; repeating it would add nothing.
     """
     seen = {row.tobytes() for row in latent.trained.features.numpy()}
-    # By the design itself: what fails may hang on a variable that the features leave out.
+    # Failures are compared by design: they may depend on a variable that the features omit.
     failures = set() if failed is None else {row.tobytes() for row in failed}
     rows = []
     for row, (design, feature) in enumerate(zip(X, F, strict=True)):
@@ -231,7 +231,7 @@ def _propose_ahead(
     latent: Latent, features: FeatureMap, space: DesignSpace, criterion: LookAhead, q: int, rng: np.random.Generator
 ) -> Array:
     pool = space.sobol(POOL, rng)
-    # Not by entropy, which passes over the wide latents that the look-ahead criteria like best.
+    # Not by entropy, which ignores the wide latents that look-ahead criteria prefer.
     order = np.argsort(-bald(*latent.moments(features(pool))), kind="stable")
     others = rng.choice(order[_BY_BALD:], _AT_RANDOM, replace=False)
     candidates = pool[np.concatenate([order[:_BY_BALD], others])]
@@ -242,35 +242,35 @@ def _propose_ahead(
 
 
 def apportion(shares: Sequence[float], first: int, q: int) -> list[int]:
-    """How many of the designs number `first` to `first` + q − 1 fall to each claimant.
+    """How many of the designs `first` to `first` + q − 1 each claimant gets.
 
-    Each design goes to the claimant whose share is furthest behind, the earlier one of equals: what a batch is too
-    small to divide is carried over to the next, and the same designs always fall to the same claimants.
+    Each design goes to the claimant that is furthest behind its share, the first in a tie. So remainders carry over to
+    the next batch, and each design's claimant does not depend on the batch size.
 
     Args:
-        shares: not negative, of sum 1.
-        first: designs given out before.
+        shares: not negative, with sum 1.
+        first: number of designs assigned before.
     """
-    given = np.zeros(len(shares))
+    assigned = np.zeros(len(shares))
     claimants = np.empty(first + q, dtype=np.intp)
     for number in range(first + q):
-        # Rounded: equal claims must tie, whatever the last bits of their sums.
-        claimants[number] = np.argmax(np.round(np.multiply(shares, number + 1) - given, 9))
-        given[claimants[number]] += 1.0
+        # Rounded, so that equal claims tie despite rounding errors of their sums.
+        claimants[number] = np.argmax(np.round(np.multiply(shares, number + 1) - assigned, 9))
+        assigned[claimants[number]] += 1.0
     return [int(n) for n in np.bincount(claimants[first:], minlength=len(shares))]
 
 
 SEARCH_SHARE = 0.2
-"""Share of the designs that search for an outcome that was never seen, where the sought boundaries can be learned."""
+"""Share of the designs that search for unseen outcomes while other boundaries can be learned."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What a search for outcomes that were never seen needs to know.
+    """The input of a search for unseen outcomes.
 
     Attributes:
-        known: (n, d) designs that were simulated, with and without an answer.
-        outcomes: those that no simulation ended in.
+        known: (n, d) simulated designs, including numerical failures.
+        outcomes: outcomes of no simulation yet.
     """
 
     known: Array
@@ -290,18 +290,18 @@ def propose_shared(
     failed: Array | None = None,
     unseen: Search | None = None,
 ) -> Array:
-    """q designs, (q, d), shared out between exploration, the search for unseen outcomes and the boundaries.
+    """q designs, (q, d), divided among exploration, the search for unseen outcomes, and the boundaries.
 
-    First those for exploration, a Latin hypercube of the design space, then those that search, then those for one
-    boundary after the other. A simulation teaches all boundaries: the designs chosen before are pending for those that
-    follow. Of a boundary only one side of which was ever seen there is nothing to learn: its designs search as well.
+    Exploration designs, a Latin hypercube of the design space, come first, then search designs, then the designs of
+    each boundary. Every simulation informs all boundaries, so designs chosen earlier are pending for later ones. A
+    boundary with labels of one side only cannot be learned: its designs search too.
 
     Args:
-        boundaries: outcome -> its share of what is neither exploration nor search; of sum 1.
-        exploration: share of the designs that no classifier has a say in, 0 to 1.
-        first: designs that were proposed in batches before this one.
+        boundaries: outcome -> its share of the designs that neither explore nor search; with sum 1.
+        exploration: share of the designs chosen without a classifier, 0 to 1.
+        first: number of designs proposed in earlier batches.
         pending, failed: as for `propose`.
-        unseen: the outcomes to search for; None where all were seen.
+        unseen: the outcomes to search for; None if all were seen.
     """
     searching = SEARCH_SHARE if unseen is not None else 0.0
     learned = (1.0 - exploration) * (1.0 - searching)
@@ -309,18 +309,18 @@ def propose_shared(
     one_sided = [unseen is not None and _is_one_sided(classifier.latent(outcome)) for outcome in boundaries]
     searches = np.array([False, True, *one_sided])
     before, now = np.array(apportion(shares, 0, first)), np.array(apportion(shares, first, q))
-    explored, searched, counts = int(now[0]), int(now[searches].sum()), now[2:].tolist()
-    chosen = space.latin_hypercube(explored, rng) if explored else np.empty((0, space.dimension))
-    if unseen is not None and searched:
-        in_flight = [unseen.known, chosen] if pending is None else [unseen.known, pending, chosen]
+    n_explore, n_search, counts = int(now[0]), int(now[searches].sum()), now[2:].tolist()
+    chosen = space.latin_hypercube(n_explore, rng) if n_explore else np.empty((0, space.dimension))
+    if unseen is not None and n_search:
+        known = [unseen.known, chosen] if pending is None else [unseen.known, pending, chosen]
         number = int(before[searches].sum())
-        chosen = np.concatenate([chosen, search(space, np.concatenate(in_flight), number, searched, rng)])
-    for outcome, count, of_one_side in zip(boundaries, counts, one_sided, strict=True):
-        if count and not of_one_side:
-            known = chosen if pending is None else np.concatenate([pending, chosen])
+        chosen = np.concatenate([chosen, search(space, np.concatenate(known), number, n_search, rng)])
+    for outcome, count, is_one_sided in zip(boundaries, counts, one_sided, strict=True):
+        if count and not is_one_sided:
+            in_flight = chosen if pending is None else np.concatenate([pending, chosen])
             latent = classifier.latent(outcome)
-            more = propose(latent, classifier.features, space, criterion, count, rng, known, failed)
-            chosen = np.concatenate([chosen, more])
+            proposed = propose(latent, classifier.features, space, criterion, count, rng, in_flight, failed)
+            chosen = np.concatenate([chosen, proposed])
     return chosen
 
 

@@ -1,4 +1,4 @@
-"""The bivariate normal distribution on arrays: what one label says about the sign of a latent elsewhere."""
+"""The bivariate normal distribution on arrays: how a label depends on the sign of a latent elsewhere."""
 
 import numpy as np
 from scipy.special import ndtr
@@ -6,7 +6,7 @@ from scipy.special import ndtr
 from activefail.space import Array
 
 _STEPS = ((0.1, 4), (0.3, 6), (0.75, 12), (0.925, 20))
-"""|ρ| below which the quadrature over ρ has that many nodes; above the last, the expansion around |ρ| = 1."""
+"""Upper limits of |ρ| with the number of quadrature nodes below each; beyond, an expansion around |ρ| = 1 is used."""
 
 _FARTHEST = 38.0
 """Standard deviations beyond which Φ is 0 or 1 in double precision."""
@@ -33,7 +33,7 @@ def _density_integral(a: Array, b: Array, rho: Array, number: int) -> Array:
 
 
 def _nearly_dependent(a: Array, b: Array, rho: Array) -> Array:
-    """BVN(a, b; ρ) for |ρ| near 1: the limit less an integral whose singular part is known [Genz2004, section 2]."""
+    """BVN(a, b; ρ) for |ρ| near 1: the limit minus an integral with a known singular part [Genz2004, section 2]."""
     # As upper tails of (h, k) with a positive correlation.
     h, k = -a, np.where(rho > 0.0, -b, b)
     hk = h * k
@@ -44,7 +44,7 @@ def _nearly_dependent(a: Array, b: Array, rho: Array) -> Array:
     c, d = (4.0 - hk) / 8.0, (12.0 - hk) / 16.0
     series = 1.0 - c * (square - rest) * (1.0 - d * square / 5.0) / 3.0 + c * d * rest * rest / 5.0
     value = root * np.exp(-0.5 * (square / rest + hk)) * series
-    # Where −hk is large the gap is many roots wide, and this is a huge number times an underflow.
+    # For large −hk the gap is many roots wide, and this would be a huge number times an underflow.
     tail = np.sqrt(2.0 * np.pi) * ndtr(-gap / root) * gap * (1.0 - c * square * (1.0 - d * square / 5.0) / 3.0)
     value -= np.where(hk > -100.0, np.exp(-0.5 * np.maximum(hk, -100.0)) * tail, 0.0)
     for node, weight in zip(*_nodes(20), strict=True):
@@ -59,23 +59,23 @@ def _nearly_dependent(a: Array, b: Array, rho: Array) -> Array:
 def label_covariance(a: Array, b: Array, rho: Array) -> Array:
     """BVN(a, b; ρ) − Φ(a)·Φ(b): the covariance of the events x < a and y < b.
 
-    Below |ρ| = 0.925 the integral of the density over ρ, so that small covariances have their own digits. Absolute
-    error below 1e-10.
+    Below |ρ| = 0.925 it is the integral of the density over ρ, so that small covariances keep their relative accuracy.
+    The absolute error is below 1e-10.
 
     Args:
-        a, b, rho: of shapes that broadcast; −1 < ρ < 1.
+        a, b, rho: arrays that broadcast; −1 < ρ < 1.
     """
     a, b, rho = np.broadcast_arrays(a, b, np.clip(rho, -_NEAREST, _NEAREST))
     a, b = np.clip(a, -_FARTHEST, _FARTHEST), np.clip(b, -_FARTHEST, _FARTHEST)
     size = np.abs(rho)
     value = np.empty(rho.shape)
-    reached = 0.0
+    lower = 0.0
     for bound, number in _STEPS:
-        chosen = (size >= reached) & (size < bound)
+        chosen = (size >= lower) & (size < bound)
         if chosen.any():
             value[chosen] = _density_integral(a[chosen], b[chosen], rho[chosen], number)
-        reached = bound
-    chosen = size >= reached
+        lower = bound
+    chosen = size >= lower
     if chosen.any():
         h, k = a[chosen], b[chosen]
         value[chosen] = _nearly_dependent(h, k, rho[chosen]) - ndtr(h) * ndtr(k)
@@ -88,6 +88,6 @@ def bivariate_cdf(a: Array, b: Array, rho: Array) -> Array:
     Sources: [DreznerWesolowsky1990], [Genz2004].
 
     Args:
-        a, b, rho: of shapes that broadcast; −1 < ρ < 1.
+        a, b, rho: arrays that broadcast; −1 < ρ < 1.
     """
     return np.asarray(ndtr(a) * ndtr(b) + label_covariance(a, b, rho))

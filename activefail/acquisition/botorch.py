@@ -1,10 +1,10 @@
-"""The criteria as BoTorch acquisition functions of a design, which BoTorch's optimisers drive by their gradients.
+"""The criteria as BoTorch acquisition functions of a design, with gradients for BoTorch's optimisers.
 
-A design is a point of the unit cube over the physical variables (`DesignSpace.from_unit`); the features are computed
-inside, in torch. That needs a feature map with a `formula`. The values are those of `criteria`.
+A design is a point of the unit cube over the physical variables (`DesignSpace.from_unit`). The features are computed in
+torch, which needs a feature map with a `formula`. The values are those of `criteria`.
 
-The campaign's loop does not use them: it proposes by `activefail.acquisition.batch`, which searches the design space
-without gradients. These are for users of BoTorch. Their model is `Latent.model`, a BoTorch `ApproximateGPyTorchModel`.
+The campaign's loop does not use this module: it proposes designs with `activefail.acquisition.batch`, which needs no
+gradients. The module is for users of BoTorch. The model is `Latent.model`, a BoTorch `ApproximateGPyTorchModel`.
 """
 
 import math
@@ -30,7 +30,7 @@ _LEAST = 1e-12
 
 
 class TorchFeatures(torch.nn.Module):
-    """A feature map on points of the unit cube, (..., d) -> (..., m), followed by automatic differentiation.
+    """A differentiable feature map on points of the unit cube, (..., d) -> (..., m).
 
     Raises:
         InputError: if the map has no formula.
@@ -40,7 +40,7 @@ class TorchFeatures(torch.nn.Module):
         super().__init__()
         if features.formula is None:
             raise InputError(
-                f"Gradients need features with a formula; {', '.join(features.names)} are known by a function only."
+                f"Gradients need features with a formula; {', '.join(features.names)} are defined by a function only."
             )
         self._formula = features.formula
         self._logarithmic = torch.from_numpy(np.asarray(features.logarithmic, dtype=bool))
@@ -84,7 +84,7 @@ def _density(x: Tensor) -> Tensor:
 
 
 def _binary_entropy(p: Tensor) -> Tensor:
-    # Where p is 0 or 1 the entropy is 0; its slope there, which is infinite, is taken for 0 too.
+    # At p = 0 and p = 1 the entropy is 0; its slope there is infinite and taken as 0.
     inside = (p > 0.0) & (p < 1.0)
     q = torch.where(inside, p, 0.5)
     return torch.where(inside, -(q * q.log2() + (1.0 - q) * (1.0 - q).log2()), 0.0)
@@ -97,13 +97,13 @@ def _misclassification(p: Tensor) -> Tensor:
 class DesignAcquisition(AcquisitionFunction):
     """A criterion of single designs, points of the unit cube, (b, 1, d) -> (b,).
 
-    Designs in flight (`set_X_pending`, in the unit cube too) are fantasised by their sites; so BoTorch's sequential
-    optimisation builds batches as `propose` does.
+    Designs in flight (`set_X_pending`, also in the unit cube) are fantasised, so that BoTorch's sequential optimisation
+    builds batches as `propose` does.
 
     Args:
-        latent: of the sought boundary.
+        latent: latent of the boundary to learn.
         features: a map with a formula.
-        space: what the unit cube stands for.
+        space: the design space behind the unit cube.
         X_pending: (k, d) designs in flight.
     """
 
@@ -116,7 +116,7 @@ class DesignAcquisition(AcquisitionFunction):
         self.set_X_pending(X_pending)
 
     def set_X_pending(self, X_pending: Tensor | None = None) -> None:
-        """Fantasise designs, (k, d) in the unit cube, instead of those before."""
+        """Fantasise designs, (k, d) in the unit cube, in place of earlier pending ones."""
         super().set_X_pending(X_pending)
         latent = self._latent
         if self.X_pending is not None and len(self.X_pending) > 0:
@@ -125,7 +125,7 @@ class DesignAcquisition(AcquisitionFunction):
         self._condition(latent)
 
     def _condition(self, latent: Latent) -> None:
-        """Prepare for a latent with the pending designs in it."""
+        """Prepare for a latent that includes the pending designs."""
 
     @t_batch_mode_transform(expected_q=1)
     def forward(self, X: Tensor) -> Tensor:
@@ -138,7 +138,7 @@ class DesignAcquisition(AcquisitionFunction):
 
 
 class _Pointwise(DesignAcquisition):
-    """Entropy, U, straddle or BALD, as in `criteria`."""
+    """Entropy, U, straddle or BALD (see `criteria`)."""
 
     def __init__(
         self,
@@ -152,7 +152,7 @@ class _Pointwise(DesignAcquisition):
         self._name = name
 
     def _value(self, F: Tensor) -> Tensor:
-        # One joint posterior of all designs: as a batch, each would repeat the training points' covariance.
+        # One joint posterior of all designs: a batch of posteriors would repeat the training points' covariance.
         distribution = self.model.posterior(F).distribution
         mean, variance = distribution.mean, distribution.variance
         sd = variance.sqrt()
@@ -171,10 +171,10 @@ class _Pointwise(DesignAcquisition):
 
 
 class _LookAhead(DesignAcquisition):
-    """EAVC, GlobalMI or SUR, as in `criteria`.
+    """EAVC, GlobalMI or SUR (see `criteria`).
 
     Args:
-        references: (R, d) designs, in the variables' units, that stand for the design measure.
+        references: (R, d) designs, in the variables' units, that represent the design measure.
     """
 
     def __init__(
@@ -194,8 +194,8 @@ class _LookAhead(DesignAcquisition):
         mean, sd = latent.moments(self._reference_features.numpy())
         self._reference_sd = torch.from_numpy(sd).clamp_min(_LEAST)
         self._b = -torch.from_numpy(mean) / self._reference_sd
-        # Σ_xq = k(x, q) − k(x, Z) M, M = CᵀC k(Z, q), at the points of support Z: so that a value costs k(x, Z) and
-        # k(x, q), and not a joint posterior of all references.
+        # Σ_xq = k(x, q) − k(x, Z) M, M = CᵀC k(Z, q), with the support points Z: a value costs k(x, Z) and k(x, q)
+        # instead of a joint posterior of all references.
         readout, kernel = latent.readout, self.model.model.covar_module
         with torch.no_grad():
             self._explained = readout.root.T @ (
@@ -244,7 +244,7 @@ def acquisition_function(
 
     Raises:
         InputError: if the features have no formula.
-        ValueError: if there is no criterion of that name.
+        ValueError: if the name is unknown.
     """
     match name:
         case "entropy" | "u" | "straddle" | "bald":

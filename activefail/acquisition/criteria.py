@@ -1,12 +1,12 @@
-"""Where a simulation would teach most: one function a criterion, larger is better.
+"""Criteria that rank candidates by what their simulation would teach: one function each, larger is better.
 
-Failure is f > 0 for the side of the boundary, under a probit likelihood for the next label. Pointwise criteria take the
-latent's mean and standard deviation at candidates, arrays of one shape, and return an array of that shape.
+Failure is f > 0, with a probit likelihood for the next label. Pointwise criteria take the latent's mean and standard
+deviation at candidates, arrays of one shape, and return an array of that shape.
 
 Look-ahead criteria also take the latent at R reference points, drawn from the design measure, and the covariance
-between: they average over the references what the candidate's label, whichever it turns out to be, is expected to tell
-about the side that each reference is on. With the label's probability π = Φ(a), a = μ_*/√(1+σ_*²), and the reference's
-P = Φ(b), b = −μ_q/σ_q, of being safe, that side after a label 1 or 0 is safe with
+between both. They average, over the references, the expected information of a candidate's label about each reference's
+side of the boundary. The label is 1 with probability π = Φ(a), a = μ_*/√(1+σ_*²); a reference is safe with probability
+P = Φ(b), b = −μ_q/σ_q. After a label 1 or 0 it is safe with probability
 
     P¹ = Z/π,  P⁰ = (P − Z)/(1 − π),  Z = BVN(a, b; ρ),  ρ = −Σ_q*/(σ_q √(1+σ_*²))
 
@@ -32,10 +32,10 @@ _C2 = 0.5 * np.pi * np.log(2.0)
 """C² of the Gaussian that approximates the entropy of a probit likelihood [HoulsbyEtAl2011, section 4]."""
 
 _LEAST = 1e-12
-"""Least probability of a label, and least standard deviation of a reference, that is divided by."""
+"""Lower bound for divisors: probabilities of labels and standard deviations of references."""
 
 _PAIRS_AT_ONCE = 1 << 15
-"""Candidates times references evaluated in one go: the arrays between then stay in the processor's cache."""
+"""Candidates times references per evaluation, so that intermediate arrays stay in the processor's cache."""
 
 
 def binary_entropy(p: Array) -> Array:
@@ -44,20 +44,20 @@ def binary_entropy(p: Array) -> Array:
 
 
 def misclassification(p: Array) -> Array:
-    """min(p, 1 − p): the probability that the more probable side is the wrong one."""
+    """min(p, 1 − p): the probability that the more probable side is wrong."""
     return np.minimum(p, 1.0 - p)
 
 
 def entropy(mean: Array, sd: Array) -> Array:
-    """−|μ|/√(1+σ²), which ranks as the entropy h(Φ(μ/√(1+σ²))) of the next label.
+    """−|μ|/√(1+σ²), with the same ranking as the entropy h(Φ(μ/√(1+σ²))) of the next label.
 
-    The argument of Φ instead of h itself: far from the boundary h underflows and would rank all points alike.
+    Far from the boundary h underflows and would rank all points equally.
     """
     return np.asarray(-np.abs(mean) / np.sqrt(1.0 + sd**2))
 
 
 def u(mean: Array, sd: Array) -> Array:
-    """−|μ|/σ, which ranks as the probability of the latent's less probable sign.
+    """−|μ|/σ, with the same ranking as the probability of the latent's less probable sign.
 
     Source: [EchardEtAl2011, eq. 12] (U, which is minimised there).
     """
@@ -65,7 +65,7 @@ def u(mean: Array, sd: Array) -> Array:
 
 
 def straddle(mean: Array, sd: Array) -> Array:
-    """1.96 σ − |μ|: by how much the latent's 95 % interval reaches across the boundary.
+    """1.96 σ − |μ|: how far the latent's 95 % interval extends across the boundary.
 
     Source: [BryanEtAl2005, eq. 3].
     """
@@ -73,7 +73,7 @@ def straddle(mean: Array, sd: Array) -> Array:
 
 
 def bald(mean: Array, sd: Array) -> Array:
-    """h(p) − C/√(σ²+C²)·exp(−μ²/(2(σ²+C²))): what the label tells about the latent [bit].
+    """h(p) − C/√(σ²+C²)·exp(−μ²/(2(σ²+C²))): mutual information of the label and the latent [bit].
 
     Source: [HoulsbyEtAl2011, eq. 4].
     """
@@ -118,21 +118,21 @@ def _expected_fall(uncertainty: Callable[[Array], Array]) -> Callable[[Array, Ar
 
 
 def eavc(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array, covariance: Array) -> Array:
-    """π·|E_q[P − P¹]| + (1−π)·|E_q[P − P⁰]| = 2·|E_q[D]|: expected absolute change of the safe volume, a share of all.
+    """π·|E_q[P − P¹]| + (1−π)·|E_q[P − P⁰]| = 2·|E_q[D]|: expected absolute change of the safe share of the space.
 
     Source: [LethamEtAl2022] (EAVC); the second form follows from P − P¹ = −D/π, P − P⁰ = D/(1−π).
 
     Args:
-        mean, sd: (n,) of the latent at candidates.
-        reference_mean, reference_sd: (R,) at references.
-        covariance: (n, R) between.
+        mean, sd: (n,) moments of the latent at candidates.
+        reference_mean, reference_sd: (R,) moments at references.
+        covariance: (n, R) covariance between both.
     """
     average = _average_over_references(lambda _, __, D: D, mean, sd, reference_mean, reference_sd, covariance)
     return np.asarray(2.0 * np.abs(average))
 
 
 def globalmi(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array, covariance: Array) -> Array:
-    """E_q[h(P) − π·h(P¹) − (1−π)·h(P⁰)]: what the label tells about the side of a random design [bit].
+    """E_q[h(P) − π·h(P¹) − (1−π)·h(P⁰)]: information of the label about the side of a random design [bit].
 
     Source: [LethamEtAl2022] (GlobalMI). Arguments as for `eavc`.
     """
@@ -141,10 +141,10 @@ def globalmi(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array,
 
 
 def sur(mean: Array, sd: Array, reference_mean: Array, reference_sd: Array, covariance: Array) -> Array:
-    """E_q[m(P) − π·m(P¹) − (1−π)·m(P⁰)], m(p) = min(p, 1−p): expected fall of the misclassified share.
+    """E_q[m(P) − π·m(P¹) − (1−π)·m(P⁰)], m(p) = min(p, 1−p): expected decrease of the misclassified share.
 
-    Source: [BectEtAl2012], stepwise uncertainty reduction with the probability of misclassification. Zero, not only
-    small, where neither label would change a reference's side. Arguments as for `eavc`.
+    Source: [BectEtAl2012], stepwise uncertainty reduction with the probability of misclassification. It is exactly zero
+    where neither label would change a reference's side. Arguments as for `eavc`.
     """
     fall = _expected_fall(misclassification)
     return _average_over_references(fall, mean, sd, reference_mean, reference_sd, covariance)
@@ -155,7 +155,7 @@ class LookAhead:
     """A criterion that needs reference points.
 
     Attributes:
-        gain: (mean, sd, reference_mean, reference_sd, covariance) -> value, as `eavc`.
+        gain: (mean, sd, reference_mean, reference_sd, covariance) -> value, such as `eavc`.
     """
 
     gain: Callable[[Array, Array, Array, Array, Array], Array]
@@ -165,7 +165,7 @@ def criterion(name: Criterion) -> Pointwise | LookAhead:
     """The named criterion.
 
     Raises:
-        ValueError: if there is none of that name.
+        ValueError: if the name is unknown.
     """
     match name:
         case "entropy":

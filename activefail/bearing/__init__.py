@@ -1,8 +1,8 @@
-"""The physics: a double friction pendulum bearing under a pulse, with rim impact, slider rotation and uplift."""
+"""The bearing model: a double friction pendulum bearing under a pulse, with rim impact, slider rotation and uplift."""
 
 from activefail.bearing.kernels import remove_stale_kernels
 
-# Before any kernel is loaded.
+# Must run before any kernel is loaded.
 remove_stale_kernels()
 
 from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance  # noqa: E402

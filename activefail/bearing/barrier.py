@@ -1,8 +1,8 @@
-"""Energies below which a bearing meets no rim any more, or fails no more. The proof is in docs/theory.md.
+"""Energies below which a bearing can no longer touch a rim, or no longer fail. docs/theory.md has the proof.
 
-A plate's part of the potential energy is W z + the elastic energy of its two contacts, with the weight W on it and the
-height z, over its apex, of the middle between the two vertices that face it. Over all positions of the vertices at a
-tilt θ of the slider it is at least level − turn·(1 − cos θ), and at least corner + lift·sin |θ|. What remains of the
+A plate's part of the potential energy is W z plus the elastic energy of its two contacts, where W is the weight on it
+and z the height above its apex of the midpoint of the two vertices that face it. Over all positions of the vertices at
+a tilt θ of the slider, it is at least level − turn·(1 − cos θ), and at least corner + lift·sin |θ|. The rest of the
 potential energy is that of the slider's height, upright·cos θ.
 """
 
@@ -28,20 +28,20 @@ class Side(NamedTuple):
 class Barrier(NamedTuple):
     """Potential energies of a bearing [J]."""
 
-    least: float  # there is none below
-    touch: float  # at least this where a vertex is at a rim
-    failure: float  # at least this where the bearing fails
+    least: float  # minimum
+    touch: float  # lower bound where a vertex is at a rim
+    failure: float  # lower bound where the bearing fails
 
 
 @njit(cache=True, **KERNEL)
 def _give(load, stiffness):
-    """The most that a vertex gains by sinking in under a load [N], max over δ of load·δ − 0.4 k δ^2.5 [J]."""
+    """Largest energy gain of a vertex from penetration under a load [N], max over δ of load·δ − 0.4 k δ^2.5 [J]."""
     return 0.6 * load * (load / stiffness) ** (2.0 / 3.0)
 
 
 @njit(cache=True, **KERNEL)
 def _held(weight, plate, half_width):
-    """The bounds for a plate wherever the slider is."""
+    """The bounds for a plate at any position of the slider."""
     height, penetration = static_contact(plate, half_width, weight)
     level = weight * height + 0.8 * plate.stiffness * penetration**2.5
     turn = weight * half_width * half_width / (plate.radius - height)
@@ -50,7 +50,7 @@ def _held(weight, plate, half_width):
 
 @njit(cache=True, **KERNEL)
 def _lost(weight, plate, half_width, rim_height):
-    """The bounds for a plate from whose dish both vertices are the rim's height away."""
+    """The bounds for a plate if both vertices are at least the rim's height away from its dish."""
     depth = math.sqrt((plate.radius - rim_height) ** 2 - half_width * half_width)
     turn = weight * half_width * half_width / depth
     return Side(weight * (plate.radius - depth), turn, weight * rim_height, weight * half_width)
@@ -58,11 +58,11 @@ def _lost(weight, plate, half_width, rim_height):
 
 @njit(cache=True, **KERNEL)
 def _least(bottom, top, upright, limit):
-    """Least potential energy [J] up to a tilt, from the bounds for both plates."""
+    """Least potential energy [J] up to a tilt `limit`, from the bounds for both plates."""
     level, turn = bottom.level + top.level + upright, bottom.turn + top.turn + upright
     corner, lift = bottom.corner + top.corner, bottom.lift + top.lift
-    # The first bound falls with the tilt, the second is concave: the first counts up to any tilt that one likes, the
-    # second from there on, and each has its least at an end.
+    # The first bound decreases with the tilt, the second is concave. Using the first up to any tilt `split` and the
+    # second beyond, each has its minimum at an end of its interval.
     split = min(limit, math.asin(min(1.0, max(0.0, (level - corner - upright) / lift))))
     return min(
         level - turn * (1.0 - math.cos(split)),
@@ -73,8 +73,8 @@ def _least(bottom, top, upright, limit):
 
 @njit(cache=True, **KERNEL)
 def _least_raised(raised, energy, other, upright, limit):
-    """Least potential energy [J] up to a tilt where it takes `energy` [J] to raise one vertex of a plate."""
-    # The middle is below that vertex by half the width's rise at most; and `raised` bounds it as ever.
+    """Least potential energy [J] up to a tilt if raising one vertex of a plate takes `energy` [J]."""
+    # The midpoint is below that vertex by at most half the rise of the width; the bound `raised` still holds.
     corner, lift = energy + other.corner, other.lift - raised.lift
     split = min(limit, math.asin(min(1.0, max(0.0, (energy - raised.corner) / (2.0 * raised.lift)))))
     return min(
@@ -88,10 +88,13 @@ def _least_raised(raised, energy, other, upright, limit):
 
 @njit(cache=True, **KERNEL)
 def barrier(system, confinement):
-    """The `Barrier` of a bearing, with heights over the bottom plate's apex; `confinement`: whether its loss counts."""
+    """The `Barrier` of a bearing, with heights above the bottom plate's apex.
+
+    `confinement`: whether loss of confinement counts as failure.
+    """
     plate, half_width = system.bottom, system.half_width
     if plate.radius < max(plate.rim_top, 2.0 * half_width):
-        # So steep a dish that a vertex may be on the far side of its sphere, where it feels no force.
+        # In so steep a dish a vertex may be on the far side of its sphere, where no force acts.
         return Barrier(-math.inf, -math.inf, -math.inf)
     on_bottom, on_top = (system.plate_mass + system.slider_mass) * GRAVITY, system.plate_mass * GRAVITY
     upright = (2.0 * system.plate_mass + system.slider_mass) * GRAVITY * system.half_height

@@ -1,17 +1,18 @@
-"""A reduced model of the collision with the rims: three degrees of freedom, from just before the first touch on.
+"""A reduced model of the collision with the rims: three degrees of freedom, from shortly before the first touch.
 
-The slider is nearly massless, some 1/2500 of the top plate, so what one plate does to it the other must undo: the
-motion is symmetric about the slider's centre, which stays halfway between the dishes' apexes (at the first touch of the
-bearing model x_s/x_t is 0.5 within 10⁻⁴, and both rims are met within 0.1 ms). What remains are the plate's
-displacement x and height z and the slider's rotation θ, and two vertices instead of four:
+The slider is nearly massless, about 1/2500 of the top plate, so the forces of the plates on it balance. The motion is
+symmetric about the slider's centre, which stays halfway between the dishes' apexes (at the first touch of the
+bearing model, x_s/x_t is 0.5 within 10⁻⁴, and both rims are touched within 0.1 ms). The unknowns are the plate's
+displacement x and height z and the slider's rotation θ, with two vertices instead of four:
 
     M ẍ = F_x − M ü_g,    M z̈ = F_z − M g,    I θ̈ = 2 T
 
-with force and torque F, T of the bottom plate on the slider's bottom vertices (`contact.vertex_force`). Until 0.6 s
-before the first touch the sliding block of `activefail.bearing.sliding` moves instead: two or three periods of the
-elastic rocking, which decides with what tilt and speed the rim is met. The slider's I is raised to 0.005 M D_sl², of
-no account beside the plate's, so that explicit steps of 0.5 to 1 ms do. By itself this tells failure in 98.5 % of
-Table 1's samples at a quarter of the bearing model's cost; what it gets wrong are mostly second passes.
+with force F and torque T of the bottom plate on the slider's bottom vertices (`contact.vertex_force`). The motion until
+0.6 s before the first touch is that of the sliding block (`activefail.bearing.sliding`). The last 0.6 s are two or
+three periods of the elastic rocking, which determines tilt and speed at the rim. The slider's I is raised to
+0.005 M D_sl², still negligible beside the plate's, so that explicit steps of 0.5 to 1 ms suffice. The model alone
+predicts failure correctly for 98.5 % of Table 1's samples at a quarter of the bearing model's cost; most errors are
+second passes.
 """
 
 import math
@@ -29,26 +30,26 @@ _INERTIA = 0.005
 """The slider's moment of inertia over M D_sl²."""
 
 _FRICTION_VELOCITY = 0.02
-"""Over which Coulomb friction is regularised here [m/s]; 0.005 and 0.1 move the answer as little as the step does."""
+"""Velocity over which Coulomb friction is regularised [m/s]; 0.005 and 0.1 change results as little as the step."""
 
 _LEAD = 0.6
-"""How long before the first touch of the sliding block it takes over [s]; 0.5 to 0.7 are as good, 0 and 1 less."""
+"""Start of the model before the sliding block's first touch [s]; 0.5 to 0.7 are as good, 0 and 1 are worse."""
 
 _LONGEST_STEP = 1e-3
-"""[s]"""
+"""Upper bound of a step [s]."""
 
 _AFTERMATH = 1.0
-"""The motion is followed for this long after the pulse [s]."""
+"""Time simulated after the pulse [s]."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def touching_displacement(half_dish, half_width, length, slider_height):
-    """Displacement of the top plate at which the seated slider meets both rims [m].
+    """Displacement of the top plate at which the seated slider touches both rims [m].
 
     Tilted by α = asin(x/L), its lower vertex is at x/2 (1 + h_sl/L) + D_sl/2 cos α, the rim at D_out/2.
     """
     x = 2.0 * (half_dish - half_width)
-    # A contraction, over Table 1 with a factor of at most 0.15.
+    # A contraction, with a factor of at most 0.15 over Table 1.
     for _ in range(12):
         cosine = math.sqrt(max(1.0 - (x / length) ** 2, 0.0))
         x = 2.0 * (half_dish - half_width * cosine) / (1.0 + slider_height / length)
@@ -69,22 +70,22 @@ def _step(plate, plate_mass, inertia, half_width, half_height, speed):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def collide(plate, plate_mass, half_width, half_height, rim_height, length, touch, amplitude, period, t, x, dx, speed):
-    """How near to failure a bearing comes from time t on, when its seated slider is at x [m] and moves with dx [m/s].
+    """How close to failure a bearing comes after time t, when its seated slider is at x [m] with velocity dx [m/s].
 
     Args:
         plate: both dishes with their rims.
         plate_mass: M [kg].
-        half_width, half_height: of the slider [m].
-        rim_height: [m]
+        half_width, half_height: half the slider's width and height [m].
+        rim_height: h_rim [m].
         length: L [m].
         touch: displacement at which the rims are touched [m].
-        amplitude, period: of the pulse [m/s², s].
-        t, x, dx: the start.
-        speed: expected at the first touch [m/s], for the step.
+        amplitude, period: A_p and T_p of the pulse [m/s², s].
+        t, x, dx: time, displacement and velocity at the start.
+        speed: expected speed at the first touch [m/s], which determines the step.
 
     Returns:
-        lift: √ of the largest confinement gap over h_rim; where it exceeds h_rim, of what the gap would rise to as a
-            throw, gap + rate²/2g.
+        lift: √ of the largest confinement gap over h_rim; beyond h_rim the gap is extrapolated as a ballistic throw,
+            gap + rate²/2g.
         tilt: largest |θ| over the overturning angle atan(D_sl/h_sl).
     """
     diameter = 2.0 * half_width
@@ -93,7 +94,7 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
     overturning = math.atan2(half_width, half_height)
     pulse_end = HALF_DURATION * period
     end = max(pulse_end, t) + _AFTERMATH
-    # Seated, the centres of the two circles of vertices are L apart, plus the static penetrations.
+    # When seated, the centres of the two circles of vertices are L plus the static penetrations apart.
     static = (0.5 * plate_mass * GRAVITY / plate.stiffness) ** (2.0 / 3.0)
     length += 2.0 * static
     reach = GRAVITY * (length - math.sqrt(length * length - touch * touch))
@@ -115,7 +116,7 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
             force_z += force.w
             torque += r_x * force.w - r_z * force.u
             least_gap = min(least_gap, gap(u, w, plate))
-        # The slider falls onto the bottom plate: the top one sees both gaps.
+        # The slider falls onto the bottom plate, so the gap at the top plate is the sum of both.
         both = 2.0 * least_gap
         if both > rim_height:
             rate = max(both - gap_before, 0.0) / dt
@@ -146,7 +147,7 @@ def _severities(X, slider_diameter, density, restitution, damping_ratio, assembl
         half_width, half_dish = 0.5 * slider_diameter, 0.5 * (D_tot + slider_diameter)
         slider_height, rim_height = h_sl_ratio * slider_diameter, h_rim_ratio * slider_diameter
         length = 2.0 * math.sqrt(radius * radius - half_width * half_width) - slider_height
-        # Also where it is no number.
+        # Also false for NaN.
         buildable = length > D_tot > 0.0 and half_dish < radius and slider_height > 0.0 and rim_height > 0.0
         if not (buildable and mu >= 0.0 and p > 0.0 and k > 0.0 and 0.0 < T_p < math.inf and abs(A_p) < math.inf):
             continue
@@ -192,16 +193,16 @@ def _severities(X, slider_diameter, density, restitution, damping_ratio, assembl
 
 
 def collision_severity(X: Array, model: Model | None = None) -> Array:
-    """How near to failure the reduced model comes, (n,): 0 without a touch, failure above 1.
+    """How close to failure the reduced model comes, (n,): 0 without a touch, above 1 for failure.
 
-    The larger of the lift and the tilt of `collide`; NaN for a design that cannot be built.
+    It is the larger of lift and tilt in `collide`; NaN for a design that cannot be built.
 
     Args:
         X: (n, 9) designs in Table 1's order and units.
-        model: its slider, restitution and densities are used.
+        model: source of slider diameter, density and restitution.
 
     Raises:
-        InputError: if X has another shape or holds no numbers.
+        InputError: if X has another shape or does not contain numbers.
     """
     model = model or Model()
     X = table_1_rows(X)
@@ -224,7 +225,7 @@ COLLISION_FEATURES = ("m*",)
 
 
 def collision_features(X: Array, model: Model | None = None) -> Array:
-    """m* = tanh(1.5 (severity − 1)) of designs, (n, 9) -> (n, 1): steep where the reduced model turns to failure.
+    """m* = tanh(1.5 (severity − 1)) of designs, (n, 9) -> (n, 1): steep at the failure boundary of the reduced model.
 
     Raises:
         InputError: as `collision_severity` does.

@@ -1,7 +1,7 @@
 """Force laws and geometry of a slider's vertex against the plate that it faces.
 
-Everything here is in the plate's own frame: u is the horizontal distance of the vertex from the dish's axis
-(positive to the right) and w its height above the dish's apex, towards the slider. Both plates look alike in it.
+All quantities are in the plate's frame: u is the horizontal distance of the vertex from the dish's axis (positive to
+the right) and w its height above the dish's apex, towards the slider. In this frame both plates are alike.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ LEAST_PENETRATION = 1e-10
 
 
 class Plate(NamedTuple):
-    """What a vertex meets: a dish with its rim."""
+    """A dish with its rim."""
 
     radius: float  # R [m]
     rim_distance: float  # D_out/2 [m]
@@ -30,7 +30,7 @@ class Plate(NamedTuple):
 
 
 class Force(NamedTuple):
-    """Forces of a plate on a vertex, split as the energy balance needs them."""
+    """Forces of a plate on a vertex, with the terms of the energy balance."""
 
     u: float  # horizontal force [N]
     w: float  # force away from the plate [N]
@@ -48,7 +48,7 @@ def gap(u, w, plate):
 
 @njit(cache=True, **KERNEL)
 def meets_rim(u, w, plate):
-    """Whether a vertex penetrates the rim, which has no lower end."""
+    """Whether a vertex penetrates the rim, which extends downwards without end."""
     return abs(u) > plate.rim_distance and w < plate.rim_top
 
 
@@ -72,15 +72,15 @@ def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
 
 @njit(forceinline=True, **KERNEL)
 def _into_rim(u, w, plate):
-    """Penetration of the rim [m], positive only for a vertex that meets it."""
+    """Penetration of the rim [m], positive only for a vertex in contact with it."""
     return where(plate.rim_top - w, abs(u) - plate.rim_distance)
 
 
 @njit(forceinline=True, **KERNEL)
 def vertex_force(u, w, du, dw, plate):
-    """Force of dish and rim on a vertex at (u, w) [m] moving with (du, dw) [m/s]; a `Force`.
+    """`Force` of dish and rim on a vertex at (u, w) [m] with velocity (du, dw) [m/s].
 
-    The arguments are numbers, or lanes with the four vertices.
+    The arguments are numbers, or lanes of the four vertices.
     """
     height = plate.radius - w
     distance = sqrt(u * u + height * height)
@@ -117,7 +117,7 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     friction = -plate.mu * normal * share
     friction_by_slip = -plate.mu * normal * norm * (1.0 - share * share)
 
-    # Subscripts: n, t a move along the normal and the tangent; vn, vt a change of velocity along them.
+    # Subscripts: n and t, displacement along normal and tangent; vn and vt, velocity along them.
     normal_n = -normal_by_penetration
     normal_t = normal_by_rate * slip * curvature
     normal_vn = -normal_by_rate
@@ -125,13 +125,13 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     friction_t = -plate.mu * share * normal_t - friction_by_slip * rate * curvature
     friction_vn = -plate.mu * share * normal_vn
     friction_vt = friction_by_slip
-    # F = N n + T t; the turning normal adds -N t + T n per tangential move.
+    # F = N n + T t; the rotation of the normal adds (-N t + T n)·curvature per tangential displacement.
     along_n_t = normal_t + friction * curvature
     along_t_t = friction_t - normal * curvature
 
     f_u = normal * n_u + friction * t_u
     f_w = normal * n_w + friction * t_w
-    # columns: move along n and along t, turned into u and w
+    # Columns: derivatives along n and t, rotated into u and w below.
     fu_n, fw_n = normal_n * n_u + friction_n * t_u, normal_n * n_w + friction_n * t_w
     fu_t, fw_t = along_n_t * n_u + along_t_t * t_u, along_n_t * n_w + along_t_t * t_w
     fu_vn, fw_vn = normal_vn * n_u + friction_vn * t_u, normal_vn * n_w + friction_vn * t_w
@@ -152,7 +152,7 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
 
 @njit(forceinline=True, **KERNEL)
 def vertex_jacobian(u, w, du, dw, plate):
-    """Force of dish and rim on a vertex and its derivatives, as `_contact_jacobian` gives them, summed."""
+    """Force of dish and rim on a vertex and its derivatives, the sum of two `_contact_jacobian` tuples."""
     height = plate.radius - w
     distance = sqrt(u * u + height * height)
     penetration = where(height, distance - plate.radius)

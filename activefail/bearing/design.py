@@ -1,4 +1,4 @@
-"""A bearing, a pulse and the settings of the model: what a user states, checked once."""
+"""A bearing, a pulse and the settings of the model, checked at construction."""
 
 import math
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ TABLE_1 = DesignSpace(
 
 
 LARGEST = 1e75
-"""Of a variable of Table 1: its fourth power is still a number."""
+"""Largest magnitude of a variable of Table 1, whose fourth power is still finite."""
 
 
 def _require_positive(**values: float) -> None:
@@ -83,11 +83,11 @@ class Bearing:
                 f"A dish must be less than a hemisphere, `dish_diameter < 2 radius`; "
                 f"got {self.dish_diameter} and {2.0 * self.radius:.4g} m."
             )
-        # A product may be infinite, where a power would raise.
+        # A product may overflow to infinity, where `**` would raise.
         half = self.slider_diameter / 2.0
         if not self.slider_height < 2.0 * math.sqrt(self.radius * self.radius - half * half):
             raise InputError(
-                f"The slider must be lower than the distance of the dishes' centres, "
+                f"The slider's height must be less than the distance between the dishes' centres, "
                 f"got a height of {self.slider_height} m for a radius of {self.radius:.4g} m."
             )
 
@@ -130,12 +130,12 @@ class Bearing:
 
     @property
     def displacement_capacity(self) -> float:
-        """D_tot = D_out − D_sl, the displacement of the top plate at which the slider meets both rims [m]."""
+        """D_tot = D_out − D_sl, the displacement of the top plate at which the slider touches both rims [m]."""
         return self.dish_diameter - self.slider_diameter
 
     @property
     def plate_mass(self) -> float:
-        """M of the top plate, which carries the whole load [kg]."""
+        """M of the top plate, including the whole load [kg]."""
         return self.pressure * math.pi * self.slider_diameter**2 / (4.0 * GRAVITY)
 
 
@@ -160,7 +160,7 @@ class Pulse:
         """The pulse of a row of Table 1: s, g.
 
         Raises:
-            InputError: as the class does, by the table's names.
+            InputError: as the class does, with the table's names.
         """
         _require_positive(T_p=T_p)
         if not math.isfinite(A_p):
@@ -174,16 +174,16 @@ RESTITUTIONS = ("pairwise", "assembly")
 
 @dataclass(frozen=True)
 class Model:
-    """What the paper leaves open or fixes for all bearings; every choice can be changed to see what moves.
+    """Choices that the paper leaves open or fixes for all bearings.
 
     Attributes:
-        slider_diameter: D_sl of the rows of Table 1, which does not name it [m].
+        slider_diameter: D_sl [m], which Table 1 does not contain.
         restitution_coefficient: e of a rim impact (paper, section 2.1).
-        restitution: mass in the damper, "pairwise" (the law as published: the two bodies that meet) or
-            "assembly" (the plate's, so that a plate thrown through the slider rebounds with e itself).
+        restitution: mass in the damper: "pairwise" (the law as published, with the two bodies in contact) or
+            "assembly" (the plate's mass, so that a plate that hits a rim through the slider rebounds with e).
         slider_density: ρ [kg/m³]; steel.
         friction_velocity: v_r over which Coulomb friction is regularised [m/s].
-        loss_of_confinement: whether a slider that no rim of a plate holds any more has failed.
+        loss_of_confinement: whether a slider that a plate's rim no longer holds counts as failure.
 
     Raises:
         InputError: if a value is outside its range.
@@ -216,12 +216,12 @@ class Model:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How finely the motion is integrated.
+    """Accuracy of the integration.
 
     Attributes:
         relative: relative error per step.
         longest_step: upper bound of a step [s].
-        most_steps: attempted steps after which a simulation is given up as a numerical failure.
+        most_steps: attempted steps after which a simulation is abandoned as a numerical failure.
 
     Raises:
         InputError: if a value is outside its range.
@@ -240,10 +240,10 @@ class Tolerance:
 
 
 def table_1_rows(X: Array) -> Array:
-    """X as a contiguous (n, 9) array of numbers, whatever they are.
+    """X as a contiguous (n, 9) array of any numbers.
 
     Raises:
-        InputError: if it is none.
+        InputError: if X has another shape or does not contain numbers.
     """
     try:
         X = np.ascontiguousarray(X, dtype=np.float64)
@@ -260,7 +260,7 @@ def check_designs(X: Array) -> Array:
     """X as a contiguous (n, 9) array of finite positive designs in Table 1's order and units.
 
     Raises:
-        InputError: naming the row, the column, the rule and the value of the first bad entry.
+        InputError: naming the row, the column, the rule and the value of the first invalid entry.
     """
     X = table_1_rows(X)
     bad = np.argwhere(~(np.isfinite(X) & (X > 0.0)))
@@ -272,7 +272,7 @@ def check_designs(X: Array) -> Array:
 
 
 def outside_table_1(row: Sequence[float]) -> list[str]:
-    """What lies outside the paper's ranges of a design, a row of TABLE_1's variables; a text each."""
+    """Messages for the variables of a design, a row of TABLE_1, that are outside the paper's ranges."""
     return [
         f"{parameter.name} = {value:g} lies outside the paper's range {parameter.low:g} to {parameter.high:g}"
         for parameter, value in zip(TABLE_1.parameters, row, strict=True)

@@ -1,7 +1,7 @@
 """Equations of motion of the planar bodies, their static equilibrium and their energy.
 
 Coordinates (x_s, z_s, θ, x_t, z_t): the slider's centre and counter-clockwise rotation, and the apex of the top plate's
-dish, in the frame of the bottom plate, which follows the ground. Metres, radians, seconds.
+dish, in the frame of the bottom plate, which moves with the ground. Units: metres, radians, seconds.
 """
 
 import math
@@ -22,7 +22,7 @@ COORDINATES = 5
 
 
 class System(NamedTuple):
-    """A bearing under a pulse, as the kernels see it."""
+    """The constants of a bearing under a pulse, for the kernels."""
 
     slider_mass: float  # m [kg]
     slider_inertia: float  # I [kg m2]
@@ -30,7 +30,7 @@ class System(NamedTuple):
     half_width: float  # D_sl/2 [m]
     half_height: float  # h_sl/2 [m]
     rim_height: float  # h_rim [m]
-    tilt_limit: float  # beyond which the slider overturns [rad]
+    tilt_limit: float  # tilt beyond which the slider overturns [rad]
     bottom: Plate
     top: Plate
     amplitude: float  # A_p [m/s2]
@@ -41,12 +41,12 @@ class Energy(NamedTuple):
     """Mechanical energy [J], and powers [W] at an instant."""
 
     stored: float  # kinetic, gravitational and elastic
-    dissipation: float  # lost to friction and dampers
-    input: float  # done by the ground motion's inertial forces
+    dissipation: float  # power lost to friction and dampers
+    input: float  # power of the ground motion's inertial forces
 
 
 def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
-    """The constants of the equations of motion (masses and dampers as the model's settings say)."""
+    """The constants of the equations of motion, with masses and dampers from the model's settings."""
     area = math.pi * bearing.slider_diameter**2 / 4.0
     slider_mass = model.slider_density * area * bearing.slider_height
     plate_mass = bearing.plate_mass
@@ -87,9 +87,9 @@ def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
 
 @njit(cache=True, **KERNEL)
 def static_contact(plate, half_width, load):
-    """Height over a dish's apex and penetration [m] of two level vertices that together carry `load` [N]."""
+    """Height above a dish's apex and penetration [m] of two level vertices that together carry `load` [N]."""
     penetration = 0.0
-    # A contraction with a factor of about δ/R: a few rounds reach rounding.
+    # A contraction with a factor of about δ/R, which converges to rounding in a few iterations.
     for _ in range(20):
         distance = plate.radius + penetration
         incline = math.sqrt(distance * distance - half_width * half_width) / distance
@@ -110,7 +110,7 @@ def equilibrium(system):
 
 @njit(forceinline=True, **KERNEL)
 def cosine_and_sine(angle):
-    """cos and sin of an angle [rad], to the last digit but one; the polynomials of Cephes up to π/4."""
+    """cos and sin of an angle [rad], accurate except for the last digit; the polynomials of Cephes up to π/4."""
     if abs(angle) > 0.25 * math.pi:
         return math.cos(angle), math.sin(angle)
     z = angle * angle
@@ -123,7 +123,7 @@ def cosine_and_sine(angle):
 
 @njit(cache=True, **KERNEL)
 def lever(system, vertex, theta):
-    """From the slider's centre to a vertex (0, 1: bottom left, right; 2, 3: top left, right) [m]."""
+    """Vector from the slider's centre to a vertex (0, 1: bottom left, right; 2, 3: top left, right) [m]."""
     b_x = system.half_width if vertex % 2 == 1 else -system.half_width
     b_z = system.half_height if vertex >= 2 else -system.half_height
     cosine, sine = cosine_and_sine(theta)
@@ -132,7 +132,7 @@ def lever(system, vertex, theta):
 
 @njit(cache=True, **KERNEL)
 def seen_by_plate(vertex, r_x, r_z, q):
-    """Position (u, w) of a vertex as the plate that it faces sees it [m]."""
+    """Position (u, w) of a vertex in the frame of the plate that it faces [m]."""
     if vertex < 2:
         return q[0] + r_x, q[1] + r_z
     return q[0] + r_x - q[3], q[4] - q[1] - r_z
@@ -140,7 +140,7 @@ def seen_by_plate(vertex, r_x, r_z, q):
 
 @njit(cache=True, **KERNEL)
 def speed_seen_by_plate(vertex, r_x, r_z, v):
-    """Velocity of a vertex as the plate that it faces sees it [m/s]."""
+    """Velocity of a vertex in the frame of the plate that it faces [m/s]."""
     if vertex < 2:
         return v[0] - v[2] * r_z, v[1] + v[2] * r_x
     return v[0] - v[2] * r_z - v[3], v[4] - v[1] - v[2] * r_x
@@ -151,17 +151,17 @@ class Vertices(NamedTuple):
 
     r_x: Lanes  # from the slider's centre [m]
     r_z: Lanes
-    up: Lanes  # vertical direction away from the plate that it faces, 1 or -1
-    u: Lanes  # position and velocity as that plate sees them [m], [m/s]
+    up: Lanes  # vertical direction away from the facing plate, 1 or -1
+    u: Lanes  # position and velocity in that plate's frame [m], [m/s]
     w: Lanes
     du: Lanes
     dw: Lanes
-    plate: Plate  # of lanes
+    plate: Plate  # with lanes as attributes
 
 
 @njit(forceinline=True, **KERNEL)
 def _sides(bottom, top):
-    """Lanes of what differs between the plates only."""
+    """Lanes of a quantity that differs only between the plates."""
     return lanes(bottom, bottom, top, top)
 
 
@@ -193,14 +193,14 @@ def vertices(system, q, v):
 
 @njit(forceinline=True, **KERNEL)
 def of_plates(x):
-    """Sums over the vertices that face the bottom plate and over those that face the top plate."""
+    """Sums over the vertices that face the bottom plate, and over those that face the top plate."""
     a, b, c, d = numbers(x)
     return a + b, c + d
 
 
 @njit(forceinline=True, **KERNEL)
 def _accelerations(system, f_x, f_z, moment, ground):
-    """Accelerations from the ground's and from forces and moments on the slider, of the bottom plate and of the top."""
+    """Accelerations, from the ground's and the forces and moments of the bottom and the top plate on the slider."""
     slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
     return (
         slider * (f_x[0] + f_x[1]) - ground,
@@ -223,9 +223,9 @@ def dfp_acceleration(system, t, q, v):
 
 @njit(forceinline=True, **KERNEL)
 def _by_coordinates(system, below, above):
-    """∂a of all coordinates from the derivatives at the bottom vertices and at the top ones, each 3 x 3.
+    """Derivatives of all accelerations, from those at the bottom and at the top vertices, each 3 x 3.
 
-    The top plate's position enters with the opposite sign of the slider's, and so does its force.
+    The top plate's position and force have the opposite sign of the slider's.
     """
     slider, turn, plate = 1.0 / system.slider_mass, 1.0 / system.slider_inertia, 1.0 / system.plate_mass
     both = axpy_rows(1.0, below, above)
@@ -240,7 +240,7 @@ def _by_coordinates(system, below, above):
 
 @njit(forceinline=True, **KERNEL)
 def _of_plates_rows(rows):
-    """3 x 3 lanes as two 3 x 3 matrices, summed over the vertices of each plate."""
+    """Two 3 x 3 matrices from 3 x 3 lanes, summed over the vertices of each plate."""
     (a, b, c), (d, e, f), (g, h, i) = rows
     (a_0, a_1), (b_0, b_1), (c_0, c_1) = of_plates(a), of_plates(b), of_plates(c)
     (d_0, d_1), (e_0, e_1), (f_0, f_1) = of_plates(d), of_plates(e), of_plates(f)
@@ -250,11 +250,11 @@ def _of_plates_rows(rows):
 
 @njit(cache=True, **KERNEL)
 def dfp_linearisation(system, t, q, v):
-    """Accelerations, ∂a/∂q and ∂a/∂v (5 rows each) and ∂a/∂t, analytically."""
+    """Accelerations, ∂a/∂q and ∂a/∂v (5 rows each) and ∂a/∂t, in closed form."""
     at = vertices(system, q, v)
     r_x, r_z, omega = at.r_x, at.r_z, v[2]
     f_u, f_w, fu_u, fu_w, fu_du, fu_dw, fw_u, fw_w, fw_du, fw_dw = vertex_jacobian(at.u, at.w, at.du, at.dw, at.plate)
-    # Force on the slider by position (x, z, θ) of the slider and by its rates.
+    # Derivatives of the force on the slider by its position (x, z, θ) and velocity.
     f_x, f_z = f_u, at.up * f_w
     x_x, x_z, z_x, z_z = fu_u, at.up * fu_w, at.up * fw_u, fw_w
     x_vx, x_vz, z_vx, z_vz = fu_du, at.up * fu_dw, at.up * fw_du, fw_dw
@@ -297,7 +297,7 @@ def _linearisation(problem, t, q, v):
 
 @njit(forceinline=True, **KERNEL)
 def energy_of(system, t, q, v, force):
-    """As `energy`, from the forces on the vertices."""
+    """As `energy`, from known forces on the vertices."""
     m, M = system.slider_mass, system.plate_mass
     stored = 0.5 * m * (v[0] * v[0] + v[1] * v[1]) + 0.5 * system.slider_inertia * v[2] * v[2]
     stored += 0.5 * M * (v[3] * v[3] + v[4] * v[4]) + GRAVITY * (m * q[1] + M * q[4])
@@ -308,6 +308,6 @@ def energy_of(system, t, q, v, force):
 
 @njit(cache=True, **KERNEL)
 def energy(system, t, q, v):
-    """Stored energy [J], dissipated power and the ground motion's power [W] at a state; an `Energy`."""
+    """The `Energy` at a state: stored energy [J], dissipated power and the ground motion's power [W]."""
     at = vertices(system, q, v)
     return energy_of(system, t, q, v, vertex_force(at.u, at.w, at.du, at.dw, at.plate))

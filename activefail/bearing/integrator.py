@@ -1,14 +1,14 @@
 """Error-controlled Rosenbrock methods for stiff second-order systems q'' = a(t, q, q').
 
-A method is a table of coefficients, a `Tableau`; `step_of` compiles its step. `advance` uses RODAS. A velocity stage
-eliminates its position stage: a system of n coordinates costs one n x n factorisation a step instead of 2n x 2n.
+A method is a table of coefficients, a `Tableau`; `step_of` compiles its step. `advance` uses RODAS. Each stage
+eliminates its positions, so that n coordinates cost one n x n factorisation per step instead of 2n x 2n.
 
-Coordinates are tuples of n numbers (`tuples`), so that a step lives in registers.
+Coordinates are tuples of n numbers (`tuples`), so that a step stays in registers.
 
-A problem is a NamedTuple of numbers. It says what it computes by overloading `acceleration` and `linearisation` for its
-type (numba.extending.overload): compiled code then calls them without indirection, and the compiled result is cached
-on disk, which numba does not do for functions that are passed as arguments. (The type of a problem goes into the
-index of that cache. One from a script or a test must be kept out of it: other processes cannot import it.)
+A problem is a NamedTuple of numbers. It defines its equations by overloading `acceleration` and `linearisation` for its
+type (numba.extending.overload). Compiled code then calls them directly, and numba caches the result on disk, which it
+does not do for functions passed as arguments. (The index of that cache contains the problem's type. A type from a
+script or a test must be kept out of it, because other processes cannot import it.)
 """
 
 import math
@@ -34,12 +34,12 @@ Vector = tuple[float, ...]
 
 
 def acceleration(problem, t, q, v):
-    """a(t, q, v), a vector; to be overloaded for each problem."""
+    """a(t, q, v), a vector; overloaded for each problem."""
     raise NotImplementedError
 
 
 def linearisation(problem, t, q, v):
-    """a, ∂a/∂q, ∂a/∂v and ∂a/∂t at (t, q, v): vector, two matrices, vector; to be overloaded for each problem."""
+    """a, ∂a/∂q, ∂a/∂v and ∂a/∂t at (t, q, v): vector, two matrices, vector; overloaded for each problem."""
     raise NotImplementedError
 
 
@@ -111,19 +111,19 @@ ACCEPTED, TOO_MANY_STEPS, STEP_UNDERFLOW = 0, 1, 2
 
 
 class Control(NamedTuple):
-    """How an integration is controlled."""
+    """Parameters of the error control."""
 
     tolerance: float  # relative error per step
     scale_q: Vector  # magnitudes of q and v below which errors are absolute
     scale_v: Vector
-    most: int  # bound on the attempts of the whole integration
+    most: int  # most attempts in the whole integration
 
 
 class State(NamedTuple):
-    """Where an integration is, and what it took."""
+    """The state of an integration, with its counters."""
 
     t: float  # end of the last accepted step
-    step: float  # to try next
+    step: float  # next step to try
     q: Vector
     v: Vector
     attempts: int
@@ -133,12 +133,12 @@ class State(NamedTuple):
 
 @njit(cache=True)
 def start(t, step, q, v):
-    """The state at a start, with the step to try first."""
+    """The initial state, with the first step to try."""
     return State(t, step, q, v, 0, 0, 0)
 
 
 class Trial(NamedTuple):
-    """The end of a step that was attempted, the estimate of its error, and its middle."""
+    """The end of an attempted step, its error estimate, and its midpoint."""
 
     q: Vector
     v: Vector
@@ -153,14 +153,14 @@ INLINE = {"forceinline": True, **KERNEL}
 
 @njit(**INLINE)
 def _solve_stage(gamma_step, by_q, factors, lead, right):
-    """Solve a stage for its (u_q, u_v) by eliminating u_q."""
+    """The (u_q, u_v) of a stage, by elimination of u_q."""
     pull = axpy(gamma_step, product(by_q, lead), right)
     u_v = solve(factors, scaled(gamma_step, pull))
     return scaled(gamma_step, axpy(1.0, lead, u_v)), u_v
 
 
 def _first_stage(d):
-    """Compiled: the first stage, which is taken at the step's start, as tuples of its u_q and of its u_v."""
+    """Compile the first stage, at the start of the step: tuples of its u_q and of its u_v."""
 
     @njit(**INLINE)
     def stages(problem, t, q, v, slope, step, gamma_step, factors):
@@ -172,7 +172,7 @@ def _first_stage(d):
 
 
 def _then_stage(before, A, C, c, d):
-    """Compiled: the stages `before` and one more, as tuples of their u_q and of their u_v."""
+    """Compile the stages `before` and one more: tuples of their u_q and of their u_v."""
 
     @njit(**INLINE)
     def stages(problem, t, q, v, slope, step, gamma_step, factors):
@@ -199,7 +199,7 @@ def step_of(tableau):
         stages = _then_stage(stages, A, C, c, d)
     gamma, b, middle = tableau.gamma, tableau.b, tableau.middle
     dense = len(middle)
-    # An error of the last stages alone costs no products with zeros.
+    # Skip the leading zeros of the error weights.
     first = next(j for j, weight in enumerate(tableau.error) if weight)
     error = tableau.error[first:]
 
@@ -219,24 +219,24 @@ def step_of(tableau):
 
 
 def root_of(degree):
-    """Compile the root of a degree."""
+    """Compile the root of the given degree."""
     if degree == 4:
-        # Faster than a power.
+        # Two square roots are faster than a power.
         return njit(**INLINE)(lambda x: math.sqrt(math.sqrt(x)))
     return njit(**INLINE)(lambda x: x ** (1.0 / degree))
 
 
 attempt, error_root = step_of(RODAS), root_of(RODAS.error_order + 1)
 EVALUATIONS = len(RODAS.c) - 1
-"""Of the acceleration in an attempt; the first stage takes it from the linearisation."""
+"""Evaluations of the acceleration per attempt; the first stage takes it from the linearisation."""
 
 
 @njit(cache=True, **KERNEL)
 def advance(problem, state, control, longest):
     """Make one accepted step of at most `longest` [s], retrying with shorter ones.
 
-    Returns a status, the state at the step's end and, half way through the step, the coordinates and velocities. The
-    state is the one before, apart from what was counted, unless the step was accepted.
+    Returns a status, the state at the step's end, and the coordinates and velocities at its midpoint. If no step is
+    accepted, the state keeps its values except the counters.
     """
     t, q, v = state.t, state.q, state.v
     slope = linearisation(problem, t, q, v)
@@ -257,7 +257,7 @@ def advance(problem, state, control, longest):
         squares = error_sum(trial.error_q, q, trial.q, control.scale_q)
         squares += error_sum(trial.error_v, v, trial.v, control.scale_v)
         error = math.sqrt(squares / (2 * len(q))) / control.tolerance
-        # The safety factor is 0.8 for the customary 0.9, and growth threefold at most: fewer steps are rejected where a
+        # With a safety factor of 0.8, not the usual 0.9, and at most threefold growth, fewer steps are rejected where a
         # contact begins.
         factor = min(3.0, max(0.2, 0.8 / error_root(error))) if math.isfinite(error) else 0.1
         if error <= 1.0:

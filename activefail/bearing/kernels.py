@@ -1,4 +1,4 @@
-"""The compiled kernels: how they are compiled, and which sources those on disk belong to."""
+"""The compiled kernels: their compiler options, and checks of cached kernels against the sources."""
 
 import hashlib
 from contextlib import suppress
@@ -6,22 +6,22 @@ from pathlib import Path
 from typing import Any
 
 KERNEL: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
-"""Options of every kernel: a division by zero gives infinity; a product and a sum may be rounded once instead of twice.
+"""Options of every kernel: division by zero gives infinity; a product and a sum may be fused, with one rounding.
 
-A result then depends on the processor's kind, as it does through the exponential already, but on nothing else.
+Results then depend on the processor type, as they already do through the exponential, but on nothing else.
 """
 
 _PACKAGE = Path(__file__).parent
 
 
 def remove_stale_kernels(package: Path = _PACKAGE) -> int:
-    """Delete every compiled kernel of a package when one of its sources is newer than the oldest; how many went.
+    """Delete all compiled kernels of a package if a source is newer than the oldest one; returns the number deleted.
 
-    numba looks at a kernel's own file, not at those of the functions that it calls: after a change in one of them it
-    would go on with the old physics.
+    numba checks only a kernel's own file, not those of the functions that it calls: after a change in one of these it
+    would continue to use the old code.
     """
     removed = 0
-    # A package that cannot be written to was not edited in place either.
+    # A read-only package was not edited in place.
     with suppress(OSError):
         compiled = [*(package / "__pycache__").glob("*.nbi"), *(package / "__pycache__").glob("*.nbc")]
         built = [index.stat().st_mtime for index in compiled if index.suffix == ".nbi"]
@@ -33,7 +33,7 @@ def remove_stale_kernels(package: Path = _PACKAGE) -> int:
 
 
 def sources_digest(package: Path = _PACKAGE) -> str:
-    """SHA-256 over the package's sources: what tells one version of the physics from another."""
+    """SHA-256 of the package's sources, which identifies the version of the physics."""
     digest = hashlib.sha256()
     for source in sorted(package.glob("*.py")):
         digest.update(source.name.encode() + b"\0" + source.read_bytes())

@@ -1,7 +1,7 @@
-"""Four numbers side by side, one for each vertex of the slider: compiled code does with all four what it does with one.
+"""Lanes: vectors of four numbers, one for each vertex of the slider, which compiled code processes at once.
 
-Roots and divisions are most of a contact's cost, and the processor takes four of them in the time of one. The functions
-here mean the same for plain numbers, so that a law of contact is written once, for one vertex and for four.
+Roots and divisions dominate the cost of a contact, and the processor computes four of them in the time of one. The
+functions here also accept plain numbers, so that a contact law is written once, for one vertex and for four.
 """
 
 import math
@@ -30,7 +30,7 @@ class _LanesType(types.Type):
 
 LANES = _LanesType()
 Lanes = Any
-"""What annotations say; outside compiled code there are none."""
+"""For annotations; lanes exist only in compiled code."""
 
 
 @register_model(_LanesType)
@@ -40,22 +40,22 @@ class _LanesModel(PrimitiveModel):
 
 
 def sqrt(x):
-    """√x; of a negative number anything."""
+    """√x; undefined for a negative number."""
     raise NotImplementedError
 
 
 def positive(x):
-    """x where it is positive, else 0."""
+    """x where x is positive, else 0."""
     raise NotImplementedError
 
 
 def where(test, x):
-    """x where the test is positive, else 0."""
+    """x where `test` is positive, else 0."""
     raise NotImplementedError
 
 
 def any_positive(x):
-    """Whether x, or one of its lanes, is positive."""
+    """Whether x, or any of its lanes, is positive."""
     raise NotImplementedError
 
 
@@ -89,7 +89,7 @@ def numbers(typing_context, x):
 
 
 def _elementwise(combine):
-    """An intrinsic of lanes and lanes or numbers, from the instruction that `combine` builds."""
+    """A binary intrinsic of lanes, or lanes and a number, from the instruction that `combine` builds."""
 
     @intrinsic
     def operation(typing_context, x, y):

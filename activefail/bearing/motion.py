@@ -1,4 +1,4 @@
-"""The motion of one simulated bearing between the solver's steps, and what is said of it in words."""
+"""The continuous motion of one simulated bearing, and its description in text."""
 
 import math
 
@@ -16,14 +16,14 @@ from activefail.errors import InputError
 from activefail.space import Array
 
 LONGEST_STEP = 0.01
-"""Longer steps of a history are divided for smooth lines [s]."""
+"""Longest interval of `Motion.fine_times` [s]; longer steps are divided for smooth lines."""
 
 
 @njit(cache=True, error_model="numpy")
 def _watch(system, q, v, gaps, rims):
-    """Confinement gap [m] and normal rim force [N] along a motion.
+    """Compute confinement gaps [m] and normal rim forces [N] along a motion.
 
-    q, v: (n, 5); gaps, rims: (n, 2), written; column 0 the bottom plate, column 1 the top plate.
+    q, v: (n, 5); gaps, rims: (n, 2), outputs; column 0 is the bottom plate, column 1 the top plate.
     """
     for row in range(len(q)):
         for side in range(2):
@@ -40,10 +40,10 @@ def _watch(system, q, v, gaps, rims):
 
 
 class Motion:
-    """A response as a continuous motion: cubic Hermite through the accepted steps, of q with v and of v with a.
+    """A response as a continuous motion: cubic Hermite splines through the accepted steps, of q with v and v with a.
 
     Raises:
-        InputError: if the response has fewer than two steps, which a simulation that gave up at once has.
+        InputError: if the response has fewer than two steps, because the simulation was abandoned at its start.
     """
 
     def __init__(self, response: Response) -> None:
@@ -52,7 +52,7 @@ class Motion:
                 f"There is no motion to draw: the simulation ended at its start ("
                 f"{response.outcome_name}, {response.cause_name})."
             )
-        # A last step may be cut to almost nothing, over which the spline's coefficients overflow.
+        # The last step may be so short that the spline's coefficients overflow.
         keep = np.append(np.diff(response.t) > 1e-9, True)
         self.response = response
         self.system: System = system(response.bearing, response.pulse, response.model)
@@ -67,12 +67,12 @@ class Motion:
 
     @property
     def end(self) -> float:
-        """Time of the last step [s]; the failure's, where there is one."""
+        """Time of the last step [s]; the time of failure, if any."""
         return float(self.steps[-1])
 
     @property
     def stirs(self) -> float:
-        """A little before the top plate first moves by a hundredth of the capacity [s]; the start if it never does."""
+        """Time shortly before the top plate first moves by 1 % of the capacity [s]; the start if it never does."""
         moved = np.abs(self.response.q[:, 3]) > 0.01 * self.response.bearing.displacement_capacity
         if not moved.any():
             return self.start
@@ -80,7 +80,7 @@ class Motion:
         return max(self.start, first - max(0.1, 0.05 * (self.end - first)))
 
     def position(self, t: Array | float) -> Array:
-        """Coordinates at times t of shape S [s], shape S x 5; beyond its ends the motion stands still."""
+        """Coordinates at times t of shape S [s], shape S x 5; constant before the start and after the end."""
         q: Array = self._q(np.clip(t, self.start, self.end))
         return q
 
@@ -90,7 +90,7 @@ class Motion:
         return v
 
     def fine_times(self) -> Array:
-        """The accepted steps, those longer than `LONGEST_STEP` divided evenly."""
+        """Times of the accepted steps, with steps longer than `LONGEST_STEP` divided evenly."""
         parts = np.maximum(np.ceil(np.diff(self.steps) / LONGEST_STEP).astype(np.int64), 1)
         first, length = np.repeat(self.steps[:-1], parts), np.repeat(np.diff(self.steps) / parts, parts)
         within = np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)
@@ -110,14 +110,14 @@ class Motion:
     def force_ratio(self, t: Array) -> Array:
         """Horizontal force of the slider on the top plate / M g, (ẍ_t + ü_g)/g, at times t, shape (n,) [-].
 
-        Linear between the accepted steps: the force of stiff contacts at an interpolated position would be noise.
+        Linear between the accepted steps, because the force of stiff contacts at interpolated positions is noise.
         """
         accepted = (self.response.a[:, 3] + self.ground(self.response.t)) / GRAVITY
         return np.interp(t, self.response.t, accepted)
 
 
 def describe_outcome(response: Response) -> str:
-    """What happened, in a sentence."""
+    """The outcome in a sentence."""
     margins = response.margins
     cause = response.cause_name.replace("_", " ")
     match response.outcome:
@@ -158,15 +158,13 @@ def describe_design(response: Response) -> str:
 
 
 def response_lines(response: Response) -> list[str]:
-    """The outcome of a simulated bearing, and what decided it, in lines for a terminal."""
+    """The outcome of a simulated bearing and its margins, as lines for a terminal."""
     margins, statistics = response.margins, response.statistics
     lines = [f"outcome    {response.outcome_name}{f' ({response.cause_name})' if response.cause_name else ''}"]
     if response.cause_name == "failure_without_rim_touch":
-        lines.append(
-            "           the slider failed before it touched a rim, which is none of the outcomes; are the units right?"
-        )
+        lines.append("           the slider failed before it touched a rim, which is not an outcome; check the units")
     elif response.outcome_name == "numerical_failure":
-        lines.append("           the integration gave up; this says nothing about the bearing")
+        lines.append("           the integration was abandoned; this says nothing about the bearing")
     rows = [
         ("x / D_tot", f"{margins.peak_displacement_ratio:.3f}", "peak displacement over the capacity"),
         ("F_rim / Mg", f"{margins.peak_rim_force_ratio:.3f}", "peak rim force over the weight"),
@@ -192,12 +190,12 @@ def minus(number: str) -> str:
 
 
 def seconds(time: float) -> str:
-    """A time of the motion, as it stands in a text."""
+    """A time of the motion, as text."""
     return minus(f"t = {time:.3f} s")
 
 
 def instants(response: Response) -> dict[str, float]:
-    """Four moments worth a look, by name, in the order of time [s]."""
+    """Characteristic times of the motion by name, in chronological order [s]."""
     motion, margins = Motion(response), response.margins
     chosen = {"at rest": motion.start}
     touch = margins.first_touch_time

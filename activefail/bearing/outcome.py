@@ -1,4 +1,4 @@
-"""The events of a motion, its three outcomes, and the margins that go with an outcome."""
+"""The events of a motion, its three outcomes, and their margins."""
 
 import math
 from typing import NamedTuple
@@ -15,7 +15,7 @@ NUMERICAL_FAILURE = -1
 OUTCOMES = ("no_impact", "impact", "failure")
 """Names of the outcomes 0, 1, 2, least severe first."""
 OUTCOME_NAMES = (*OUTCOMES, "numerical_failure")
-"""Names of all outcomes by index; that of a numerical failure, -1, is the last."""
+"""Names of all outcomes by index; a numerical failure, -1, is the last."""
 
 NONE, ESCAPE, LOSS_OF_CONFINEMENT, OVERTURNING, STEPS, UNDERFLOW, NOT_FINITE, NO_TOUCH = range(8)
 CAUSES = (
@@ -28,43 +28,43 @@ CAUSES = (
     "not_finite",
     "failure_without_rim_touch",
 )
-"""Why a bearing failed (1 to 3, in the order in which they are looked for) or an integration gave up (4 to 7)."""
+"""Why a bearing failed (1 to 3, in the order of the checks) or a simulation was abandoned (4 to 7)."""
 
 
 class Margins(NamedTuple):
-    """Limit-state margins of a simulation and what was observed of its motion; peaks are those until the run ended."""
+    """Limit-state margins and other observations of a simulation; peaks are those until its end."""
 
     first_touch_time: float  # first rim touch, after the pulse's centre [s]; NaN without one
-    first_touch_velocity: float  # of the vertex against the rim, approaching [m/s]; NaN without one
+    first_touch_velocity: float  # approach velocity of the vertex at the rim [m/s]; NaN without one
     peak_displacement_ratio: float  # peak |x_t| / D_tot [-]
     peak_rim_force_ratio: float  # largest normal force on the rim of one plate / M g [-]
     peak_gap_ratio: float  # largest confinement gap / h_rim [-]; loss of confinement above 1
     peak_tilt: float  # largest |theta| [rad]
-    failure_time: float  # after the pulse's centre [s]; NaN without failure
-    end_time: float  # of the integration [s]
+    failure_time: float  # time of failure, after the pulse's centre [s]; NaN without failure
+    end_time: float  # end of the integration [s]
 
 
 class Statistics(NamedTuple):
-    """What the solver took, and how well the energy balances."""
+    """Cost of the solution, and its energy error."""
 
     energy_error: float  # largest imbalance over the larger of peak |work in| and M g * 1 mm [-]
     steps: int  # attempted steps
     rejected_steps: int
-    evaluations: int  # of the equations of motion
+    evaluations: int  # evaluations of the equations of motion
 
 
 COLUMNS = (*Margins._fields, *Statistics._fields)
-"""Names of the columns that a table or a record keeps of a simulation besides its outcome and cause."""
+"""Names of a simulation's columns in tables and records besides outcome and cause."""
 
 
 class Observation(NamedTuple):
-    """The event functions at an instant; a rim is touched where `touch` is positive; see `failure_cause`."""
+    """The event functions at an instant; a rim is touched if `touch` is positive; see `failure_cause`."""
 
     touch: float  # deepest rim penetration of a vertex below the top of its rim [m]
-    touch_velocity: float  # of that vertex, towards the rim [m/s]
+    touch_velocity: float  # velocity of that vertex towards the rim [m/s]
     rim_force: float  # larger of the two plates' sums of normal rim forces [N]
     confinement_gap: float  # larger of the two plates' smaller vertex gaps [m]
-    escape: float  # how far a vertex is both beyond and above its rim [m]
+    escape: float  # distance by which a vertex is both beyond and above its rim [m]
     tilt: float  # |theta| [rad]
 
 
@@ -86,7 +86,7 @@ def _observation(system, q, at, force):
 
 @njit(cache=True, **KERNEL)
 def observe(system, q, v):
-    """The event functions of a state, an `Observation`."""
+    """The `Observation` of a state."""
     at = vertices(system, q, v)
     return _observation(system, q, at, vertex_force(at.u, at.w, at.du, at.dw, at.plate))
 
@@ -101,9 +101,9 @@ def examine(system, t, q, v):
 
 @njit(cache=True, **KERNEL)
 def crossing(before, after, level):
-    """Where in a step, 0 to 1, a function that goes from `before` to `after` meets `level`, by linear interpolation.
+    """Fraction of a step, 0 to 1, at which a function from `before` to `after` reaches `level`, linearly interpolated.
 
-    1 where it does not, or where it had no finite value before.
+    It is 1 if the function does not reach the level, or `before` is not finite.
     """
     if not (-math.inf < before < level < after):
         return 1.0
@@ -112,7 +112,7 @@ def crossing(before, after, level):
 
 @njit(cache=True, **KERNEL)
 def failure_cause(observation, system, confinement):
-    """The cause of failure that holds at an instant, or NONE."""
+    """The cause of failure at an instant, or NONE."""
     if observation.escape >= 0.0:
         return ESCAPE
     if confinement and observation.confinement_gap > system.rim_height:
@@ -124,7 +124,7 @@ def failure_cause(observation, system, confinement):
 
 @njit(cache=True, **KERNEL)
 def failure_fraction(before, after, cause, system):
-    """Where in a step, 0 to 1, the failure of the given cause happened."""
+    """Fraction of a step, 0 to 1, at which the failure with this cause occurred."""
     if cause == ESCAPE:
         return crossing(before.escape, after.escape, 0.0)
     if cause == LOSS_OF_CONFINEMENT:

@@ -11,10 +11,10 @@ _PEAK = 1.38
 """The paper's rounded peak of |s² − 3|·s·exp(−s²/2); the exact value is 1.380119."""
 
 _ROOT = math.sqrt(3.0)
-"""s at which the ground acceleration changes its sign, apart from 0."""
+"""The value of |s|, besides 0, at which the ground acceleration changes sign."""
 
 HALF_DURATION = 1.5
-"""A run begins 1.5 T_p before the pulse's centre and counts it as over 1.5 T_p after: 4·10⁻⁵ of its peak are left."""
+"""The pulse lasts from 1.5 T_p before its centre to 1.5 T_p after, where 4·10⁻⁵ of its peak remain."""
 
 
 @njit(cache=True, **KERNEL)
@@ -36,7 +36,7 @@ def ground_jerk(t, amplitude, period):
 def impulse_to_come(t, amplitude, period):
     """∫ |ü_g| dt from t on [m/s]."""
     s = _SPREAD * t / period
-    # (s² − 1)·exp(−s²/2) is a primitive of −(s² − 3)·s·exp(−s²/2), which changes its sign at 0 and ±√3.
+    # (s² − 1)·exp(−s²/2) is a primitive of −(s² − 3)·s·exp(−s²/2), which changes sign at 0 and ±√3.
     primitive, at_root, at_zero = (s * s - 1.0) * math.exp(-0.5 * s * s), 2.0 * math.exp(-1.5), -1.0
     if s >= _ROOT:
         area = primitive

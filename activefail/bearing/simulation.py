@@ -1,4 +1,4 @@
-"""From a bearing and a pulse to its response, one at a time or a batch of designs on all cores."""
+"""Simulation of bearings under pulses: a single response, or a batch of designs on all cores."""
 
 import math
 import os
@@ -24,36 +24,36 @@ from activefail.errors import InputError
 from activefail.space import Array
 
 FREE_PERIODS = 2.5
-"""A run goes on for this many T_b after the pulse."""
+"""Duration of a run after the pulse, in T_b."""
 
 EVENT_STEP = 0.01
-"""Longest step while a plate has lost the slider or a vertex is on a rim [s]: events are looked for at steps' ends."""
+"""Longest step while a plate has no contact or a vertex is on a rim [s]: events are detected at the ends of steps."""
 
 HISTORY = 1 + 3 * COORDINATES
 """Columns of a history: time, coordinates, velocities, accelerations."""
 
 
 SCALE_Q, SCALE_V = (0.1, 0.1, 0.2, 0.025, 0.025), (1.0, 1.0, 2.0, 0.25, 0.25)
-"""Coordinates [m, rad] and speeds below which errors are absolute: centimetres and the speeds of sliding, not metres.
+"""Coordinates [m, rad] and velocities below which errors are absolute: of the order of sliding motions.
 
-The plate's count four times the slider's, which is light: energy and outcome depend on the plate. A radian of the
-slider moves a vertex by half a metre at the most.
+Errors of the plate weigh four times those of the light slider: energy and outcome depend on the plate. A rotation of
+the slider by one radian moves a vertex by at most half a metre.
 """
 
 
 class Run(NamedTuple):
-    """What the kernel returns for one simulation."""
+    """The kernel's result of one simulation."""
 
     outcome: int
     cause: int
     margins: o.Margins
     statistics: o.Statistics
-    recorded: int  # rows of the history that were written, or would have been
+    recorded: int  # rows of a complete history, which may exceed the rows available
 
 
 @njit(cache=True, **KERNEL)
 def _record(history, row, system, state):
-    """Write a state into a row of the history, if it reaches that far."""
+    """Write a state into a row of the history, if the row exists."""
     if row < history.shape[0]:
         a = acceleration(system, state.t, state.q, state.v)
         history[row, 0] = state.t
@@ -65,9 +65,9 @@ def _record(history, row, system, state):
 
 @njit(cache=True, nogil=True, **KERNEL)
 def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
-    """Integrate one bearing from rest until it fails, its outcome is settled or, `to_the_end`, its time is over.
+    """Integrate one bearing from rest until it fails, its outcome is settled or, with `to_the_end`, its time is over.
 
-    `history`, shape (rows, 16), takes the accepted steps as far as it reaches. Returns a `Run`.
+    The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `Run`.
     """
     t = -HALF_DURATION * system.period
     pulse_end = -t
@@ -77,7 +77,7 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
 
     weight = system.plate_mass * GRAVITY
     levels = barrier(system, confinement)
-    # √(kinetic energy) grows by this times the ground's impulse at most.
+    # √(kinetic energy) increases by at most this factor times the ground's impulse.
     growth = math.sqrt(0.5 * (system.plate_mass + system.slider_mass))
     at_rest, seen_before = o.examine(system, t, state.q, state.v)
     before = at_rest
@@ -91,13 +91,13 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
         rows += 1
         if t >= end:
             break
-        # Settled: after an impact what fails no more; without one what meets no rim any more, once the pulse is over.
+        # The outcome is settled after an impact if failure is impossible, and after the pulse if a rim touch is.
         if (touched or t > pulse_end) and not to_the_end:
             reach = levels.failure if touched else min(levels.touch, levels.failure)
             pushed = growth * impulse_to_come(t, system.amplitude, system.period)
             if math.sqrt(max(0.0, before.stored - levels.least)) + pushed < math.sqrt(reach - levels.least):
                 break
-        # A tenth of the pulse, lest a step strides over it from rest.
+        # At most a tenth of the pulse, so that no step from rest skips it.
         bound = min(longest, 0.1 * system.period) if t < pulse_end else longest
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
@@ -128,7 +128,7 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
         work_in += step / 6.0 * (before.input + 4.0 * halfway.input + after.input)
         dissipated += step / 6.0 * (before.dissipation + 4.0 * halfway.dissipation + after.dissipation)
         peak_work = max(peak_work, abs(work_in))
-        # A vertex that escapes over the rim takes the rim's elastic energy out of the account.
+        # A vertex that escapes over the rim removes the rim's elastic energy from the balance.
         if cause != o.ESCAPE:
             peak_imbalance = max(peak_imbalance, abs(after.stored - at_rest.stored - work_in + dissipated))
         if cause != o.NONE:
@@ -164,7 +164,7 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
 def _simulate(
     bearing: Bearing, pulse: Pulse, model: Model, tolerance: Tolerance, history: Array, to_the_end: bool = False
 ) -> Run:
-    # Periods as in the paper's eq. 2: the plate's own, without the slider's height.
+    # T_b as in the paper's eq. 2, without the slider's height.
     free_time = FREE_PERIODS * 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
     run: Run = _run(
         system(bearing, pulse, model),
@@ -187,8 +187,8 @@ class Response:
     Attributes:
         outcome: 0 no impact, 1 impact, 2 failure, -1 numerical failure.
         cause: index into `activefail.bearing.outcome.CAUSES`.
-        margins: limit-state margins and what was observed of the motion.
-        statistics: of the solver.
+        margins: limit-state margins and other observations of the motion.
+        statistics: statistics of the solver.
         t: (n,) times of the accepted steps, 0 at the pulse's centre [s].
         q: (n, 5) x_s, z_s, theta, x_t, z_t [m, rad].
         v: (n, 5) their velocities [m/s, rad/s].
@@ -214,7 +214,7 @@ class Response:
 
     @property
     def cause_name(self) -> str:
-        """Why the bearing failed or the integration gave up; empty otherwise."""
+        """Why the bearing failed or the simulation was abandoned; empty otherwise."""
         return o.CAUSES[self.cause]
 
 
@@ -270,11 +270,11 @@ def simulate_one(
     """Simulate one bearing under one pulse and keep its motion.
 
     Args:
-        bearing: what is simulated.
+        bearing: the bearing.
         pulse: the ground motion.
         model: settings of the model.
-        tolerance: of the integration.
-        to_the_end: whether to go on, unlike `simulate`, for 2.5 T_b after the pulse although the outcome is settled.
+        tolerance: accuracy of the integration.
+        to_the_end: whether to continue, unlike `simulate`, until 2.5 T_b after the pulse once the outcome is settled.
     """
     model, tolerance = model or Model(), tolerance or Tolerance()
     history = np.empty((4096, HISTORY))
@@ -301,13 +301,13 @@ def simulate_one(
 def _design(row: int, values: list[float], model: Model) -> tuple[Bearing, Pulse]:
     try:
         return Bearing.from_row(values, model.slider_diameter), Pulse.from_table(*values[7:])
-    except InputError as impossible:
-        raise InputError(f"Row {row}: {impossible}") from None
+    except InputError as error:
+        raise InputError(f"Row {row}: {error}") from None
 
 
 @contextmanager
 def _mapping(threads: int) -> Iterator[Callable[..., Iterable[int]]]:
-    """`map` over threads; on the calling thread when there is one only."""
+    """`map` over threads; with one thread, on the calling thread."""
     if threads == 1:
         yield map
         return
@@ -326,22 +326,22 @@ def simulate(
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Responses:
-    """Simulate a batch of designs on all cores; a row's result depends neither on the others nor on the threads.
+    """Simulate a batch of designs on all cores; a row's result depends neither on other rows nor on the threads.
 
-    A run ends with failure, after 2.5 T_b of free motion, or as soon as energy says that its outcome is settled: after
-    an impact when the bearing cannot fail any more, without one when the pulse is over and no rim can be met. The
-    margins are those up to there; a bearing that was hit may yet swing further than its `peak_displacement_ratio`.
+    A run ends at failure, after 2.5 T_b of free motion, or as soon as the energy settles its outcome: after an impact
+    when the bearing can no longer fail, without one when the pulse is over and no rim can be touched. The margins cover
+    the run only: a bearing with an impact may still swing further than its `peak_displacement_ratio`.
 
     Args:
         X: (n, 9) designs: T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g].
         model: settings of the model.
-        tolerance: of the integration.
-        threads: how many to use; all cores when None.
-        progress: called with the number of rows just done, from the calling thread.
+        tolerance: accuracy of the integration.
+        threads: number of threads; None uses all cores.
+        progress: called with the number of newly completed rows, from the calling thread.
 
     Raises:
-        InputError: if X has the wrong shape, an entry breaks a rule (the text names row, column, rule and value) or a
-            row is no bearing that can be built; or if `threads` is not positive.
+        InputError: if X has the wrong shape, an entry breaks a rule (the text names row, column, rule and value), a
+            row's bearing cannot be built, or `threads` is not positive.
     """
     X = check_designs(X)
     model, tolerance = model or Model(), tolerance or Tolerance()
@@ -363,9 +363,9 @@ def simulate(
         return len(rows)
 
     if designs and not _run.signatures:
-        # Compiled before the clock runs, and by one thread.
+        # Compile on one thread, before timing starts.
         _simulate(*designs[0], model, Tolerance(most_steps=1), no_history)
-    # Short calls: a keyboard interrupt waits for the chunks under way only.
+    # Short chunks: a keyboard interrupt waits for the running ones only.
     chunks = [range(first, min(first + 16, n)) for first in range(0, n, 16)]
     with _mapping(threads or os.cpu_count() or 1) as mapped:
         for done in mapped(run, chunks):

@@ -1,8 +1,8 @@
-"""Vectors and matrices as tuples of numbers, of any length: compiled code unrolls them and keeps them in registers.
+"""Vectors and matrices as tuples of numbers of any length, which compiled code unrolls and keeps in registers.
 
-A vector is a tuple of n numbers, a matrix a tuple of n rows. Every operation takes the first element and calls itself
-for the rest; the compiler resolves that by the tuples' types, so that no loop and no memory is left. With arrays the
-integrator's own work takes three times as long.
+A vector is a tuple of n numbers, a matrix a tuple of n rows. Every operation handles the first element and recurses for
+the rest. The compiler resolves the recursion by the tuples' types, so that neither loops nor memory accesses remain.
+With arrays, the integrator's algebra takes three times as long.
 """
 
 from numba.extending import overload
@@ -53,10 +53,10 @@ def axpy_rows(a, X, Y):
 
 
 def factorise(rows):
-    """LU factors of the unit matrix plus a matrix, without pivoting; for `solve`.
+    """LU factors of the identity plus a matrix, without pivoting, for `solve`.
 
-    A tuple: the inverse pivot, the rest of its row divided by it, the factors of the rows below, the factors of what
-    remains of them.
+    A tuple: the inverse pivot, the rest of its row divided by the pivot, the multipliers of the rows below, and the
+    factors of the remaining matrix.
     """
     raise NotImplementedError
 
@@ -132,7 +132,7 @@ def _axpy_rows(a, X, Y):
 
 
 def _eliminated(inverse, top, rows):
-    """The rows below a pivot without its column: factors and remaining rows."""
+    """The multipliers of the rows below a pivot, and the remaining rows without its column."""
     raise NotImplementedError
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from activefail.campaign import settings as config
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
-from activefail.features import ExpressionFeatures, FeatureMap, FeatureSet, OwnFeatures, feature_map
+from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, FeatureSet, feature_map
 from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
 from activefail.simulators.bearing import DfpSimulator
@@ -133,14 +133,14 @@ def _simulator(
 
 def _features(
     settings: CampaignSettings, code: Path | None, run: Path | None, custom: bool
-) -> tuple[FeatureSet | OwnFeatures | ExpressionFeatures, dict[str, str]]:
+) -> tuple[FeatureSet | CustomFeatures | ExpressionFeatures, dict[str, str]]:
     """The features that settings name, and the digest of their source where that is the user's."""
     match settings.classifier.features:
         case config.PythonFeatures() if not custom:
             return "design", {}
         case config.PythonFeatures() as named:
             function, source = load_function(named.python, code, FEATURES_KEY, run)
-            return OwnFeatures(named.python.partition(":")[2], function, named.variables), {FEATURES_KEY: source}
+            return CustomFeatures(named.python.partition(":")[2], function, named.variables), {FEATURES_KEY: source}
         case config.ExpressionFeatures() as named:
             return ExpressionFeatures(named.expressions, named.variables), {}
         case named:

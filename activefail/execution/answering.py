@@ -1,4 +1,4 @@
-"""One simulator's answers to a few designs, as the record holds them; what fails costs itself alone."""
+"""A simulator's results for a few designs, checked for the record; a failure affects its own design only."""
 
 import numpy as np
 
@@ -17,14 +17,14 @@ from activefail.space import Array
 from activefail.visible import visible
 
 LONGEST_MESSAGE = 2000
-"""Characters of a simulator's message that activefail repeats."""
+"""Characters of a simulator's message that activefail quotes."""
 
 
 def answer(simulator: Simulator, X: Array) -> tuple[Results, str]:
-    """A simulator's answers to designs, (n, d), and why the first one without an answer failed; "" if none failed.
+    """A simulator's results for designs, (n, d), and why the first failed simulation failed; "" if none failed.
 
     Raises:
-        ActivefailError: if the simulator raised one, on purpose.
+        ActivefailError: if the simulator raised one.
     """
     try:
         return _usable(simulator, X, simulator.run(X))
@@ -33,13 +33,13 @@ def answer(simulator: Simulator, X: Array) -> tuple[Results, str]:
     except Exception as error:
         if len(X) == 1:
             return unanswered(simulator, 1, _cause(error)), _description_of(X[0], error)
-    # One row at a time: one bad design must not cost those beside it.
+    # One row at a time: a bad design must not fail the others.
     parts = [answer(simulator, X[row : row + 1]) for row in range(len(X))]
     return Results.concatenate([results for results, _ in parts]), next((fault for _, fault in parts if fault), "")
 
 
 def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, str]:
-    """Results as the record holds them; rows without an outcome that has a name are numerical failures."""
+    """Results in the record's types; rows with an invalid outcome, cause or time become numerical failures."""
     n, k = len(X), len(simulator.margins)
     if not isinstance(results, Results):
         raise UnusableAnswerError(f"the simulator must return Results, got {type(results).__name__}")
@@ -52,7 +52,7 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, 
         )
     except (TypeError, ValueError) as error:
         raise UnusableAnswerError(f"the answers must be numbers: {error}") from error
-    # Comparisons with NaN are false, so that NaN is no outcome either.
+    # Comparisons with NaN are false, so NaN is rejected too.
     has_outcome = (outcome >= NUMERICAL_FAILURE) & (outcome < len(simulator.outcomes)) & (outcome % 1 == 0)
     has_cause = (cause >= 0) & (cause < len(simulator.causes)) & (cause % 1 == 0)
     timed = (seconds >= 0) & (seconds < np.inf)
@@ -68,7 +68,7 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, 
     usable = Results(
         np.where(good, outcome, NUMERICAL_FAILURE).astype(np.int8),
         np.where(good, cause, UNUSABLE_ANSWER).astype(np.int8),
-        # Bit for bit where it is float64 already.
+        # float64 margins keep their bits.
         np.where(good[:, None], margins, np.nan),
         np.where(timed, seconds, 0.0),
     )
@@ -76,7 +76,7 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, 
 
 
 def shown_fault(fault: str) -> str:
-    """A fault as messages show it: a simulator may say anything, at any length."""
+    """A fault for messages, made visible and cut: a simulator's text may be anything, of any length."""
     return visible(fault[:LONGEST_MESSAGE])
 
 

@@ -19,34 +19,34 @@ if TYPE_CHECKING:
     from distributed import Future
 
     _Answer = tuple[Results, str] | BaseException
-    _Came = SimpleQueue[tuple[int, str, _Answer]]
+    _Arrivals = SimpleQueue[tuple[int, str, _Answer]]
 
 Versions = Callable[[], Mapping[str, str]]
-_Told = tuple[tuple[str, str], ...]
+_Expected = tuple[tuple[str, str], ...]
 
 _CONNECT = 10.0
 """Seconds in which a scheduler must answer."""
 
 _LOOK = 0.5
-"""Seconds between two looks at whether the scheduler is still there."""
+"""Seconds between checks that the scheduler is reachable."""
 
 
 class DaskExecutor:
     """Simulates on the workers of a Dask scheduler, which need the same activefail and libraries.
 
-    A compiled simulator runs in the threads of a worker. Any other runs in a process of its own beside the worker's
-    thread, as it does on this machine, so that one that dies or hangs costs one simulation and not the worker. A design
-    whose worker is lost is given to another one by Dask, and given up where it has cost several.
+    A compiled simulator runs in the threads of a worker. Any other runs in a process beside the worker's thread, as on
+    this machine, so that a crash or a hang fails one simulation and not the worker. If a worker is lost, Dask gives its
+    design to another one; a design that has lost several workers is abandoned.
 
     Args:
-        scheduler: its address, like "tcp://head:8786".
-        time_limit: seconds that one simulation may take; for ever if None.
-        tell: is given a line for the user where simulations wait for workers, of which there are none.
-        versions: a function of a module that tells what simulations depend on, by name; a worker on which it tells
-            something else than here is refused. None: no worker is asked.
+        scheduler: its address, such as "tcp://head:8786".
+        time_limit: most seconds per simulation; None means no limit.
+        tell: called with a line for the user when simulations wait because there are no workers.
+        versions: a module-level function that returns the versions on which results depend, by name; a worker with
+            other versions is rejected. None disables the check.
 
     Raises:
-        InputError: if Dask is not installed, or no scheduler answers there.
+        InputError: if Dask is not installed or no scheduler answers at the address.
     """
 
     def __init__(
@@ -62,15 +62,15 @@ class DaskExecutor:
             raise InputError(
                 "--executor dask: needs the package distributed; install it with `pip install 'activefail[cluster]'`."
             ) from None
-        # Its own accounts of a lost connection, tracebacks among them: what matters of them is told by what is raised.
+        # Dask logs lost connections with tracebacks; the exceptions raised here report what matters.
         for name in logging.root.manager.loggerDict:
             if name.split(".")[0] == "distributed":
                 logging.getLogger(name).setLevel(logging.CRITICAL)
-        # Kept though its making fails: it would close itself as Python ends, wait in vain and leave a traceback.
+        # Keep the client even if its constructor fails: closing at interpreter exit would hang and print a traceback.
         self._client = Client.__new__(Client)
         try:
             self._client.__init__(scheduler, timeout=_CONNECT, set_as_default=False, name="activefail")
-        # Whatever: what answers may be no scheduler at all, and its bytes are taken for sizes of arrays.
+        # Any exception: the server may not be a scheduler, and Dask takes its bytes for array sizes.
         except Exception as error:
             with suppress(Exception):
                 self._client.close(timeout=_LOOK)
@@ -80,101 +80,101 @@ class DaskExecutor:
         self._tell = tell
         self._expected = None if versions is None else (versions, tuple(sorted(versions().items())))
         self._waits_for_workers = False
-        self._came: _Came = SimpleQueue()
-        self._out: dict[str, tuple[Future, Simulator, Array]] = {}
+        self._arrivals: _Arrivals = SimpleQueue()
+        self._in_flight: dict[str, tuple[Future, Simulator, Array]] = {}
         self.first_fault = ""
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
         if len(X) == 0:
             return unanswered(simulator, 0)
-        # Not among the answers to single designs, which may be in flight: a rule about the error is looked at then.
-        came: _Came = SimpleQueue()
+        # A separate queue: the stop rule calls this while single designs are in flight.
+        arrivals: _Arrivals = SimpleQueue()
         answers: dict[int, Results] = {}
         for row, x in enumerate(X):
-            self._submit(simulator, row, x, came)
+            self._submit(simulator, row, x, arrivals)
         while len(answers) < len(X):
-            for row, results in self._heard(came, _LOOK):
+            for row, results in self._collect(arrivals, _LOOK):
                 answers[row] = results
                 if progress is not None:
                     progress(1)
         return Results.concatenate([answers[row] for row in range(len(X))])
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
-        """Have a design, (d,), simulated (see AsynchronousExecutor)."""
-        self._submit(simulator, ticket, x, self._came)
+        """Queue a design, (d,), for simulation (see AsynchronousExecutor)."""
+        self._submit(simulator, ticket, x, self._arrivals)
 
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
-        """Tickets and answers that came (see AsynchronousExecutor).
+        """Tickets and results that arrived (see AsynchronousExecutor).
 
         Raises:
-            SimulationError: if the scheduler is lost, or the workers cannot do it at all.
+            SimulationError: if the scheduler is lost or the workers cannot run the simulator.
         """
-        return self._heard(self._came, seconds)
+        return self._collect(self._arrivals, seconds)
 
-    def _submit(self, simulator: Simulator, ticket: int, x: Array, came: "_Came") -> None:
+    def _submit(self, simulator: Simulator, ticket: int, x: Array, arrivals: "_Arrivals") -> None:
         future = self._client.submit(_answer_there, simulator, x[None], self._time_limit, self._expected, pure=False)
-        self._out[future.key] = future, simulator, x
+        self._in_flight[future.key] = future, simulator, x
 
-        async def hear() -> None:
+        async def gather() -> None:
             answer: _Answer
             try:
                 answer = await future
             except (Exception, CancelledError) as error:
                 answer = error
-            came.put((ticket, future.key, answer))
+            arrivals.put((ticket, future.key, answer))
 
-        # Among what the client does beside us: a worker may die with its answer before that is read, and the wait for
-        # another one's must keep nobody from seeing that the scheduler is lost, or from stopping.
-        self._client.loop.add_callback(hear)
+        # On the client's event loop: a worker may die before its answer is read, and waiting for the recomputed one
+        # must not block the checks for a lost scheduler or an interrupt.
+        self._client.loop.add_callback(gather)
 
-    def _heard(self, queue: "_Came", seconds: float) -> list[tuple[int, Results]]:
-        came = []
+    def _collect(self, queue: "_Arrivals", seconds: float) -> list[tuple[int, Results]]:
+        arrivals = []
         with suppress(Empty):
-            came.append(queue.get(timeout=seconds))
+            arrivals.append(queue.get(timeout=seconds))
             while True:
-                came.append(queue.get_nowait())
-        # Not those of status "lost", whose answers died with their workers: Dask has them computed anew.
-        forgotten = any(future.status == "cancelled" for future, _, _ in self._out.values())
-        if forgotten or self._client.status not in ("running", "connecting"):
+                arrivals.append(queue.get_nowait())
+        # Not "lost" futures: Dask recomputes answers that were lost with their workers.
+        cancelled = any(future.status == "cancelled" for future, _, _ in self._in_flight.values())
+        if cancelled or self._client.status not in ("running", "connecting"):
             raise self._lost()
-        if came:
-            # There were workers: should none be left, that is news again.
+        if arrivals:
+            # There were workers, so report it again if none is left.
             self._waits_for_workers = False
         else:
             self._look_for_workers()
-        return [(ticket, self._result(key, answer)) for ticket, key, answer in came]
+        return [(ticket, self._result(key, answer)) for ticket, key, answer in arrivals]
 
     def _look_for_workers(self) -> None:
-        """Tell once that simulations wait for workers, whenever there are none."""
+        """Tell the user, once each time, that simulations wait because there are no workers."""
         waited = self._waits_for_workers
-        with suppress(OSError):  # a scheduler that was lost is seen at the next look, one that hangs asked once more
+        with suppress(OSError):  # the next check detects a lost scheduler and asks a slow one again
             workers = self._client.sync(self._client.scheduler.ncores, callback_timeout=_LOOK)
-            self._waits_for_workers = len(self._out) > 0 and not workers
+            self._waits_for_workers = len(self._in_flight) > 0 and not workers
         if self._waits_for_workers and not waited:
             self._tell(f"waiting for workers at {self._scheduler}")
 
     def _lost(self) -> SimulationError:
         return SimulationError(
-            f"The Dask scheduler at {self._scheduler} was lost, or has forgotten what it was asked for. "
-            f"What was recorded is safe; go on once it is there again."
+            f"The Dask scheduler at {self._scheduler} was lost, or has dropped the simulations in flight. "
+            f"Existing data is intact. Restart the scheduler, then resume."
         )
 
     def _result(self, key: str, answer: "_Answer") -> Results:
         from distributed import KilledWorker
 
-        future, simulator, x = self._out.pop(key)
+        future, simulator, x = self._in_flight.pop(key)
         match answer:
             case KilledWorker():
                 results = unanswered(simulator, 1, WORKER_DIED)
-                fault = f"design {x.tolist()}: the workers that had it were lost: {answer}"
+                fault = f"design {x.tolist()}: its workers were lost: {answer}"
             case ActivefailError():
                 raise answer
             case OSError() | CancelledError() if future.status != "error":
-                # Not the simulation's, which was done, but of the connection by which its answer was to come.
+                # The simulation succeeded, but the connection was lost before its answer arrived.
                 raise self._lost() from answer
             case BaseException():
-                # A worker without activefail or with another version of it.
+                # A worker without activefail or with another version.
                 raise SimulationError(
                     f"The Dask cluster at {self._scheduler} could not answer design {x.tolist()}: "
                     f"{type(answer).__name__}: {' '.join(str(answer).split())} "
@@ -189,43 +189,43 @@ class DaskExecutor:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        # What is running there goes on to its end or its time limit; nobody hears of it.
-        self._client.cancel([future for future, _, _ in self._out.values()], force=True)
+        # Running simulations continue to their end or time limit; their results are discarded.
+        self._client.cancel([future for future, _, _ in self._in_flight.values()], force=True)
         self._client.close(timeout=_CONNECT)
 
 
 @cache
-def _check_versions(versions: Versions, expected: _Told) -> None:
-    """Check, once on each worker, that simulations depend there on what they depend on where they are asked for.
+def _check_versions(versions: Versions, expected: _Expected) -> None:
+    """Check, once on each worker, that it has the versions of the machine that runs the campaign.
 
     Raises:
-        SimulationError: naming what differs.
+        SimulationError: naming the differences.
     """
     there = versions()
-    differs = [
+    differences = [
         f"{name} {there.get(name, 'missing')} there, {here} here" for name, here in expected if there.get(name) != here
     ]
-    if differs:
+    if differences:
         raise SimulationError(
-            f"A worker on {platform.node()} differs from this machine: {'; '.join(differs)}. Its answers would be "
-            f"others; nothing of it was recorded. Give the cluster's workers the versions of this machine, or run "
-            f"activefail with theirs."
+            f"A worker on {platform.node()} differs from this machine: {'; '.join(differences)}. Its results could "
+            f"differ, so none was recorded. Install this machine's versions on the workers, or run activefail with "
+            f"theirs."
         )
 
 
 @cache
 def _guards(time_limit: float | None) -> Guards:
-    """Of a worker: a process beside each of its threads."""
+    """A Dask worker's guards: one process for each of its threads."""
     return Guards(answer, time_limit)
 
 
 def _answer_there(
-    simulator: Simulator, X: Array, time_limit: float | None, expected: tuple[Versions, _Told] | None
+    simulator: Simulator, X: Array, time_limit: float | None, expected: tuple[Versions, _Expected] | None
 ) -> tuple[Results, str]:
-    """What a worker does for a design, (1, d).
+    """Simulate a design, (1, d), on a Dask worker.
 
     Raises:
-        SimulationError: if the worker is another than expected.
+        SimulationError: if the worker's versions are not the expected ones.
     """
     if expected is not None:
         _check_versions(*expected)

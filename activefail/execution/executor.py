@@ -1,8 +1,8 @@
-"""The executor seam: who runs the simulations of a batch, and what a simulation costs that goes wrong.
+"""The executor interface: what runs the simulations of a batch, and how failures are contained.
 
-A simulation that raises, gives no usable answer, kills its worker or takes too long is one numerical failure with a
-cause of its own; the others of its batch keep their answers. Where it ran in a worker process, the machine may be to
-blame, or what earlier simulations did to the process: it is tried once more, in a fresh one, before it is given up.
+A simulation that raises, returns an unusable answer, kills its worker or exceeds its time limit is one numerical
+failure with a cause; the other simulations of the batch keep their results. If it ran in a worker process, the machine
+or earlier simulations in that process may be at fault, so it is repeated once in a fresh process.
 """
 
 from collections.abc import Callable
@@ -18,50 +18,48 @@ from activefail.space import Array
 class Executor(Protocol):
     """Runs the simulations of a batch; a context manager that ends its workers.
 
-    **Order.** Row i of the results answers row i of the designs, whoever computed it and in whatever order the answers
-    came. The results are the simulator's own, bit for bit, but for `seconds`.
+    **Order.** Row i of the results belongs to row i of the designs, whichever worker computed it and whenever it
+    arrived. The results are the simulator's, bit for bit, except for `seconds`.
 
-    **What fails.** A simulation that raises, returns nothing usable, kills its worker, or exceeds its time limit is one
-    numerical failure: outcome NUMERICAL_FAILURE, a cause of EXECUTION_CAUSES, margins NaN. The other simulations of the
-    batch keep their answers, and the executor goes on. An ActivefailError of the simulator is no numerical failure: it
-    reaches the caller.
+    **Failures.** A simulation that raises, returns an unusable answer, kills its worker, or exceeds its time limit is
+    one numerical failure: outcome NUMERICAL_FAILURE, a cause of EXECUTION_CAUSES, margins NaN. The other simulations of
+    the batch keep their results, and the executor continues. An ActivefailError of the simulator is not a numerical
+    failure: it reaches the caller.
 
-    **Threads and processes.** One thread calls an executor, the one that leads the campaign. Where
-    `simulator.releases_gil`, `Simulator.run` is called in threads, several at a time. Otherwise the simulator is
-    pickled to worker processes, and each is given one design at a time; a failure in a process that has simulated
-    before is tried once more in a fresh one.
+    **Threads and processes.** Only the campaign's main thread calls an executor. If `simulator.releases_gil` is true,
+    `Simulator.run` is called in several threads at a time. Otherwise the simulator is pickled to worker processes, and
+    each gets one design at a time; a failure in a process that has simulated before is repeated once in a fresh one.
 
-    **Arrays.** The designs stay the caller's, who leaves them unchanged until they are answered. The results are the
-    caller's.
+    **Arrays.** The caller owns the designs and leaves them unchanged until their results are returned. The caller owns
+    the results.
 
-    **Exceptions.** After an exception the caller leaves the context and uses the executor no more.
+    **Exceptions.** After an exception the caller leaves the context and does not use the executor again.
 
-    **The end.** Leaving the context cancels what has not begun, and ends the worker processes that the executor has
-    started on this machine. What is running in threads is waited for, unless an exception has ended the context. On a
-    cluster it runs to its end or its time limit, and its result is discarded.
+    **Exit.** Leaving the context cancels simulations that have not begun, and ends the worker processes that the
+    executor started on this machine. Simulations in threads are awaited, unless an exception ended the context. On a
+    cluster they run to their end or time limit, and their results are discarded.
     """
 
     @property
     def first_fault(self) -> str:
-        """Why the first simulation that was abandoned here failed, with its design; empty if none was."""
+        """Why the first abandoned simulation failed, with its design; empty if none was abandoned."""
         ...
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs; may be called again, with another simulator too.
 
         Args:
-            simulator: that answers.
-            X: (n, d), n >= 0. No design needs no worker.
-            progress: called in the caller's thread with the number of rows just done, in sum n. What it raises reaches
-                the caller.
+            simulator: the simulator to run.
+            X: (n, d), n >= 0. Without designs no worker is needed.
+            progress: called in the caller's thread with the number of newly completed rows, n in total. Its exceptions
+                reach the caller.
 
         Returns:
             Results of the n designs, in their order.
 
         Raises:
-            SimulationError: if the workers cannot do it at all: they cannot load the simulator, or cannot be started or
-                reached.
-            ActivefailError: what the simulator raised on purpose.
+            SimulationError: if the workers cannot load the simulator, or cannot be started or reached.
+            ActivefailError: if the simulator raised one.
         """
         ...
 
@@ -70,18 +68,18 @@ class Executor(Protocol):
 
 
 class AsynchronousExecutor(Executor, Protocol):
-    """An executor that also runs single simulations, as they are asked for.
+    """An executor that also runs single simulations in the background.
 
-    `run` may be called while single simulations are running. It neither waits for them nor takes their answers.
+    `run` may be called while single simulations are running. It neither waits for them nor takes their results.
     """
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
-        """Have a design, (d,), simulated as soon as a worker is free, in the order of these calls; returns at once.
+        """Queue a design, (d,), for simulation, first in, first out; returns at once.
 
         Args:
-            simulator: that answers.
-            ticket: by which the answer is known; the caller gives no ticket twice.
-            x: the design, which the caller leaves unchanged until it is answered.
+            simulator: the simulator to run.
+            ticket: identifies the result; the caller uses each ticket once.
+            x: the design, which the caller leaves unchanged until its result is returned.
 
         Raises:
             SimulationError: if it cannot be started.
@@ -89,10 +87,9 @@ class AsynchronousExecutor(Executor, Protocol):
         ...
 
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
-        """Tickets and answers, of one design each, that came since the last call, in the order of their arrival.
+        """Tickets and results, one design each, that arrived since the last call, in order of arrival.
 
-        Each ticket comes once. Waits up to so many seconds for the first answer, and returns an empty list where none
-        came.
+        Each ticket is returned once. Waits up to `seconds` for the first result; the list is empty if none arrives.
 
         Raises:
             SimulationError, ActivefailError: as `run` does.

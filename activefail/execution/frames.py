@@ -1,9 +1,8 @@
-"""What worker processes answer: checked frames of plain data, which are never executed where they are read.
+"""The frames in which worker processes answer: checked, plain data that the reader never executes.
 
-A worker runs the user's code, which can reach whatever the process holds: it may fork and return twice, write to
-descriptors that are not its own, or leave a process behind that still answers. A frame therefore says which question it
-answers, and which process answers it, under a checksum with a key that only the worker and its parent have. Whatever
-else comes is no answer, and its sender is not asked again.
+A worker runs the user's code, which can reach everything in its process: it may fork and return twice, write to any
+descriptor, or leave a process behind that still answers. A frame therefore names its question and its process, under a
+checksum with a key known only to the worker and its parent. Anything else is rejected, and its sender is replaced.
 """
 
 import hmac
@@ -23,10 +22,10 @@ SECRET = 32
 """Bytes of the key that a worker and its parent share."""
 
 QUESTION = struct.Struct("<16sBQ")
-"""What precedes the content of a question: ticket, QuestionKind, length of the content."""
+"""The header of a question: ticket, QuestionKind, length of the content."""
 
 MOST_TEXT = 1 << 14
-"""Most bytes of a text in a frame; longer ones are cut."""
+"""Most bytes of a text in a frame; a longer text is cut."""
 
 _MAGIC = b"AFframe1"
 _HEAD = struct.Struct("<8s16s32sIBI")
@@ -34,76 +33,76 @@ _HEAD = struct.Struct("<8s16s32sIBI")
 
 _DIGEST = 32
 _ANSWER = struct.Struct("<bbd")
-"""Outcome, cause, seconds; then the margins as float64, and what went wrong as UTF-8."""
+"""Outcome, cause, seconds; then the margins as float64, and the fault as UTF-8."""
 
 _ERRORS = {error.__name__: error for error in (ActivefailError, InputError, StoreError, BusyError, SimulationError)}
 """The errors that a worker can report by name."""
 
 _SENDER = struct.Struct("=3i")
-"""What Linux says of the sender of a message: process, user, group."""
+"""Linux's credentials of a message's sender: process, user, group."""
 
 _KERNEL_KNOWS = hasattr(socket, "SO_PASSCRED")
-"""Whether the kernel says which process sent a message, which only a privileged process can forge (Linux)."""
+"""Whether the kernel reports a message's sender, which only a privileged process can forge (Linux)."""
 
 
 class BrokenFrameError(Exception):
-    """Bytes that are no answer to what was asked."""
+    """The received bytes are not a valid answer to the question."""
 
 
 class QuestionKind(IntEnum):
-    """What a question asks for."""
+    """What a question requests."""
 
     GREETING, SIMULATOR, DESIGN = range(3)
 
 
 class FrameKind(IntEnum):
-    """What a frame says: done; the answer to a design; an error of activefail's own; that nothing could be loaded."""
+    """What a frame reports: done; a result; an ActivefailError; a simulator that cannot be loaded."""
 
     READY, ANSWERED, REFUSED, UNLOADABLE = range(4)
 
 
 class Question(NamedTuple):
-    """What names a question: a ticket that cannot be guessed, and the digest of its content."""
+    """What identifies a question: an unguessable ticket and the digest of its content."""
 
     ticket: bytes
     digest: bytes
 
     @classmethod
     def about(cls, content: bytes, ticket: bytes = b"") -> "Question":
-        """A question with a content; a new one unless it has a ticket."""
+        """The question with a content; without a ticket, a new one is drawn."""
         return cls(ticket or secrets.token_bytes(16), blake2b(content, digest_size=_DIGEST).digest())
 
 
 class Frame(NamedTuple):
-    """A frame that is whole and right; `more` if other bytes follow it, which nobody asked for."""
+    """A complete, valid frame; `has_trailing` if other bytes follow it, which are invalid."""
 
     kind: FrameKind
     payload: bytes
     process: int
-    more: bool
+    has_trailing: bool
 
 
-def sealed(secret: bytes, question: Question, process: int, kind: FrameKind, payload: bytes = b"") -> bytes:
-    """The frame that answers a question."""
+def encode_frame(secret: bytes, question: Question, process: int, kind: FrameKind, payload: bytes = b"") -> bytes:
+    """The bytes of the frame that answers a question."""
     head = _HEAD.pack(_MAGIC, question.ticket, question.digest, process, kind, len(payload))
     return b"".join((head, _checksum(secret, head, payload), payload))
 
 
-def opened(data: bytes, secret: bytes, question: Question, process: int | None, most: int) -> Frame | None:
-    """The frame at the beginning of what has come so far, if it is complete.
+def decode_frame(data: bytes, secret: bytes, question: Question, process: int | None, most: int) -> Frame | None:
+    """The frame at the beginning of the received bytes, or None while it is incomplete.
 
     Args:
-        data: what has come.
-        secret: of the worker.
-        question: that was asked.
-        process: that must answer; any if None.
-        most: bytes that the payload may have.
+        data: the bytes received so far.
+        secret: key of the worker.
+        question: the question asked.
+        process: the process that must answer; None accepts any.
+        most: most bytes of the payload.
 
     Raises:
-        BrokenFrameError: if this is no answer to the question, or cannot become one.
+        BrokenFrameError: if the bytes are not the beginning of a valid answer to the question.
     """
     if not data.startswith(_MAGIC[: len(data)]):
-        raise BrokenFrameError("it does not begin as a frame does")
+        raise BrokenFrameError("it does not begin like a frame")
     begin = _HEAD.size + _DIGEST
     if len(data) < begin:
         return None
@@ -112,7 +111,7 @@ def opened(data: bytes, secret: bytes, question: Question, process: int | None, 
     if length > most:
         raise BrokenFrameError("it is too long")
     if kind not in list(FrameKind):
-        raise BrokenFrameError("it is of no known kind")
+        raise BrokenFrameError("its kind is unknown")
     if len(data) < begin + length:
         return None
     payload = data[begin : begin + length]
@@ -131,11 +130,11 @@ def _checksum(secret: bytes, head: bytes, payload: bytes) -> bytes:
     return code.digest()
 
 
-# --- what frames hold ---------------------------------------------------------------------------------------------
+# --- payloads -----------------------------------------------------------------------------------------------------
 
 
 def pack_text(text: str) -> bytes:
-    """A text as UTF-8, cut where it is too long."""
+    """A text as UTF-8, cut to MOST_TEXT bytes."""
     return text.encode("utf-8", "backslashreplace")[:MOST_TEXT].decode("utf-8", "ignore").encode()
 
 
@@ -143,7 +142,7 @@ def unpack_text(payload: bytes) -> str:
     """The text of a payload.
 
     Raises:
-        BrokenFrameError: if it is none.
+        BrokenFrameError: if it is not UTF-8.
     """
     try:
         return payload.decode()
@@ -152,7 +151,7 @@ def unpack_text(payload: bytes) -> str:
 
 
 def pack_error(error: ActivefailError) -> bytes:
-    """An error of activefail's own: the nearest class that has a name here, and its text."""
+    """An ActivefailError as its nearest class in `_ERRORS` and its text."""
     name = next(kind.__name__ for kind in type(error).__mro__ if _ERRORS.get(kind.__name__) is kind)
     return pack_text(f"{name} {error}")
 
@@ -161,7 +160,7 @@ def unpack_error(payload: bytes) -> ActivefailError:
     """The error of a payload.
 
     Raises:
-        BrokenFrameError: if it is none.
+        BrokenFrameError: if it names no class of `_ERRORS`.
     """
     name, _, text = unpack_text(payload).partition(" ")
     if name not in _ERRORS:
@@ -170,21 +169,21 @@ def unpack_error(payload: bytes) -> ActivefailError:
 
 
 def longest_answer(simulator: Simulator) -> int:
-    """Bytes that the answer to a design may have."""
+    """Most bytes in the answer to a design."""
     return _ANSWER.size + 8 * len(simulator.margins) + MOST_TEXT
 
 
 def pack_answer(results: Results, fault: str) -> bytes:
-    """The answer to one design, as a record holds it, and what went wrong."""
+    """The result of one design and its fault."""
     numbers = _ANSWER.pack(int(results.outcome[0]), int(results.cause[0]), float(results.seconds[0]))
     return b"".join((numbers, results.margins[0].astype("<f8").tobytes(), pack_text(fault)))
 
 
 def unpack_answer(payload: bytes, simulator: Simulator) -> tuple[Results, str]:
-    """The answer to one design, and what went wrong; "" if nothing did.
+    """The result of one design and its fault; "" without one.
 
     Raises:
-        BrokenFrameError: if it is none that the simulator can give.
+        BrokenFrameError: if the simulator cannot give this answer.
     """
     end = _ANSWER.size + 8 * len(simulator.margins)
     if len(payload) < end:
@@ -196,7 +195,7 @@ def unpack_answer(payload: bytes, simulator: Simulator) -> tuple[Results, str]:
         and 0.0 <= seconds < np.inf
     )
     if not good:
-        raise BrokenFrameError("it holds numbers without a meaning")
+        raise BrokenFrameError("its outcome, cause or time is out of range")
     margins = np.frombuffer(payload, "<f8", len(simulator.margins), _ANSWER.size)
     results = Results(
         np.array([outcome], dtype=np.int8),
@@ -207,22 +206,22 @@ def unpack_answer(payload: bytes, simulator: Simulator) -> tuple[Results, str]:
     return results, unpack_text(payload[end:])
 
 
-# --- who sent them ------------------------------------------------------------------------------------------------
+# --- senders ------------------------------------------------------------------------------------------------------
 
 
-def ask_for_senders(connection: socket.socket) -> None:
-    """Have the kernel say which process sends what is read from a connection, where it can."""
+def request_senders(connection: socket.socket) -> None:
+    """Ask the kernel to report the sender of each message on a connection, if it can."""
     if _KERNEL_KNOWS:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
 
 
-def received(connection: socket.socket, most: int = 1 << 16) -> tuple[bytes, int | None]:
-    """What has come over a connection, b"" at its end, and the process that sent it; None where no kernel says so."""
+def receive(connection: socket.socket, most: int = 1 << 16) -> tuple[bytes, int | None]:
+    """Bytes from a connection, b"" at its end, and the process that sent them; None if the kernel cannot report it."""
     if not _KERNEL_KNOWS:
         return connection.recv(most), None
-    # Room for nothing else: descriptors that are sent along are closed by the kernel.
-    data, about, _, _ = connection.recvmsg(most, socket.CMSG_SPACE(_SENDER.size))
-    for level, kind, content in about:
+    # No room for descriptors: the kernel closes any that are sent along.
+    data, ancillary, _, _ = connection.recvmsg(most, socket.CMSG_SPACE(_SENDER.size))
+    for level, kind, content in ancillary:
         if (level, kind) == (socket.SOL_SOCKET, socket.SCM_CREDENTIALS) and len(content) == _SENDER.size:
             return data, int(_SENDER.unpack(content)[0])
     return data, 0

@@ -19,16 +19,16 @@ from activefail.simulators.interface import (
 from activefail.space import Array
 
 _ROWS_A_CALL = 16
-"""Most rows of one call: short calls show progress and leave little to wait for on an interrupt."""
+"""Most rows per call: short calls show progress and shorten the wait after an interrupt."""
 
 
 class _LocalExecutor:
-    """Threads of this process that each see to one simulation, or a few, at a time."""
+    """Threads of this process that each handle one or a few simulations at a time."""
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
         self._pool = ThreadPoolExecutor(workers)
-        self._come: SimpleQueue[tuple[int, Future[Results]]] = SimpleQueue()
+        self._done: SimpleQueue[tuple[int, Future[Results]]] = SimpleQueue()
         self._lock = Lock()
         self.first_fault = ""
 
@@ -39,7 +39,7 @@ class _LocalExecutor:
             return unanswered(simulator, 0)
         rows = self._rows(n)
         try:
-            parts = [self._submitted(simulator, X[first : first + rows]) for first in range(0, n, rows)]
+            parts = [self._submit(simulator, X[first : first + rows]) for first in range(0, n, rows)]
             for part in as_completed(parts):
                 done = len(part.result())
                 if progress is not None:
@@ -50,30 +50,30 @@ class _LocalExecutor:
         return Results.concatenate([part.result() for part in parts])
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
-        """Have a design, (d,), simulated (see Executor)."""
-        future = self._submitted(simulator, x[None])
-        future.add_done_callback(lambda done: self._come.put((ticket, done)))
+        """Queue a design, (d,), for simulation (see AsynchronousExecutor)."""
+        future = self._submit(simulator, x[None])
+        future.add_done_callback(lambda done: self._done.put((ticket, done)))
 
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
-        """Tickets and answers that came (see Executor)."""
+        """Tickets and results that arrived (see AsynchronousExecutor)."""
         answers = []
         try:
             with suppress(Empty):
-                answers.append(self._come.get(timeout=seconds))
+                answers.append(self._done.get(timeout=seconds))
                 while True:
-                    answers.append(self._come.get_nowait())
+                    answers.append(self._done.get_nowait())
             return [(ticket, future.result()) for ticket, future in answers]
         except BaseException:
             self._stop()
             raise
 
-    def _submitted(self, simulator: Simulator, X: Array) -> Future[Results]:
+    def _submit(self, simulator: Simulator, X: Array) -> Future[Results]:
         try:
-            return self._pool.submit(self._see_to, simulator, X)
-        except RuntimeError as error:  # the system starts no more threads
-            raise SimulationError(f"A simulation cannot be started: {error}. Fewer --workers may do.") from None
+            return self._pool.submit(self._simulate, simulator, X)
+        except RuntimeError as error:  # the system refuses another thread
+            raise SimulationError(f"A simulation cannot be started: {error}. Try fewer --workers.") from None
 
-    def _see_to(self, simulator: Simulator, X: Array) -> Results:
+    def _simulate(self, simulator: Simulator, X: Array) -> Results:
         results, fault = self._answer(simulator, X)
         if fault:
             with self._lock:
@@ -84,11 +84,11 @@ class _LocalExecutor:
         raise NotImplementedError
 
     def _rows(self, n: int) -> int:
-        """Of n designs, how many are handed to a thread at a time."""
+        """How many of n designs a thread gets at a time."""
         raise NotImplementedError
 
     def _stop(self) -> None:
-        """Begin nothing any more, and wait for nothing."""
+        """Cancel pending simulations, without waiting."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def __enter__(self) -> Self:
@@ -99,14 +99,14 @@ class _LocalExecutor:
 
 
 class ThreadExecutor(_LocalExecutor):
-    """Threads that simulate, for compiled simulators that release the interpreter's lock."""
+    """Threads, for compiled simulators that release the interpreter's lock."""
 
     def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
         return answer(simulator, X)
 
     def __exit__(self, *exception: object) -> None:
-        # A second Ctrl-C may have met one of the pool's own locks, so that a thread waits for ever: after an exception
-        # nobody waits for it, and those that simulate end by themselves.
+        # A second Ctrl-C may leave one of the pool's locks held, so that a thread never ends. After an exception the
+        # threads are therefore not awaited; those that simulate end by themselves.
         self._pool.shutdown(wait=exception[0] is None, cancel_futures=True)
 
     def _rows(self, n: int) -> int:
@@ -116,11 +116,11 @@ class ThreadExecutor(_LocalExecutor):
 class ProcessExecutor(_LocalExecutor):
     """Spawned processes, for simulators that hold the interpreter's lock; the simulator is pickled to them.
 
-    Each is handed one design at a time, so that what befalls it costs one simulation.
+    Each gets one design at a time, so that its death fails one simulation only.
 
     Args:
-        workers: side by side.
-        time_limit: seconds that one simulation may take; for ever if None.
+        workers: number of processes.
+        time_limit: most seconds per simulation; None means no limit.
     """
 
     def __init__(self, workers: int, time_limit: float | None = None) -> None:
@@ -146,10 +146,10 @@ class ProcessExecutor(_LocalExecutor):
 def local_executor(
     simulator: Simulator, workers: int | None = None, time_limit: float | None = None
 ) -> ThreadExecutor | ProcessExecutor:
-    """The executor that suits a simulator on this machine; all cores when `workers` is None.
+    """The executor for a simulator on this machine; `workers=None` uses all cores.
 
     Args:
-        time_limit: seconds that one simulation may take; a compiled simulator bounds its own steps and needs none.
+        time_limit: most seconds per simulation; a compiled simulator limits its own steps and ignores it.
     """
     workers = workers or os.cpu_count() or 1
     return ThreadExecutor(workers) if simulator.releases_gil else ProcessExecutor(workers, time_limit)

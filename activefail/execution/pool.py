@@ -1,4 +1,4 @@
-"""A pool of processes for the parts of a long computation, which can be stopped at any time."""
+"""A pool of processes for the parts of a long computation, with a clean stop at any time."""
 
 import multiprocessing
 import os
@@ -19,29 +19,29 @@ T = TypeVar("T")
 
 
 class ProcessPool:
-    """Computes calls in spawned processes, side by side; a context manager.
+    """Runs calls in parallel, in spawned processes; a context manager.
 
-    What its users may rely on:
+    It guarantees:
 
-    - A Ctrl-C reaches this process alone, also while the others start.
-    - The processes find no modules in the current folder.
-    - After `ask_to_stop`, `stopping()` is true in all of them: a call that asks may end early.
-    - At the end of the block, calls that wait are cancelled, but for a few that the processes have been given already.
-      The block waits for these and for what is being computed.
-    - If an exception leaves the block, or this process dies, the others end at once, whatever they do.
+    - Ctrl-C reaches this process only, even while the others start.
+    - The processes do not import modules from the current folder.
+    - After `ask_to_stop`, `stopping()` is true in all of them, so that a call can end early.
+    - The end of the block cancels waiting calls, except a few that the processes already hold. It waits for these and
+      for running calls.
+    - If an exception leaves the block, or this process dies, the others end at once.
     - If one of them dies, the block raises SimulationError.
 
     Args:
-        processes: side by side.
-        kept: what is kept if one of them dies; completes the message of the error.
+        processes: number of processes.
+        kept: what is kept if a process dies; completes the error message.
     """
 
     def __init__(self, processes: int, kept: str) -> None:
         self._kept = kept
         context = multiprocessing.get_context("spawn")
         with ExitStack() as resources:
-            # Two pipes whose other ends this process alone has: it tells by closing them, and so does its death.
-            # An event would wait for all whom it tells: a process that was killed never hears it.
+            # Two pipes whose other ends only this process holds: it signals by closing them, and so does its death.
+            # Setting an Event would wait for every process, and a killed one never responds.
             end, self._life = context.Pipe(duplex=False)
             stop, self._patience = context.Pipe(duplex=False)
             for connection in (end, self._life, stop, self._patience):
@@ -51,8 +51,8 @@ class ProcessPool:
             self._resources = resources.pop_all()
 
     def submit(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Have a function of a module called in one of the processes."""
-        with starting_processes():  # they start when there is work
+        """Call a module-level function in one of the processes."""
+        with starting_processes():  # the pool starts processes on demand
             return self._executor.submit(function, *args, **kwargs)
 
     def ask_to_stop(self) -> None:
@@ -63,7 +63,7 @@ class ProcessPool:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        # A Ctrl-C while the processes are waited for ends them, too: it closes the pipes.
+        # Ctrl-C during the wait also closes the pipes, which ends the processes.
         with self._resources:
             if kind is not None:
                 self._life.close()
@@ -73,7 +73,7 @@ class ProcessPool:
 
 
 _stop: Connection | None = None
-"""In a process of a pool: at its end once the process is asked to stop."""
+"""In a process of a pool: reaches its end when the process is asked to stop."""
 
 
 def stopping() -> bool:
@@ -82,7 +82,7 @@ def stopping() -> bool:
 
 
 def _begin(end: Connection, stop: Connection) -> None:
-    """What a process of a pool does first."""
+    """Initialise a process of a pool."""
     global _stop
     _stop = stop
     begin_worker()

@@ -1,4 +1,4 @@
-"""Worker processes that may die, hang or run out of memory without taking the batch with them."""
+"""Worker processes that may die, hang or run out of memory without affecting the rest of the batch."""
 
 import math
 import os
@@ -25,10 +25,10 @@ from activefail.execution.frames import (
     FrameKind,
     Question,
     QuestionKind,
-    ask_for_senders,
+    decode_frame,
     longest_answer,
-    opened,
-    received,
+    receive,
+    request_senders,
     unpack_answer,
     unpack_error,
     unpack_text,
@@ -48,27 +48,27 @@ from activefail.simulators.interface import (
 from activefail.space import Array
 
 TRIES = 2
-"""Workers that one simulation may cost before it is given up."""
+"""Attempts at one simulation before it is abandoned."""
 
 _START_LIMIT = 300.0
-"""Seconds in which a worker must have loaded the simulator: a large library on a slow disk takes a while."""
+"""Seconds in which a worker must load the simulator: a large library on a slow disk takes a while."""
 
 _END_LIMIT = 20.0
-"""Seconds in which a supervisor must have ended its worker: longer than it waits for one that hangs in the kernel."""
+"""Seconds in which a supervisor must end its worker: longer than its own wait for a process that hangs."""
 
 _LONGEST_WAIT = 3600.0
-"""Seconds that the system is asked to wait at a time: it counts milliseconds, and not far."""
+"""Most seconds per wait: the system counts milliseconds in a small integer."""
 
 _PROGRAM = (
     "import sys; sys.path[:] = sys.argv[4:]; "
     "from activefail.execution.supervisor import main; main(*map(int, sys.argv[1:4]))"
 )
-"""What a new process of Python runs; it finds modules where this one does."""
+"""The program of a new Python process, which has the module path of this one."""
 
 
 @runtime_checkable
 class _Renewed(Protocol):
-    """A simulator that says how many simulations one process may run; any number if None."""
+    """A simulator that limits the simulations per process; None means no limit."""
 
     @property
     def renew(self) -> int | None: ...
@@ -76,18 +76,18 @@ class _Renewed(Protocol):
 
 @runtime_checkable
 class _Isolated(Protocol):
-    """A simulator that says whether each simulation has a process of its own, beside that of the worker."""
+    """A simulator that reports whether each simulation runs in a new process, besides the worker's."""
 
     @property
     def isolated(self) -> bool: ...
 
 
 class StoppedError(Exception):
-    """A guard was stopped while it waited for an answer."""
+    """The guard was stopped while it waited for an answer."""
 
 
 class _LostError(Exception):
-    """A question has no answer: the cause, one of EXECUTION_CAUSES, and why."""
+    """A question got no answer; holds the cause, one of EXECUTION_CAUSES, and the reason."""
 
     def __init__(self, cause: int, why: str) -> None:
         super().__init__(why)
@@ -95,10 +95,10 @@ class _LostError(Exception):
 
 
 class _Worker:
-    """A worker process with its supervisor, and our ends of the connections to both.
+    """A worker process with its supervisor, and this process's ends of the connections to both.
 
     Attributes:
-        answered: how many simulations.
+        answered: number of simulations answered.
 
     Raises:
         SimulationError: if it cannot be started.
@@ -108,14 +108,14 @@ class _Worker:
         self.answered = 0
         self._secret = secrets.token_bytes(SECRET)
         self._process: int | None = None
-        self._said_more = False
+        self._has_trailing = False
         self._closed = False
         try:
-            self._connection, theirs = socket.socketpair()
-            self._leash, held = socket.socketpair()
-            ask_for_senders(self._connection)
-            with theirs, held, ignoring_ctrl_c():
-                descriptors = (theirs.fileno(), held.fileno())
+            self._connection, worker_end = socket.socketpair()
+            self._leash, leash_end = socket.socketpair()
+            request_senders(self._connection)
+            with worker_end, leash_end, ignoring_ctrl_c():
+                descriptors = (worker_end.fileno(), leash_end.fileno())
                 self._supervisor = subprocess.Popen(
                     [*python_command(), "-c", _PROGRAM, str(os.getpid()), *map(str, descriptors), *search_path()],
                     stdin=subprocess.DEVNULL,
@@ -129,65 +129,65 @@ class _Worker:
             self._events.register(end, select.POLLIN)
 
     def load(self, simulator: Simulator, answer: Answer) -> None:
-        """Have it load a simulator.
+        """Load a simulator in the worker.
 
         Raises:
-            SimulationError: if it cannot.
-            ActivefailError: that the simulator raised.
+            SimulationError: if the worker cannot load it.
+            ActivefailError: if the simulator raised one.
         """
         data = bytes(ForkingPickler.dumps(simulator))
-        # The main module is run anew there, which takes time, and only where something of it is needed.
+        # The worker runs the main module again, which takes time, so only if the simulator refers to it.
         content = bytes(ForkingPickler.dumps((answer, preparation(main=b"__main__" in data), data)))
         try:
             if self._process is None:
                 self._ask(QuestionKind.GREETING, self._secret, _START_LIMIT, 0)
             frame = self._ask(QuestionKind.SIMULATOR, content, _START_LIMIT, MOST_TEXT)
             why = "" if frame.kind == FrameKind.READY else unpack_text(frame.payload)
-        except BrokenFrameError as broken:
-            why = _invalid(broken)
-        except _LostError as lost:
-            why = lost.why
+        except BrokenFrameError as error:
+            why = _invalid(error)
+        except _LostError as error:
+            why = error.why
         if why:
             raise SimulationError(f"A worker process could not load the simulator: {why}.")
 
     def simulate(self, simulator: Simulator, X: Array, limit: float | None) -> tuple[Results, str]:
-        """The answer to a design, (1, d), and why there is none; "" if there is one.
+        """The result of a design, (1, d), and why the simulation failed; "" if it did not.
 
         Raises:
-            ActivefailError: that the simulator raised.
+            ActivefailError: if the simulator raised one.
         """
         try:
             design = np.asarray(X, dtype=np.float64).tobytes()
             frame = self._ask(QuestionKind.DESIGN, design, limit, longest_answer(simulator))
             self.answered += 1
             if frame.kind != FrameKind.ANSWERED:
-                raise BrokenFrameError("it is no answer to a design")
+                raise BrokenFrameError("it does not answer a design")
             return unpack_answer(frame.payload, simulator)
-        except BrokenFrameError as broken:
-            return unanswered(simulator, 1, WORKER_DIED), _invalid(broken)
-        except _LostError as lost:
-            return unanswered(simulator, 1, lost.cause), lost.why
+        except BrokenFrameError as error:
+            return unanswered(simulator, 1, WORKER_DIED), _invalid(error)
+        except _LostError as error:
+            return unanswered(simulator, 1, error.cause), error.why
 
     def is_sound(self) -> bool:
-        """Whether it lives and has said nothing but what it was asked."""
-        return not self._said_more and not self._events.poll(0)
+        """Whether the worker is alive and has sent nothing but its answers."""
+        return not self._has_trailing and not self._events.poll(0)
 
     def _ask(self, kind: QuestionKind, content: bytes, limit: float | None, most: int) -> Frame:
-        """What it answers within so many seconds, in so many bytes at most."""
-        # The monotonic clock: setting the machine's clock must neither end a simulation nor let one go on.
+        """The answer to a question within `limit` seconds, with at most `most` bytes of payload."""
+        # The monotonic clock: setting the system clock must not change the limit.
         deadline = np.inf if limit is None else time.monotonic() + limit
         question, data = Question.about(content), b""
         self._connection.settimeout(None if limit is None else min(limit, _LONGEST_WAIT))
-        # Where that fails it has died, or has closed its connection and will die of it.
+        # If sending fails, the worker has died, or has closed its connection and will exit.
         with suppress(OSError):
             self._connection.sendall(QUESTION.pack(question.ticket, kind, len(content)) + content)
         while True:
             left = deadline - time.monotonic()
             ready = self._events.poll(math.ceil(1e3 * min(max(0.0, left), _LONGEST_WAIT)))
-            # First what it said: that is still there when it has died.
+            # Read first: a worker's last answer outlives it.
             if any(descriptor == self._connection.fileno() for descriptor, _ in ready):
-                data += self._heard()
-                frame = self._opened(data, question, most)
+                data += self._receive()
+                frame = self._decode(data, question, most)
                 if frame is not None:
                     return frame
             elif ready:
@@ -197,32 +197,32 @@ class _Worker:
                     raise _LostError(WORKER_DIED, _ending(LOST))
                 raise _LostError(TIME_LIMIT, f"it took longer than {limit:g} s")
             if self._closed:
-                # No answer can come any more; its supervisor, which says how it ended, may have been stopped.
+                # No answer can arrive any more. Bound the wait for the supervisor's report; it may have been stopped.
                 deadline = min(deadline, time.monotonic() + _END_LIMIT)
 
-    def _heard(self) -> bytes:
-        """What has come, of the worker itself."""
+    def _receive(self) -> bytes:
+        """Bytes that the worker sent; those of other processes raise."""
         try:
-            data, sender = received(self._connection)
-        except OSError:  # it ended with something unread
+            data, sender = receive(self._connection)
+        except OSError:  # the worker ended with unread data
             data, sender = b"", None
         if not data:
             self._closed = True
             self._events.unregister(self._connection)
         elif sender is not None:
             if self._process is None:
-                # The first one that is heard is the worker: nothing of the user's has run there yet.
+                # The first sender is the worker: no user code has run there yet.
                 self._process = sender
             if sender != self._process:
                 raise BrokenFrameError("another process sent it")
         return data
 
-    def _opened(self, data: bytes, question: Question, most: int) -> Frame | None:
-        """The frame that has come, if it is complete."""
-        frame = opened(data, self._secret, question, self._process, most)
+    def _decode(self, data: bytes, question: Question, most: int) -> Frame | None:
+        """The received frame, or None while it is incomplete."""
+        frame = decode_frame(data, self._secret, question, self._process, most)
         if frame is not None:
             self._process = frame.process
-            self._said_more = frame.more
+            self._has_trailing = frame.has_trailing
             if frame.kind == FrameKind.REFUSED:
                 raise unpack_error(frame.payload)
         return frame
@@ -232,17 +232,17 @@ class _Worker:
             status = self._leash.recv(STATUS)
             if status:
                 return _LostError(WORKER_DIED, _ending(os.waitstatus_to_exitcode(int.from_bytes(status, "little"))))
-        # The supervisor was killed, and its worker with it.
+        # The supervisor was killed, and the worker with it.
         return _LostError(WORKER_DIED, _ending(self._supervisor.wait()))
 
     def kill(self) -> None:
-        """End it, and whatever it has started; from any thread."""
+        """End the worker and all processes that it started; from any thread."""
         with suppress(OSError):
             self._leash.shutdown(socket.SHUT_WR)
-        self._supervisor.send_signal(signal.SIGCONT)  # should somebody have stopped it
+        self._supervisor.send_signal(signal.SIGCONT)  # it may have been stopped
 
     def close(self) -> None:
-        """End it and let go of it."""
+        """End the worker and release its resources."""
         self.kill()
         self._leash.settimeout(_END_LIMIT)
         try:
@@ -255,11 +255,11 @@ class _Worker:
 
 
 class Guard:
-    """Answers one design after the other in a worker process, which is replaced when it dies, hangs or fails.
+    """Simulates one design at a time in a worker process, which is replaced when it dies, hangs or fails.
 
     Args:
-        answer: what the process does; a function of a module.
-        time_limit: seconds for one simulation; for ever if None.
+        answer: the module-level function that the process runs.
+        time_limit: most seconds per simulation; None means no limit.
     """
 
     def __init__(self, answer: Answer, time_limit: float | None = None) -> None:
@@ -271,14 +271,14 @@ class Guard:
         self._lock = threading.Lock()
 
     def answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
-        """The answer to a design, (1, d), and why it has none; "" if it has one.
+        """The result of a design, (1, d), and why the simulation failed; "" if it did not.
 
-        A simulation that fails is tried once more, in a fresh process, before it is given up: what is recorded must not
-        depend on which simulations that process has run before, nor on a machine that lacked memory for a moment.
+        A failed simulation is repeated once in a fresh process before it is abandoned: the record must not depend on
+        earlier simulations in the process, nor on a brief shortage of memory.
 
         Raises:
-            SimulationError: if a worker cannot be started, or cannot load the simulator.
-            ActivefailError: that the simulator raised.
+            SimulationError: if a worker cannot be started or cannot load the simulator.
+            ActivefailError: if the simulator raised one.
             StoppedError: after `stop`.
         """
         reasons: list[str] = []
@@ -293,18 +293,18 @@ class Guard:
             self._check_stopped()
             if not why:
                 return results, ""
-            # Even where it still lives: what failed there may have spoilt it.
+            # Even if the worker is alive, the failure may have corrupted it.
             self.close()
             reasons.append(why.removeprefix(f"design {X[0].tolist()}: "))
-            # The program of an isolated simulator has had a fresh process each time.
+            # An isolated simulator runs each attempt in a fresh process anyway.
             settled = results.cause[0] in (RAISED, UNUSABLE_ANSWER) and (fresh or _is_isolated(simulator))
             if settled or len(reasons) == TRIES:
                 _check_output()
-                return results, f"design {X[0].tolist()}: {_in_words(reasons)}"
+                return results, f"design {X[0].tolist()}: {_joined(reasons)}"
 
     def _ready(self, simulator: Simulator) -> _Worker:
         """A sound worker that has loaded the simulator."""
-        if self._worker is not None and not (self._worker.is_sound() and _may_answer(self._worker, simulator)):
+        if self._worker is not None and not (self._worker.is_sound() and _may_continue(self._worker, simulator)):
             self.close()
         with self._lock:
             self._check_stopped()
@@ -319,7 +319,7 @@ class Guard:
                 self._check_stopped()
                 self.close()
                 if used and isinstance(error, SimulationError):
-                    # A second answer to the last question may have come in between, or the process was spoilt.
+                    # A second answer to the last question may have arrived, or the process was corrupted.
                     return self._ready(simulator)
                 raise
             self._check_stopped()
@@ -331,26 +331,26 @@ class Guard:
             raise StoppedError
 
     def stop(self) -> None:
-        """End the worker at once, from another thread; the one that waits for it hears of it and lets go of it."""
+        """End the worker at once, from another thread; the waiting thread then raises StoppedError."""
         with self._lock:
             self._stopped = True
             if self._worker is not None:
                 self._worker.kill()
 
     def close(self) -> None:
-        """End the worker; nobody waits for it."""
+        """End the worker; no thread may be waiting for it."""
         if self._worker is not None:
             self._worker.close()
             self._worker = None
 
 
 def _check_output() -> None:
-    """Check that what reads this program's output is still there.
+    """Check that this program's output pipe is open.
 
-    Workers write to the same streams: a simulation that prints would fail for no fault of its own.
+    Workers share its streams: with a closed pipe, every simulation that prints would fail.
 
     Raises:
-        BrokenPipeError: if it is not.
+        BrokenPipeError: if the pipe is closed.
     """
     streams = select.poll()
     for descriptor in (1, 2):
@@ -359,8 +359,8 @@ def _check_output() -> None:
         raise BrokenPipeError("the output pipe was closed")
 
 
-def _may_answer(worker: _Worker, simulator: Simulator) -> bool:
-    """Whether a worker has not yet run as many simulations as one process may."""
+def _may_continue(worker: _Worker, simulator: Simulator) -> bool:
+    """Whether a worker may run another simulation under the simulator's limit per process."""
     most = simulator.renew if isinstance(simulator, _Renewed) else None
     return most is None or worker.answered < most
 
@@ -369,8 +369,8 @@ def _is_isolated(simulator: Simulator) -> bool:
     return isinstance(simulator, _Isolated) and simulator.isolated
 
 
-def _in_words(reasons: list[str]) -> str:
-    """Why a simulation was given up, by the reasons of its tries."""
+def _joined(reasons: list[str]) -> str:
+    """Why a simulation was abandoned, from the reasons of its attempts."""
     if len(reasons) == 1:
         return reasons[0]
     first, second = reasons
@@ -378,50 +378,50 @@ def _in_words(reasons: list[str]) -> str:
 
 
 class Guards:
-    """A guard for each thread that asks.
+    """A guard for each calling thread.
 
     Args:
         answer, time_limit: see Guard.
 
     Raises:
-        ValueError: if no simulation could keep the time limit.
+        ValueError: if the time limit is not positive.
     """
 
     def __init__(self, answer: Answer, time_limit: float | None = None) -> None:
         if time_limit is not None and not time_limit > 0.0:
             raise ValueError(f"`time_limit > 0` must hold, got {time_limit}.")
         self._answer, self._time_limit = answer, time_limit
-        self._mine = threading.local()
+        self._local = threading.local()
         self._all: list[Guard] = []
         self._lock = threading.Lock()
         self._stopped = False
 
     def of_this_thread(self) -> Guard:
-        """The guard of the thread that asks."""
-        if not hasattr(self._mine, "guard"):
-            self._mine.guard = Guard(self._answer, self._time_limit)
+        """The guard of the calling thread."""
+        if not hasattr(self._local, "guard"):
+            self._local.guard = Guard(self._answer, self._time_limit)
             with self._lock:
-                self._all.append(self._mine.guard)
+                self._all.append(self._local.guard)
                 if self._stopped:
-                    self._mine.guard.stop()
-        guard: Guard = self._mine.guard
+                    self._local.guard.stop()
+        guard: Guard = self._local.guard
         return guard
 
     def stop(self) -> None:
-        """End all workers at once; threads that wait for them hear of it."""
+        """End all workers at once; waiting threads raise StoppedError."""
         with self._lock:
             self._stopped = True
             for guard in self._all:
                 guard.stop()
 
     def close(self) -> None:
-        """Let go of all workers; nobody waits for them."""
+        """Release all workers; no thread may be waiting for them."""
         for guard in self._all:
             guard.close()
 
 
 def _ending(code: int) -> str:
-    """How a worker died, by its exit code; that of a signal is below 0."""
+    """How a worker died, from its exit code; negative for a signal."""
     how = f"exit code {code}"
     if code == LOST:
         how = "its connection was closed or replaced"
@@ -434,5 +434,5 @@ def _ending(code: int) -> str:
     return f"its worker process died ({how})"
 
 
-def _invalid(broken: BrokenFrameError) -> str:
-    return f"its answer was not a valid frame: {broken}"
+def _invalid(error: BrokenFrameError) -> str:
+    return f"its answer was not a valid frame: {error}"

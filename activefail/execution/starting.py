@@ -1,4 +1,4 @@
-"""How processes of Python are started: deaf to Ctrl-C, and without modules from the current folder."""
+"""Starting Python processes that ignore Ctrl-C and do not import modules from the current folder."""
 
 import os
 import signal
@@ -13,12 +13,12 @@ from typing import Any
 
 @contextmanager
 def starting_processes() -> Iterator[None]:
-    """Processes that are started within take no modules from the current folder and never hear a Ctrl-C.
+    """Processes started in this context ignore Ctrl-C and do not import modules from the current folder.
 
-    Around what makes locks or pools, too: the first lock starts a process that keeps count of them.
+    Also needed around the creation of locks and pools: the first lock starts the resource tracker.
     """
-    with _without_this_folder():
-        # Its start would unblock what is blocked then.
+    with _safe_path():
+        # Its start unblocks SIGINT.
         resource_tracker.ensure_running()
         with ignoring_ctrl_c():
             yield
@@ -26,73 +26,74 @@ def starting_processes() -> Iterator[None]:
 
 @contextmanager
 def ignoring_ctrl_c() -> Iterator[None]:
-    """Processes that are started within never hear a Ctrl-C, not even while they load their libraries.
+    """Processes started in this context ignore Ctrl-C, even while they load their libraries.
 
-    A terminal sends it to all of them, and it is for the parent to judge. One that comes meanwhile is heard at the end.
+    A terminal sends it to all processes, but only the parent decides what follows. A Ctrl-C in the context takes effect
+    at its end.
     """
-    heard = False
+    interrupted = False
 
-    def hear(number: int, frame: object) -> None:
-        nonlocal heard
-        heard = True
+    def note_interrupt(number: int, frame: object) -> None:
+        nonlocal interrupted
+        interrupted = True
 
-    # Blocked for those that are started, who inherit this; and heard by another thread, it must not break off a start.
+    # Children inherit the mask. The handler is replaced too: another thread may receive the signal during a start.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, hear) if main else None
+    handler = signal.signal(signal.SIGINT, note_interrupt) if main else None
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         if main:
             signal.signal(signal.SIGINT, handler)
-        if heard:
+        if interrupted:
             signal.raise_signal(signal.SIGINT)
 
 
 _SAFE_PATH, _OURS = "PYTHONSAFEPATH", "activefail"
-"""A variable of Python's, and what it is set to where it is not the user's."""
+"""Python's environment variable, and the value that marks it as set here, not by the user."""
 
 
 @contextmanager
-def _without_this_folder() -> Iterator[None]:
-    """For a process that is started as `python -c`, which would look for Python's own modules here first.
+def _safe_path() -> Iterator[None]:
+    """Keep the current folder off the path of processes started as `python -c`.
 
-    The current folder may be a run folder that comes from someone else, with a `multiprocessing.py` in it.
+    It may be a run folder from someone else, with a `multiprocessing.py` in it.
     """
-    ours = not os.environ.get(_SAFE_PATH)
-    if ours:
+    is_unset = not os.environ.get(_SAFE_PATH)
+    if is_unset:
         os.environ[_SAFE_PATH] = _OURS
     try:
         yield
     finally:
-        if ours:
+        if is_unset:
             del os.environ[_SAFE_PATH]
 
 
 def begin_worker() -> None:
-    """What a process does first that was started so: a program of Python's that it starts has its own folder back."""
+    """Initialise a process started this way: Python programs that it starts find modules in their own folder again."""
     if os.environ.get(_SAFE_PATH) == _OURS:
         del os.environ[_SAFE_PATH]
 
 
 def python_command() -> list[str]:
-    """Python as this process was started, but never looking for modules in the current folder first.
+    """The command of this process's Python, with the current folder off the path.
 
-    That may be a run folder which comes from someone else, with a `pickle.py` in it.
+    The folder may be a run folder from someone else, with a `pickle.py` in it.
     """
     flags: list[str] = subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined]
     return [sys.executable, *flags, "-P"]
 
 
 def search_path() -> list[str]:
-    """Where this process finds modules."""
-    places: list[object] = spawn.get_preparation_data("")["sys_path"]
-    return [place for place in places if isinstance(place, str)]
+    """The folders in which this process finds modules."""
+    entries: list[object] = spawn.get_preparation_data("")["sys_path"]
+    return [entry for entry in entries if isinstance(entry, str)]
 
 
 def preparation(main: bool) -> dict[str, Any]:
-    """What makes another process like this one: its arguments, and its main module if asked for."""
-    known = spawn.get_preparation_data("")
-    wanted = ("sys_argv", "orig_dir", *(("init_main_from_name", "init_main_from_path") if main else ()))
-    return {name: known[name] for name in wanted if name in known}
+    """Data that makes another process like this one: its arguments and, if `main`, its main module."""
+    data = spawn.get_preparation_data("")
+    names = ("sys_argv", "orig_dir", *(("init_main_from_name", "init_main_from_path") if main else ()))
+    return {name: data[name] for name in names if name in data}

@@ -1,9 +1,9 @@
-"""The process between the main program and a worker: it ends the worker, and whatever that has started.
+"""The process between the main program and a worker: it ends the worker and all processes that the worker started.
 
-The worker runs the user's code, which may hold the interpreter for hours, start programs in sessions of their own, or
-die. The supervisor does nothing but wait, so that it can always act. On Linux it adopts every process that the worker
-starts and whose parent ends (PR_SET_CHILD_SUBREAPER), so that none escapes it; elsewhere it ends the worker's process
-group alone. It is started by `workers`, and loads little: two processes a worker should not cost twice the memory.
+The worker runs the user's code, which may hold the interpreter for hours, start programs in new sessions, or die. The
+supervisor only waits, so that it can always act. On Linux it adopts every orphaned descendant of the worker
+(PR_SET_CHILD_SUBREAPER), so that none escapes; elsewhere it ends only the worker's process group. `processes` starts
+it. It imports little, because two processes per worker should not double the memory.
 """
 
 import os
@@ -15,31 +15,31 @@ from contextlib import suppress
 from typing import NoReturn
 
 STATUS = 4
-"""Bytes in which a supervisor reports how its worker ended, as `os.waitpid` has it."""
+"""Bytes in which a supervisor reports its worker's exit status, as from `os.waitpid`."""
 
 NO_PROCESS = 72
-"""Exit code that a supervisor reports for a worker which it could not start."""
+"""Exit code that a supervisor reports for a worker that it could not start."""
 
 _LOOK = 1.0
-"""Seconds between two looks at whether the main program is there: a copy of its end of the leash may survive it."""
+"""Seconds between checks that the main program lives: a copy of its end of the leash may outlive it."""
 
 _PATIENCE = 10.0
-"""Seconds in which killed processes must have ended; one that hangs in the kernel may not."""
+"""Seconds to wait for killed processes; one that hangs in the kernel may not end."""
 
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
-"""Of Linux's <sys/prctl.h>."""
+"""From Linux's <sys/prctl.h>."""
 
 
 def main(program: int, answers: int, leash: int) -> NoReturn:
-    """Start a worker, wait until it ends or the main program lets go of the leash, and end all that is left.
+    """Start a worker, wait until it ends or the main program closes the leash, and end all remaining processes.
 
     Args:
-        program: the main program's process.
-        answers: descriptor over which the worker is asked and answers.
-        leash: descriptor of a socket whose other end the main program alone has. How the worker ended is written to it
-            when nothing is left of it.
+        program: process id of the main program.
+        answers: descriptor of the connection for questions and answers.
+        leash: descriptor of a socket whose other end only the main program holds. The worker's exit status is written
+            to it once all its processes have ended.
     """
-    # On a terminal it goes to all processes, and is for the main program to judge. It was blocked until now.
+    # A terminal sends Ctrl-C to all processes; the main program handles it. It was blocked until now.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     for descriptor in (answers, leash):
@@ -47,7 +47,7 @@ def main(program: int, answers: int, leash: int) -> NoReturn:
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
-    # Python writes a byte there when the handler is called.
+    # Python writes a byte to the pipe on each signal that has a handler.
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
     supervisor = os.getpid()
@@ -72,24 +72,24 @@ def main(program: int, answers: int, leash: int) -> NoReturn:
 
 
 def _work(supervisor: int, answers: int) -> NoReturn:
-    """What the worker does."""
+    """Run the worker."""
     leave, code = os._exit, 1
     try:
-        # A session and a group of its own, which can be ended as one.
+        # A new session and process group, which can be killed as one.
         os.setsid()
         _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() == supervisor:
             from activefail.execution.worker import serve
 
             serve(answers)
-    except SystemExit as left:
-        code = left.code & 0xFF if isinstance(left.code, int) else int(left.code is not None)
+    except SystemExit as error:
+        code = error.code & 0xFF if isinstance(error.code, int) else int(error.code is not None)
     except BaseException:
         import traceback
 
         traceback.print_exc()
     finally:
-        # Never further up: a process that the simulator forked may come back out of it, too.
+        # Never return: a process that the simulator forked may get here, too.
         for stream in (sys.stdout, sys.stderr):
             with suppress(Exception):
                 stream.flush()
@@ -97,12 +97,12 @@ def _work(supervisor: int, answers: int) -> NoReturn:
 
 
 def _watch(worker: int, program: int, leash: int, woken: int) -> int | None:
-    """How the worker ended, as `os.waitpid` has it; None where the main program lets go of the leash before."""
+    """The worker's exit status, as from `os.waitpid`; None if the main program closes the leash before."""
     while True:
         ready, _, _ = select.select([leash, woken], [], [], _LOOK)
         if woken in ready:
             os.read(woken, 4096)
-        # Adopted processes end here, too.
+        # This also reaps adopted processes.
         with suppress(ChildProcessError):
             while (ended := os.waitpid(-1, os.WNOHANG))[0]:
                 if ended[0] == worker:
@@ -112,13 +112,13 @@ def _watch(worker: int, program: int, leash: int, woken: int) -> int | None:
 
 
 def _end(worker: int, alive: bool) -> None:
-    """End all that a worker has started, and the worker where it is alive."""
-    give_up = time.monotonic() + _PATIENCE
+    """Kill all processes that a worker started, and the worker if it is alive."""
+    deadline = time.monotonic() + _PATIENCE
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(worker, signal.SIGKILL)
     processes = {worker} if alive else set()  # it may not have a group yet
-    while time.monotonic() < give_up:
-        # Those of one that is killed are adopted, and are found the next time.
+    while time.monotonic() < deadline:
+        # Children of a killed process are adopted, and appear in the next round.
         for process in processes | _children():
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(process, signal.SIGKILL)
@@ -132,20 +132,20 @@ def _end(worker: int, alive: bool) -> None:
 
 
 def _children() -> set[int]:
-    """The processes whose parent this one is, where the system says so."""
-    found: set[int] = set()
-    # Of all processes: not every kernel lists those of one.
+    """The child processes of this one, if the system lists processes."""
+    children: set[int] = set()
+    # Over all processes: not every kernel lists the children of one.
     with suppress(OSError):
         for process in filter(str.isdigit, os.listdir("/proc")):
             with suppress(OSError, ValueError, IndexError), open(f"/proc/{process}/stat", "rb") as file:
-                # After the name in brackets, which may hold anything: the state, and the parent.
+                # State and parent follow the name in brackets, which may contain anything.
                 if int(file.read().rpartition(b")")[2].split()[1]) == os.getpid():
-                    found.add(int(process))
-    return found
+                    children.add(int(process))
+    return children
 
 
 def _prctl(option: int, value: int) -> None:
-    """Set an attribute of this process, where the system has it."""
+    """Set an attribute of this process, if the system supports it."""
     if sys.platform == "linux":
         with suppress(ImportError, OSError, AttributeError):
             import ctypes

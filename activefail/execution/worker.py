@@ -1,4 +1,4 @@
-"""What a worker process does: load the simulator that it is sent, and answer designs."""
+"""The worker process: it loads the simulator that it receives, and simulates designs."""
 
 import multiprocessing
 import os
@@ -17,40 +17,40 @@ from activefail.execution.frames import (
     FrameKind,
     Question,
     QuestionKind,
+    encode_frame,
     pack_answer,
     pack_error,
     pack_text,
-    sealed,
 )
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 
 LOST = 71
-"""The exit code of a worker whose connection is no longer the one that it was started with."""
+"""The exit code of a worker whose connection was closed or replaced."""
 
 _SEND_LIMIT = 60.0
 """Seconds in which an answer must be sent; it always fits, unless the simulator has filled the connection."""
 
 Answer = Callable[[Simulator, Array], tuple[Results, str]]
-"""Answers designs: results, and why the first one without an answer has none ("" if all have one)."""
+"""Simulates designs: results, and why the first failed simulation failed ("" if none did)."""
 
 
 @runtime_checkable
 class _Prepared(Protocol):
-    """A simulator with something to load before its first simulation, whose time limit that must not count to."""
+    """A simulator that loads something before its first simulation, outside the time limit."""
 
     def prepare(self) -> None: ...
 
 
 def serve(descriptor: int) -> None:
-    """Answer all questions that come over a connection, until its other end is closed."""
-    hear, reply = _connection(descriptor)
-    # Side by side, workers must not each start a thread a core: not in libraries that are loaded, nor in later ones.
+    """Answer the questions from a connection until its other end is closed."""
+    next_question, reply = _connection(descriptor)
+    # Parallel workers must not each start a thread per core, in libraries loaded now or later.
     threadpool_limits(1)
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
     loaded: tuple[Answer, Simulator] | None = None
-    while (question := hear()) is not None:
+    while (question := next_question()) is not None:
         kind, content = question
         try:
             if kind == QuestionKind.SIMULATOR:
@@ -71,24 +71,24 @@ def serve(descriptor: int) -> None:
 
 
 def _connection(descriptor: int) -> tuple[Callable[[], tuple[QuestionKind, bytes] | None], Callable[..., None]]:
-    """How a question is heard, None at the end of them, and how the last one is answered.
+    """Functions that read the next question, None at the end, and answer the last one.
 
-    The first question holds the key of the checksums and is answered here. No more of it is kept in reach of a
-    simulator than must be, as it might put something else in its place.
+    The first question, answered here, contains the key of the checksums. As little as possible is kept within reach of
+    a simulator, which might replace it.
     """
     connection = socket.socket(fileno=descriptor)
-    # A simulator that reads from it, not knowing whose it is, must not wait for what never comes.
+    # A simulator that reads from this descriptor by mistake must not wait for ever.
     connection.settimeout(_SEND_LIMIT)
     getpid, fstat, leave = os.getpid, os.fstat, os._exit
-    process, place, question = getpid(), os.fstat(descriptor), Question(b"", b"")
+    process, original, question = getpid(), os.fstat(descriptor), Question(b"", b"")
 
-    def is_ours() -> bool:
-        here = fstat(descriptor)
-        return (here.st_dev, here.st_ino) == (place.st_dev, place.st_ino)
+    def is_intact() -> bool:
+        current = fstat(descriptor)
+        return (current.st_dev, current.st_ino) == (original.st_dev, original.st_ino)
 
     def read(length: int) -> bytes:
         data = bytearray()
-        while len(data) < length and is_ours():
+        while len(data) < length and is_intact():
             try:
                 part = connection.recv(min(length - len(data), 1 << 20))
             except TimeoutError:
@@ -98,7 +98,7 @@ def _connection(descriptor: int) -> tuple[Callable[[], tuple[QuestionKind, bytes
             data += part
         return bytes(data)
 
-    def hear() -> tuple[QuestionKind, bytes] | None:
+    def next_question() -> tuple[QuestionKind, bytes] | None:
         nonlocal question
         try:
             head = read(QUESTION.size)
@@ -115,35 +115,35 @@ def _connection(descriptor: int) -> tuple[Callable[[], tuple[QuestionKind, bytes
 
     def reply(kind: FrameKind, payload: bytes = b"") -> None:
         if getpid() != process:
-            # The simulator forked, and this is the child, which nobody asked.
+            # This is a child that the simulator forked.
             leave(0)
         try:
-            if not is_ours():
+            if not is_intact():
                 leave(LOST)
-            connection.sendall(sealed(secret, question, process, kind, payload))
+            connection.sendall(encode_frame(secret, question, process, kind, payload))
         except OSError:
             leave(LOST)
 
-    greeting = hear()
+    greeting = next_question()
     secret = b"" if greeting is None else greeting[1]
     reply(FrameKind.READY)
-    return hear, reply
+    return next_question, reply
 
 
 def _load(content: bytes) -> tuple[Answer, Simulator]:
-    """What answers, and the simulator, prepared."""
-    answer, main, simulator = pickle.loads(content)
+    """The answer function and the prepared simulator."""
+    answer, main, pickled = pickle.loads(content)
     _prepare(main)
-    made = pickle.loads(simulator)
-    if isinstance(made, _Prepared):
-        made.prepare()
-    return answer, made
+    simulator = pickle.loads(pickled)
+    if isinstance(simulator, _Prepared):
+        simulator.prepare()
+    return answer, simulator
 
 
 def _prepare(main: Mapping[str, Any]) -> None:
-    """Be as the main program is where the simulator needs it: its arguments, perhaps its main module."""
+    """Take over what the simulator needs from the main program: its arguments, perhaps its main module."""
     current = multiprocessing.current_process()
-    # A main module that starts processes as it is imported is told so by multiprocessing.
+    # multiprocessing then rejects a main module that starts processes during its import.
     current._inheriting = True  # type: ignore[attr-defined]
     try:
         spawn.prepare(main)

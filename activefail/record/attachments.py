@@ -1,4 +1,4 @@
-"""Files beside the record: what was learned from it (states), and designs simulated outside it (sets)."""
+"""Files beside the batches: states, which hold what was learned, and sets of designs outside the budget."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -9,35 +9,35 @@ from numpy.typing import NDArray
 
 from activefail.errors import DamagedError
 from activefail.record.batch import COLUMNS, Schema, answers_of, results_of
-from activefail.record.hdf5 import Image, encode, opened
+from activefail.record.hdf5 import Image, encode, open_image
 from activefail.record.segment import SCHEMA_VERSION, chain_start, check_version, read_columns
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
 
 def encode_state(iteration: int, arrays: Mapping[str, NDArray[Any]], chain: str) -> bytes:
-    """The bytes of a state's file; `chain` is the digest of the record that it was learned from."""
+    """The bytes of a state's file; `chain` is the digest of the record from which the state was learned."""
     content = {_dataset_name(name): array for name, array in arrays.items()}
     return encode(content, {"schema_version": str(SCHEMA_VERSION), "iteration": str(iteration), "chain": chain})
 
 
 def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> dict[str, NDArray[Any]]:
-    """The arrays of the state of an iteration, learned from a record that had one of these digests.
+    """The arrays of the state of an iteration, learned from a record with one of these digests.
 
     Raises:
-        DamagedError: if the file is not whole, or of another iteration or record.
-        StoreError: if it was written in another version.
+        DamagedError: if the file is damaged, or belongs to another iteration or record.
+        StoreError: if another version wrote it.
     """
-    with opened(data) as image:
+    with open_image(data) as image:
         check_version(image)
-        # A state may know a batch that was quarantined since.
+        # The state may include a batch that was quarantined later.
         if image.attribute("chain") not in digests or image.attribute("iteration") != str(iteration):
             raise DamagedError("was not learned from the batches of this record")
         return {unquote(name): _state_array(image, name) for name in image.names}
 
 
 def encode_set(X: Array, results: Results, schema: Schema, campaign: str) -> bytes:
-    """The bytes of a set's file; `campaign` is the digest that the campaign's chain begins with."""
+    """The bytes of a set's file; `campaign` is the digest at the start of the campaign's chain."""
     content: dict[str, NDArray[Any] | str] = {"designs": X, **answers_of(results), "schema": schema.text}
     return encode(content, {"schema_version": str(SCHEMA_VERSION), "campaign": campaign})
 
@@ -46,10 +46,10 @@ def decode_set(data: bytes, settings: str) -> tuple[Array, Results]:
     """Designs and results of a set of the campaign with these settings.
 
     Raises:
-        DamagedError: if the file is not whole, or of another campaign.
-        StoreError: if it was written in another version.
+        DamagedError: if the file is damaged or belongs to another campaign.
+        StoreError: if another version wrote it.
     """
-    with opened(data) as image:
+    with open_image(data) as image:
         check_version(image)
         schema = Schema.from_text(image.text("schema"))
         if image.attribute("campaign") != chain_start(settings, schema):
@@ -62,7 +62,7 @@ def decode_set(data: bytes, settings: str) -> tuple[Array, Results]:
 
 
 def _dataset_name(name: str) -> str:
-    """A state's name as that of a dataset, where `/` would make a group and `.` means the group itself."""
+    """The dataset name of a state's array: in HDF5, `/` would make a group and `.` means the group itself."""
     return "%2E" if name == "." else quote(name, safe=" ")
 
 

@@ -1,7 +1,4 @@
-"""The terms of a campaign's record: batches of designs and answers, what their columns mean, and what a store does.
-
-`MemoryStore` keeps a record in memory; `activefail.record.run_folder.FolderStore` keeps it in a run folder.
-"""
+"""The data of a campaign's record: batches of designs and results, and the schema of their columns."""
 
 import json
 from collections.abc import Mapping
@@ -16,28 +13,28 @@ from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE,
 from activefail.space import Array
 
 SEED = 0
-"""Origin of a design that stood before any learning."""
+"""Origin of a design of the initial design."""
 
 ACTIVE = 1
-"""Origin of a design that the learner chose."""
+"""Origin of a design that the criterion chose."""
 
 
-# Little-endian, whatever the machine: the digests are over these bytes.
+# Little-endian on every machine: the digests are computed from these bytes.
 COLUMNS = {"designs": "<f8", "origin": "i1", "outcome": "i1", "cause": "i1", "margins": "<f8", "seconds": "<f8"}
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Designs that were simulated together, and the answers.
+    """Designs that were simulated together, with their results.
 
     Attributes:
-        iteration: of the loop; 0 is the seed design.
+        iteration: iteration of the loop; 0 is the initial design.
         designs: (n, d) float64, in the variables' units; at least one row.
         origin: (n,) int8, SEED or ACTIVE.
-        results: of the n designs.
+        results: results of the n designs.
 
     Raises:
-        ValueError: if the shapes do not agree, there is no design or the iteration is negative.
+        ValueError: if the shapes disagree, there is no design, or the iteration is negative.
     """
 
     iteration: int
@@ -63,12 +60,12 @@ class Schema:
 
     Attributes:
         variables: names of the columns of the designs.
-        outcomes: names of the outcomes 0, 1, ...; NUMERICAL_FAILURE stands beside them.
-        causes: names of the causes 0, 1, ...; EXECUTION_CAUSES stand beside them.
+        outcomes: names of the outcomes 0, 1, ...; NUMERICAL_FAILURE is an additional code.
+        causes: names of the causes 0, 1, ...; EXECUTION_CAUSES are additional codes.
         margins: names of the columns of the margins.
 
     Raises:
-        ValueError: if one of them is not a tuple of texts.
+        ValueError: if an attribute is not a tuple of strings.
     """
 
     variables: tuple[str, ...]
@@ -80,23 +77,23 @@ class Schema:
         for field in fields(self):
             names = getattr(self, field.name)
             if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
-                raise ValueError(f"`{field.name}` must be a tuple of texts, got {names!r}.")
+                raise ValueError(f"`{field.name}` must be a tuple of strings, got {names!r}.")
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """The schema that `text` gave."""
+        """The schema from its `text`."""
         return cls(**{name: tuple(names) for name, names in json.loads(text).items()})
 
     @property
     def text(self) -> str:
-        """The schema as JSON, always the same for the same names."""
+        """The schema as JSON; equal schemas give equal text."""
         return json.dumps(asdict(self), ensure_ascii=True, separators=(",", ":"))
 
     def check(self, designs: Array, results: Results) -> None:
-        """Check that designs and results are of this schema, bit for bit what a file can hold.
+        """Check that designs and results match this schema.
 
         Raises:
-            InputError: if a type, a number of columns or a code is not.
+            InputError: if a type, a number of columns or a code does not, or a design is not finite.
         """
         columns = {"designs": designs, **answers_of(results)}
         for name, array in columns.items():
@@ -114,10 +111,10 @@ class Schema:
         self.check_codes("cause", results.cause)
 
     def check_codes(self, column: str, codes: NDArray[np.int8]) -> None:
-        """Check that all codes of the column "outcome" or "cause" have a name.
+        """Check that all codes of the column "outcome" or "cause" have names.
 
         Raises:
-            InputError: if one has not.
+            InputError: if a code has no name.
         """
         names, low = {"outcome": (self.outcomes, NUMERICAL_FAILURE), "cause": (self.causes, min(EXECUTION_CAUSES))}[
             column
@@ -141,8 +138,8 @@ def results_of(columns: Mapping[str, NDArray[Any]]) -> Results:
     return Results(**{name: array for name, array in columns.items() if name not in ("designs", "origin")})
 
 
-def copied(results: Results) -> Results:
-    """Results that share no array with the given ones."""
+def copy_results(results: Results) -> Results:
+    """A copy of results that shares no arrays with them."""
     return Results(**{name: array.copy() for name, array in answers_of(results).items()})
 
 
@@ -152,14 +149,18 @@ def columns_of(batch: Batch) -> dict[str, NDArray[Any]]:
 
 
 def batch_of(iteration: int, columns: Mapping[str, NDArray[Any]]) -> Batch:
-    """The batch of these columns; its arrays are made read-only."""
+    """The batch with these columns, whose arrays become read-only."""
     for array in columns.values():
         array.flags.writeable = False
     return Batch(iteration, columns["designs"], columns["origin"], results_of(columns))
 
 
-def own_copy(batch: Batch, schema: Schema) -> Batch:
-    """The store's own copy of a batch that is of the schema."""
+def checked_copy(batch: Batch, schema: Schema) -> Batch:
+    """A store's copy of a batch.
+
+    Raises:
+        InputError: if the batch does not match the schema.
+    """
     schema.check(batch.designs, batch.results)
     if batch.origin.dtype != np.int8:
         raise InputError(f"`origin` must be int8, got {batch.origin.dtype}.")

@@ -1,8 +1,8 @@
-"""Compaction: many small segments become a few large ones, at a cost per design that grows with the logarithm alone.
+"""Compaction: merges many small segments into a few large ones, at a logarithmic cost per design.
 
-Of a hundred thousand files each takes milliseconds to open; of one file that grows with every batch each commit would
-rewrite all. So segments are merged by levels, as log-structured stores do [ONeilEtAl1996]: 64 of one level become
-one of the next, and no design is rewritten more than a few times.
+A file per batch is slow to open: each takes milliseconds. A single growing file is slow to commit: each batch rewrites
+all data. So segments are merged by levels, as in log-structured stores [ONeilEtAl1996]: 64 of one level become one of
+the next, and each design is rewritten only a few times.
 """
 
 import json
@@ -12,43 +12,43 @@ from itertools import accumulate, groupby, takewhile
 from activefail.record.segment import Segment
 
 COMPACT_AT = 64
-"""Segments of one level that are merged into one."""
+"""Number of segments of one level that are merged into one."""
 
 LARGEST = 2**19
-"""Most designs of a merged segment: some 90 MB of nine variables and twelve margins, merged in a second or two."""
+"""Most designs in a merged segment: about 90 MB with nine variables and twelve margins, merged in a second or two."""
 
 
 def level(segment: Segment) -> int:
-    """How often segments like this one were merged: 0 below 64 batches, 1 below 64², ..."""
-    batches, times = len(segment.batches), 0
+    """The level of a segment by its batches: 0 below 64, 1 below 64², ..."""
+    batches, merges = len(segment.batches), 0
     while batches >= COMPACT_AT:
         batches //= COMPACT_AT
-        times += 1
-    return times
+        merges += 1
+    return merges
 
 
 def due(segments: Sequence[Segment]) -> Sequence[Segment]:
-    """Of a record's segments those that are to be merged next: at least 64 of one level, or none.
+    """The segments of a record to merge next: at least 64 of one level, or none.
 
-    Only the newest segments are looked at, up to one of another level: what is older was looked at when it was new.
+    Only the newest segments, back to one of another level, are examined: older ones were examined when they were new.
     """
     if not segments:
         return ()
     newest = level(segments[-1])
     run = list(takewhile(lambda segment: level(segment) == newest, reversed(segments)))[::-1]
     designs = accumulate(segment.last + 1 - segment.first for segment in run)
-    fitting = run[: sum(1 for _ in takewhile(lambda total: total <= LARGEST, designs))]
-    return fitting if len(fitting) >= COMPACT_AT else ()
+    mergeable = run[: sum(1 for _ in takewhile(lambda total: total <= LARGEST, designs))]
+    return mergeable if len(mergeable) >= COMPACT_AT else ()
 
 
 def merge(segments: Sequence[Segment]) -> Segment:
-    """One segment with the batches of consecutive ones."""
+    """One segment with the batches of consecutive segments."""
     provenance = {}
     for key in sorted({key for segment in segments for key in segment.provenance}):
         texts = [
             item for segment in segments for item in history(segment.provenance.get(key, ""), segment.first).items()
         ]
-        # Where the programs changed in between, the merged file says from which design on.
+        # If an entry changed in between, the merged file names the design from which each value holds.
         changes = {next(run)[0]: text for text, run in groupby(texts, key=lambda item: item[1])}
         provenance[key] = next(iter(changes.values())) if len(changes) == 1 else json.dumps(changes)
     start = segments[0]
@@ -57,7 +57,7 @@ def merge(segments: Sequence[Segment]) -> Segment:
 
 
 def history(text: str, first: int) -> dict[int, str]:
-    """What an entry of a segment's provenance says, by the design from which on it holds."""
+    """The values of an entry of a segment's provenance, by the first design for which each holds."""
     if not text.startswith("{"):
         return {first: text}
     return {int(design): entry for design, entry in json.loads(text).items()}

@@ -1,8 +1,8 @@
-"""Files of the record: arrays as HDF5 built in memory, behind a block that betrays any changed bit.
+"""Files of the record: arrays in HDF5 images built in memory, behind a block that detects any changed bit.
 
-A file is a 512-byte HDF5 user block (text: magic, format version, length and SHA-256 of what follows, and the block's
-own SHA-256 in its last 64 bytes) and then plain HDF5, so that any HDF5 tool opens it. HDF5 itself never touches the
-disk: it dies of SIGSEGV on a full one and returns wrong values for a flipped bit.
+A file is a 512-byte HDF5 user block (text: magic, format version, length and SHA-256 of the rest, and the block's own
+SHA-256 in its last 64 bytes) followed by plain HDF5, so that any HDF5 tool opens it. The HDF5 library never accesses
+the disk: it crashes with SIGSEGV on a full disk and returns wrong values for a flipped bit.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from activefail.errors import DamagedError, StoreError
 from activefail.visible import visible
 
 FORMAT = 1
-"""Version of the user block and of the rules for what an image may hold."""
+"""Version of the user block and of the rules for an image's content."""
 
 MAGIC = "activefail record"
 BLOCK_BYTES = 512
@@ -30,13 +30,13 @@ CHUNK_BYTES = 1 << 20
 
 
 def encode(content: Mapping[str, NDArray[Any] | str], attributes: Mapping[str, str]) -> bytes:
-    """The bytes of a file that holds arrays, texts and attributes; the same content gives the same bytes.
+    """The bytes of a file with arrays, texts and attributes; the same content gives the same bytes.
 
     Raises:
-        ValueError: if a text holds a NUL, which a string of fixed length in HDF5 cannot keep.
+        ValueError: if a text contains a NUL, which a fixed-length HDF5 string cannot store.
     """
     with h5py.File(
-        # HDF5 tells in-memory files apart by their names; this one goes nowhere.
+        # HDF5 distinguishes in-memory files by name; nothing is written to it.
         secrets.token_hex(8),
         "w",
         driver="core",
@@ -46,7 +46,7 @@ def encode(content: Mapping[str, NDArray[Any] | str], attributes: Mapping[str, s
     ) as root:
         for name, value in sorted(content.items()):
             array = _fixed_length(value)[np.newaxis] if isinstance(value, str) else np.asarray(value, order="C")
-            # HDF5 cannot chunk, and so cannot checksum, an array without axes or elements; the block's SHA-256 does.
+            # HDF5 cannot chunk, and so cannot checksum, a scalar or an empty array; the block's SHA-256 covers it.
             chunked = {"chunks": _chunks(array), "fletcher32": True} if array.ndim and array.size else {}
             root.create_dataset(name, data=array, track_times=False, **chunked)
         for name, text in sorted(attributes.items()):
@@ -59,7 +59,7 @@ def encode(content: Mapping[str, NDArray[Any] | str], attributes: Mapping[str, s
 
 def _fixed_length(text: str) -> NDArray[Any]:
     if "\0" in text:
-        raise ValueError(f"A text in the record must not hold NUL, got {text[:80]!r}.")
+        raise ValueError(f"A text in the record must not contain NUL, got {text[:80]!r}.")
     data = text.encode()
     return np.array(data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
@@ -79,14 +79,14 @@ def verify(data: bytes) -> None:
     """Check every bit of a file against its user block.
 
     Raises:
-        DamagedError: if a bit differs or bytes are missing or too many.
-        StoreError: if the block is whole but of another format version.
+        DamagedError: if a bit differs, or bytes are missing or added.
+        StoreError: if the block is valid but of another format version.
     """
     block = data[:BLOCK_BYTES]
     if len(data) > BLOCK_BYTES and block == _block(memoryview(data)[BLOCK_BYTES:]):
         return
     head, digest = block[:-DIGEST_BYTES], block[-DIGEST_BYTES:]
-    # Only a block that agrees with itself may speak of its version: a flipped bit can make a 3 of a 1.
+    # Trust the version only in a block with a valid digest: a flipped bit can turn a 1 into a 3.
     if len(block) == BLOCK_BYTES and hashlib.sha256(head).hexdigest().encode() == digest:
         version = re.match(rf"{MAGIC}\nformat (\d+)\n".encode(), head)
         if version and int(version[1]) != FORMAT:
@@ -95,13 +95,13 @@ def verify(data: bytes) -> None:
 
 
 class Image:
-    """A verified file, open for reading; each demand is checked before its bytes are read."""
+    """A verified file, open for reading; each request is checked before its bytes are read."""
 
     def __init__(self, root: h5py.File, size: int) -> None:
         self._root = root
         self._size = size
         self.names: tuple[str, ...] = tuple(root)
-        # By the library's own calls: h5py's would take longer than all the rest of a small file.
+        # Low-level calls: h5py's high-level ones take longer than reading the rest of a small file.
         for name in self.names:
             if root.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
                 link = root.get(name, getlink=True)
@@ -113,7 +113,7 @@ class Image:
         """The text of an attribute.
 
         Raises:
-            DamagedError: if it is not a text of fixed length.
+            DamagedError: if it is not a fixed-length text.
         """
         declared = self._root.attrs.get_id(name)
         if declared.dtype.kind != "S" or declared.shape != ():
@@ -121,18 +121,18 @@ class Image:
         return bytes(self._root.attrs[name]).decode()
 
     def attributes(self, prefix: str) -> dict[str, str]:
-        """The attributes whose names begin with `prefix`, without it."""
+        """The attributes whose names begin with `prefix`, by name without the prefix."""
         return {name.removeprefix(prefix): self.attribute(name) for name in self._root.attrs if name.startswith(prefix)}
 
     def declared(self, name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
-        """The type and shape that a dataset declares; nothing of it is read.
+        """The type and shape that a dataset declares, without reading its data.
 
         Raises:
-            DamagedError: if reading it would leave this file, need a filter other than fletcher32, run Python's
-                object types or fill memory with more than the file holds.
+            DamagedError: if reading it would access another file, need a filter other than fletcher32, create Python
+                objects, or fill memory with more than the file holds.
         """
         dataset = h5py.h5d.open(self._root.id, name.encode())
-        # The creation list first: asking a virtual dataset for its shape can already open other files.
+        # The creation list first: even the shape of a virtual dataset may open other files.
         plan = dataset.get_create_plist()
         if plan.get_layout() not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS):
             raise DamagedError(f"stores {name!r} as a virtual or compact dataset, which is never read")
@@ -147,17 +147,17 @@ class Image:
             raise DamagedError(f"declares {name!r} with type {dtype} and shape {None if empty else shape}")
         count = 1
         for length in shape:
-            count *= length  # Python's integers: the product of hostile lengths may pass 64 bits
-        # Chunks that were never written read as zeros: a file of a kilobyte could ask for a terabyte.
+            count *= length  # Python integers: the product of hostile lengths may exceed 64 bits
+        # Unwritten chunks read as zeros: a file of a kilobyte could declare a terabyte.
         if count * dtype.itemsize > min(self._size, dataset.get_storage_size()):
             raise DamagedError(f"declares {name!r} with shape {shape}, more than the file holds")
         return dtype, shape
 
     def check(self, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> None:
-        """Check that a dataset may be read and is of this type and shape; nothing of it is read.
+        """Check that a dataset may be read and has this type and shape, without reading its data.
 
         Raises:
-            DamagedError: if it is missing, declares anything else or may not be read (see `declared`).
+            DamagedError: if it is missing, has another type or shape, or may not be read (see `declared`).
         """
         if name not in self.names:
             raise DamagedError(f"has no dataset {name!r}")
@@ -166,7 +166,7 @@ class Image:
             raise DamagedError(f"declares {name!r} as {declared}, expected {(np.dtype(dtype), shape)}")
 
     def array(self, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
-        """The dataset, which must be of this type and shape.
+        """The dataset, which must have this type and shape.
 
         Raises:
             DamagedError: as `check` does.
@@ -183,16 +183,16 @@ class Image:
 
 
 @contextmanager
-def opened(data: bytes) -> Iterator[Image]:
-    """The file `data`, verified before HDF5 sees it and read from memory.
+def open_image(data: bytes) -> Iterator[Image]:
+    """The file `data`, read from memory after verification.
 
     Raises:
-        DamagedError: if a bit differs, or the body meets content that activefail never writes.
-        StoreError: if it is of another format version.
+        DamagedError: if a bit differs, or the body encounters content that activefail never writes.
+        StoreError: if it has another format version.
     """
     verify(data)
     try:
-        # As a file object: HDF5 would copy all of an image, and of many files only a part is wanted.
+        # As a file object: HDF5 would copy a whole image, and often only a part of it is read.
         with h5py.File(io.BytesIO(data), "r") as root:
             yield Image(root, len(data))
     except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:

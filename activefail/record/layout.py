@@ -1,4 +1,4 @@
-"""The files and folders that a run folder keeps for itself, and whether a path is one of them."""
+"""The files and folders reserved in a run folder, and checks of paths against them."""
 
 import errno
 import os
@@ -12,7 +12,7 @@ SETTINGS = "campaign.toml"
 """The frozen copy of the settings."""
 
 LARGEST_SETTINGS = 1_000_000
-"""Bytes that a frozen copy may have: more than any design space needs, and no burden to read."""
+"""Most bytes in a frozen copy: more than any design space needs, yet quick to read."""
 
 LOCK = ".lock"
 
@@ -20,51 +20,51 @@ FOLDERS = ("segments", "state", "sets")
 """Folders of the record."""
 
 SIMULATIONS = "simulations"
-"""Where programs that simulate have their folders."""
+"""The folder in which custom programs run."""
 
 COMPARISON = "compare"
-"""Where `compare` writes."""
+"""The folder to which `compare` writes."""
 
 REPORT = "report.html"
-"""What `report` writes where it is not told another file."""
+"""The default output of `report`."""
 
 _OWN = (SETTINGS, LOCK, REPORT, *FOLDERS, SIMULATIONS, COMPARISON)
 
 
 def refuse_links(folder: Path, names: Sequence[str] = _OWN) -> None:
-    """Check that nothing in a run folder that activefail reads or writes there is a symbolic link.
+    """Check that no file or folder that activefail uses in a run folder is a symbolic link.
 
-    A run folder may come from someone else, and a link in it may lead anywhere: what is written, replaced or removed
-    by its name would be the user's. Checked once, when the folder is opened: links that come with a folder are refused,
-    not someone who changes the folder meanwhile. The run folder itself may be reached through links.
+    A run folder may come from someone else, and writing through a link in it could replace or remove the user's files.
+    The check runs once, when the folder is opened: it covers links that come with a folder, not later changes. The path
+    to the run folder itself may contain links.
 
     Args:
-        folder: of the run.
-        names: of its files, and of its folders, whose entries are looked at too.
+        folder: the run folder.
+        names: its files, and its folders, whose entries are checked too.
 
     Raises:
         StoreError: naming the link.
     """
     for name in names:
-        place = folder / name
-        if os.path.islink(place):
-            raise _linked(place)
+        path = folder / name
+        if os.path.islink(path):
+            raise _link_error(path)
         try:
-            with os.scandir(place) as entries:
+            with os.scandir(path) as entries:
                 link = next((entry.name for entry in entries if entry.is_symlink()), None)
         except OSError as error:
             if error.errno in _NO_FOLDER:
                 continue
-            raise StoreError(f"Cannot read {place}: {error.strerror or error}.") from error
+            raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
         if link is not None:
-            raise _linked(place / link)
+            raise _link_error(path / link)
 
 
 _NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
-"""What the system answers for a folder that is none; what is wrong with it is for its reader to say."""
+"""The system's errors for a path that is not a folder; its reader reports what is wrong with it."""
 
 
-def _linked(path: Path) -> StoreError:
+def _link_error(path: Path) -> StoreError:
     return StoreError(
         f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it with "
         f"the file it points to, or remove it."
@@ -72,7 +72,7 @@ def _linked(path: Path) -> StoreError:
 
 
 def check_output(option: str, path: Path | None) -> None:
-    """Check that what is to be written is nothing that a run folder keeps for itself; before anything is done.
+    """Check, before any work, that an output path is not reserved by a run folder.
 
     Raises:
         InputError: naming the option and the file.
@@ -86,18 +86,18 @@ def check_output(option: str, path: Path | None) -> None:
 
 
 def run_folder_owning(path: Path) -> Path | None:
-    """The run folder whose own file or folder a path is, or in whose own folder it lies; None if there is none.
+    """The run folder that reserves a path, or a folder that contains it; None if there is none.
 
     Links are followed, as writing would.
     """
     path = Path(os.path.realpath(path))
-    for place in (path, *path.parents):
-        folder = place.parent
+    for candidate in (path, *path.parents):
+        folder = candidate.parent
         if not _is_run_folder(folder):
             continue
-        names = (SETTINGS, LOCK, *FOLDERS, SIMULATIONS) if place == path else (*FOLDERS, SIMULATIONS)
-        # By the file system, which may not tell capital letters from small ones; by name where there is no file yet.
-        if place.name in names or any(_is_same(place, folder / name) for name in names):
+        names = (SETTINGS, LOCK, *FOLDERS, SIMULATIONS) if candidate == path else (*FOLDERS, SIMULATIONS)
+        # Compare through the file system, which may ignore case; by name if the file does not exist yet.
+        if candidate.name in names or any(_is_same(candidate, folder / name) for name in names):
             return folder
     return None
 
@@ -110,16 +110,16 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def link_in_run_folder(path: Path) -> Path | None:
-    """The first symbolic link on the way from a run folder to a path in it; None if there is none."""
+    """The first symbolic link between a run folder and a path in it; None if there is none."""
     path = path.absolute()
     for folder in reversed(path.parents):
         if _is_run_folder(folder):
             inside = path.relative_to(folder).parts
-            ways = (folder.joinpath(*inside[:depth]) for depth in range(1, len(inside) + 1))
-            return next((way for way in ways if way.is_symlink()), None)
+            steps = (folder.joinpath(*inside[:depth]) for depth in range(1, len(inside) + 1))
+            return next((step for step in steps if step.is_symlink()), None)
     return None
 
 
 def _is_run_folder(folder: Path) -> bool:
-    # A campaign file of the user's may be called campaign.toml, too, and a folder beside it simulations.
+    # A user's campaign file may also be named campaign.toml, beside a folder named simulations.
     return (folder / SETTINGS).is_file() and ((folder / FOLDERS[0]).is_dir() or (folder / LOCK).is_file())

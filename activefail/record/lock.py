@@ -1,4 +1,4 @@
-"""The lock of a run folder: one writer at a time, where the file system has locks."""
+"""The lock of a run folder: one writer at a time, if the file system supports locks."""
 
 import errno
 import fcntl
@@ -10,28 +10,28 @@ from activefail.errors import BusyError, StoreError
 from activefail.record.layout import LOCK
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
-"""What a file system answers that has no flock."""
+"""Errors of a file system without flock."""
 
 
 class FolderLock:
-    """The lock of a run folder, held until `release`; the kernel releases it when the process dies, however it dies.
+    """The lock of a run folder, held until `release` or the end of the process, when the kernel releases it.
 
-    The existence of the file means nothing; only the kernel's lock counts. So no kill leaves a folder locked, and a
-    folder may move between file systems with and without locks.
+    Only the kernel's lock counts, not the existence of the file. So a kill never leaves a folder locked, and a folder
+    may move between file systems with and without locks.
 
     Attributes:
-        held: False where the file system has no locks. Two writers then fence each other by `link` alone.
+        held: False if the file system has no locks. Two writers are then separated by `link` alone.
 
     Raises:
-        BusyError: if another one holds it.
-        StoreError: if it cannot be taken, with the system's reason.
+        BusyError: if another process holds the lock.
+        StoreError: if the lock cannot be taken, with the system's reason.
     """
 
     def __init__(self, folder: Path) -> None:
         self._descriptor = -1
         self.held = False
         try:
-            # Neither truncated nor followed: the name may be a link to a file of the user's.
+            # Neither truncate nor follow: the name may be a link to a user's file.
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
             self._descriptor = os.open(folder / LOCK, flags, 0o666)
             if not stat.S_ISREG(os.fstat(self._descriptor).st_mode):
@@ -45,7 +45,7 @@ class FolderLock:
         except BlockingIOError:
             self.release()
             raise BusyError(
-                f"Another process is writing to {folder}. Wait until it is done or stop it; reading is possible "
+                f"Another process is writing to {folder}. Wait until it ends, or stop it; reading is possible "
                 f"meanwhile."
             ) from None
         except OSError as error:
@@ -56,11 +56,11 @@ class FolderLock:
             raise
 
     def release(self) -> None:
-        """Let the next one write."""
+        """Release the lock; a second call does nothing."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
 
     def __del__(self) -> None:
-        # A store that nobody closed must not keep its folder.
+        # A store that was not closed must not keep its folder locked.
         self.release()

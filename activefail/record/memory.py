@@ -1,4 +1,4 @@
-"""A record in memory, for tests and for campaigns that nobody keeps."""
+"""A record in memory, for tests and for campaigns that are not saved."""
 
 from collections.abc import Mapping
 from typing import Any, Self
@@ -6,7 +6,7 @@ from typing import Any, Self
 from numpy.typing import NDArray
 
 from activefail.errors import StoreError
-from activefail.record.batch import Batch, Schema, copied, own_copy
+from activefail.record.batch import Batch, Schema, checked_copy, copy_results
 from activefail.record.store import STATES_KEPT, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array
@@ -30,7 +30,7 @@ class MemoryStore:
     def commit(self, batch: Batch) -> None:
         """Append a batch (see Store)."""
         self._check_open()
-        self._batches = (*self._batches, own_copy(batch, self.schema))
+        self._batches = (*self._batches, checked_copy(batch, self.schema))
 
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays (see Store)."""
@@ -53,14 +53,14 @@ class MemoryStore:
         """Keep a set (see Store)."""
         self._check_open()
         check_set(name, X, results, self.schema)
-        self._sets[name] = X.copy(), copied(results)
+        self._sets[name] = X.copy(), copy_results(results)
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
         """The set, or None (see Store)."""
         if name not in self._sets:
             return None
         X, results = self._sets[name]
-        return X.copy(), copied(results)
+        return X.copy(), copy_results(results)
 
     def set_names(self) -> list[str]:
         """Names of the sets (see Store)."""

@@ -1,4 +1,4 @@
-"""What a run folder's files come to: read, checked against the campaign, and put in one chain."""
+"""Reads the segments of a run folder, checks them against the campaign, and joins them to one chain."""
 
 import difflib
 import os
@@ -17,23 +17,23 @@ QUARANTINE = ".quarantine"
 
 
 def plain_files(folder: Path) -> list[str]:
-    """Names of the plain files in a folder, sorted; none if there is no such folder.
+    """Names of the regular files in a folder, sorted; empty if the folder does not exist.
 
     Raises:
-        StoreError: if it cannot be read.
+        StoreError: if the folder cannot be read.
     """
     try:
         with os.scandir(folder) as entries:
             return sorted(entry.name for entry in entries if entry.is_file(follow_symlinks=False))
     except FileNotFoundError:
-        return []  # a copied run folder may have lost its empty folders
+        return []  # copying a run folder may drop its empty folders
     except OSError as error:
         raise StoreError(f"Cannot read {folder}: {error.strerror or error}.") from error
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Name the file in what stops its reading; that it is damaged or gone is for the caller to judge."""
+    """Name the file in errors that stop its reading; the caller handles a damaged or missing file."""
     try:
         yield
     except (DamagedError, FileNotFoundError):
@@ -52,13 +52,13 @@ def is_segment(name: str) -> bool:
 
 
 def read_segments(folder: Path) -> tuple[list[Segment], dict[str, str]]:
-    """The segments in a folder, and the files that are damaged with their reasons.
+    """The segments in a folder, and the damaged files with the reasons.
 
     Raises:
-        StoreError: if a file cannot be read or was written in another version.
+        StoreError: if a file cannot be read or another version wrote it.
     """
     read: dict[str, Segment | str] = {}
-    # Until the folder stands still: a reader holds no lock, and a writer may commit or compact meanwhile.
+    # Repeat until the listing is stable: a reader holds no lock, and a writer may commit or compact meanwhile.
     while (names := {name for name in plain_files(folder) if is_segment(name)}) != read.keys():
         read = {name: read[name] for name in names & read.keys()}
         for name in sorted(names - read.keys()):
@@ -74,10 +74,10 @@ def read_segments(folder: Path) -> tuple[list[Segment], dict[str, str]]:
 
 
 def check_campaign(segments: Sequence[Segment], settings: str, schema: Schema | None) -> None:
-    """Check that segments are of the campaign with these settings and this schema (of the first one if None).
+    """Check that segments belong to the campaign with these settings and this schema (the first segment's if None).
 
     Raises:
-        StoreError: if they are not, with what differs.
+        StoreError: naming the differences.
     """
     for segment in segments:
         if segment.settings != settings:
@@ -87,30 +87,30 @@ def check_campaign(segments: Sequence[Segment], settings: str, schema: Schema | 
             raise StoreError(
                 f"The settings were changed after the campaign began: the SHA-256 of campaign.toml is not the one in "
                 f"segments/{segment.name}. Restore the frozen copy (the segment holds its text, in the dataset "
-                f"'settings'), or begin a new campaign in another folder. What was changed:\n"
+                f"'settings'), or start a new campaign in another folder. Changes:\n"
                 + ("\n".join(map(visible, lines)) or "only line ends")
             )
         schema = schema or segment.schema
         for field in fields(schema):
-            ours, theirs = getattr(schema, field.name), getattr(segment.schema, field.name)
-            if ours != theirs:
+            expected, actual = getattr(schema, field.name), getattr(segment.schema, field.name)
+            if expected != actual:
                 raise StoreError(
-                    f"The {field.name} are not those of the campaign: segments/{segment.name} holds {theirs}, "
-                    f"the settings give {ours}."
+                    f"The {field.name} are not those of the campaign: segments/{segment.name} holds {actual}, "
+                    f"the settings give {expected}."
                 )
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """What a folder's segments come to: the chain, and what can go without losing a design."""
+    """The chain of a folder's segments, and the files that can be removed without losing a design."""
 
     chain: tuple[Segment, ...]
-    covered: tuple[str, ...]  # inputs of a compaction that was interrupted
-    damaged: Mapping[str, str]  # name -> reason; none of them stands before a valid segment
+    covered: tuple[str, ...]  # inputs of an interrupted compaction
+    damaged: Mapping[str, str]  # name -> reason; none precedes a valid segment
 
 
 def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str) -> Recovery:
-    """The longest chain of segments from design 0 on, where the widest one wins.
+    """The longest chain of segments from design 0; of several candidates the longest segment is taken.
 
     Raises:
         StoreError: if designs are missing before valid segments, or segments contradict each other.
@@ -118,8 +118,8 @@ def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str)
     chain: list[Segment] = []
     digests = {0: start}
     end = 0
-    while fits := [segment for segment in segments if segment.first == end and segment.before == digests[end]]:
-        chain.append(max(fits, key=lambda segment: segment.last))
+    while candidates := [segment for segment in segments if segment.first == end and segment.before == digests[end]]:
+        chain.append(max(candidates, key=lambda segment: segment.last))
         digests |= chain[-1].chain
         end = max(digests)
     covered, beyond, strays = [], [], {}
@@ -135,24 +135,23 @@ def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str)
         else:
             rivals = [other.name for other in chain if other.first <= segment.last and segment.first <= other.last]
             raise StoreError(
-                f"Two writers have written different designs under the same ids: {segment.name} against "
-                f"{', '.join(rivals)}. Nothing was changed. Move the wrong one out of segments/ to go on."
+                f"Two writers wrote different designs under the same ids: {segment.name} and {', '.join(rivals)}. "
+                f"Nothing was changed. Move the wrong file out of segments/ to continue."
             )
     damaged = {**damaged, **strays}
     if beyond:
         later = min(beyond, key=lambda segment: segment.first)
-        bad = "; ".join(f"{name} {reason}" for name, reason in sorted(damaged.items()))
+        reasons = "; ".join(f"{name} {reason}" for name, reason in sorted(damaged.items()))
         raise StoreError(
-            f"Designs {end} to {later.first - 1} are missing ({bad or 'there is no file with them'}), yet there "
-            f"{'are' if len(beyond) > 1 else 'is'} {', '.join(sorted(segment.name for segment in beyond))}. Nothing "
-            f"was changed. Restore the missing file from a copy, or move the later ones out of segments/ to go on "
-            f"from design {end}."
+            f"Designs {end} to {later.first - 1} are missing ({reasons or 'no file contains them'}), but later ones "
+            f"exist in {', '.join(sorted(segment.name for segment in beyond))}. Nothing was changed. Restore the "
+            f"missing file from a copy, or move the later files out of segments/ to continue from design {end}."
         )
     return Recovery(tuple(chain), tuple(covered), damaged)
 
 
 def set_aside(path: Path, reason: str) -> str:
-    """Rename a bad file, never over an older one; the warning that tells of it.
+    """Quarantine a damaged file, never over an older one; returns the warning for the user.
 
     Raises:
         StoreError: with the system's reason.

@@ -1,13 +1,13 @@
-"""The record of a campaign in its run folder: batches in a chain of immutable files, and what is kept beside them.
+"""The record of a campaign in its run folder: batches in a chain of immutable files, with states and sets.
 
     <folder>/campaign.toml              frozen copy of the settings
-             segments/<first>-<last>.h5 whole batches: the truth, from which the rest can be rebuilt; immutable
+             segments/<first>-<last>.h5 whole batches, immutable; states can be learned again from them
              state/<iteration>.h5       what was learned; the last three
-             sets/<name>.h5             designs beside the campaign and their results, simulated once
+             sets/<name>.h5             designs outside the budget and their results, simulated once
              .lock                      one writer at a time
 
-Every batch extends a chain of digests that begins with the settings and the schema. So a segment that is missing,
-altered or from another campaign is noticed. Merging segments leaves the chain as it is.
+Every batch extends a chain of digests that starts with the settings and the schema. So a segment that is missing,
+altered or from another campaign is detected. Merging segments does not change the chain.
 """
 
 import os
@@ -25,7 +25,7 @@ from activefail.errors import DamagedError, InputError, StoreError, SyncError
 from activefail.files import TEMPORARY, make_folder, publish, read_regular, replace, sync_folder
 from activefail.record import compaction
 from activefail.record.attachments import decode_set, decode_state, encode_set, encode_state
-from activefail.record.batch import Batch, Schema, own_copy
+from activefail.record.batch import Batch, Schema, checked_copy
 from activefail.record.layout import FOLDERS, LARGEST_SETTINGS, LOCK, SETTINGS, refuse_links
 from activefail.record.lock import FolderLock
 from activefail.record.recovery import (
@@ -46,8 +46,8 @@ from activefail.space import Array
 from activefail.visible import visible
 
 
-def _named(settings: str, key: str) -> str:
-    """The value of a key like "simulator.python" in the text of settings."""
+def _setting(settings: str, key: str) -> str:
+    """The value of a key such as "simulator.python" in the text of the settings."""
     value: Any = tomllib.loads(settings)
     for part in key.split("."):
         value = value[part]
@@ -55,37 +55,37 @@ def _named(settings: str, key: str) -> str:
 
 
 def _short(entry: str) -> str:
-    """An entry of the provenance, of a digest its beginning."""
+    """An entry of the provenance; a digest is abbreviated."""
     return entry[:8] if re.fullmatch("[0-9a-f]{64}", entry) else entry
 
 
 def check_empty(folder: Path, what: str, instead: str) -> None:
-    """Check that a folder is empty or missing. What an interrupted creation leaves does not count.
+    """Check that a folder is empty or missing, except for remains of an interrupted creation.
 
     Args:
-        folder: for something new.
-        what: it is for.
-        instead: advice if it holds anything.
+        folder: the folder for something new.
+        what: what the folder is for.
+        instead: advice if the folder is not empty.
 
     Raises:
-        InputError: if it holds anything else.
-        OSError: if it cannot be read.
+        InputError: if the folder is not empty.
+        OSError: if the folder cannot be read.
     """
-    present = sorted(os.listdir(folder)) if folder.exists() else []
-    found = [name for name in present if name != LOCK and not name.startswith(TEMPORARY)]
-    if found:
+    entries = sorted(os.listdir(folder)) if folder.exists() else []
+    foreign = [name for name in entries if name != LOCK and not name.startswith(TEMPORARY)]
+    if foreign:
         raise InputError(
-            f"{folder} is not empty (it holds {visible(found[0])}): a new {what} needs a new folder. {instead}"
+            f"{folder} is not empty (it holds {visible(foreign[0])}): a new {what} needs a new folder. {instead}"
         )
 
 
 class FolderStore:
-    """A record in a run folder, made by `create` or `open`; keeps the promises of `Store`.
+    """A record in a run folder, from `create` or `open`; implements `Store`.
 
     Attributes:
-        folder: where it is.
+        folder: the run folder.
         settings: the text of campaign.toml.
-        schema: what its columns mean; None in a record without batches that was opened for reading without a schema.
+        schema: the meaning of the columns; None for a record without batches, opened for reading without a schema.
     """
 
     def __init__(
@@ -102,12 +102,12 @@ class FolderStore:
         self._segments: list[Segment] = []
         self._start = ""
         self._batches: list[Batch] = []
-        # Made when asked for: a commit must not copy all that was committed before.
+        # Built on demand: a commit must not copy all earlier batches.
         self._batches_read: tuple[Batch, ...] | None = None
-        # Why this object may not write; empty if it may.
+        # The reason why this object may not write; empty if it may.
         self._refusal = "" if lock else f"{folder} was opened for reading only."
         if lock and not lock.held:
-            self._warn(f"The file system of {folder} has no locks: make sure that one process at a time writes there.")
+            self._warn(f"The file system of {folder} has no locks: make sure that only one process writes at a time.")
 
     @classmethod
     def create(
@@ -123,22 +123,22 @@ class FolderStore:
         A creation that was interrupted before it wrote campaign.toml can be repeated.
 
         Args:
-            folder: missing or empty.
+            folder: a missing or empty folder.
             settings: the text of campaign.toml.
-            schema: what the columns mean.
-            provenance: versions and digests that are recorded with every batch, by name.
+            schema: the meaning of the columns.
+            provenance: versions and digests to record with every batch, by name.
 
         Raises:
-            BusyError: if another process is creating it.
-            InputError: if the folder is not empty, no folder can be there, or the settings hold a NUL; nothing was
-                changed.
+            BusyError: if another process is creating the folder.
+            InputError: if the folder is not empty or cannot exist at this path, or the settings contain a NUL; nothing
+                is changed.
             StoreError: if the folder cannot be written.
         """
         folder = Path(folder).absolute()
         if "\0" in settings:
-            raise InputError("The settings must not hold a NUL.")
+            raise InputError("The settings must not contain a NUL.")
         try:
-            check_empty(folder, "campaign", "Resume the campaign in it, if there is one, or choose another folder.")
+            check_empty(folder, "campaign", "If it holds a campaign, resume that; otherwise choose another folder.")
             make_folder(folder)
         except (FileExistsError, NotADirectoryError) as error:
             raise InputError(f"{folder}: cannot be a run folder: {error.strerror}.") from None
@@ -162,20 +162,20 @@ class FolderStore:
         write: bool,
         provenance: Mapping[str, str] | None = None,
     ) -> Self:
-        """The record in a run folder. To write, it takes the lock and tidies up after a crash; else nothing changes.
+        """The record in a run folder. A writer takes the lock and cleans up after a crash; a reader changes nothing.
 
         Args:
-            folder: of the run.
-            schema: what the columns mean; that of the batches if None.
-            write: whether batches, states and sets are to be written.
-            provenance: versions and digests of now; a warning says which differ from those of the last batch.
+            folder: the run folder.
+            schema: the meaning of the columns; None takes the schema of the batches.
+            write: whether to open for writing.
+            provenance: current versions and digests; a warning names those that differ from the last batch's.
 
         Raises:
             BusyError: if another process is writing to the folder.
-            InputError: if it is opened to write and neither a schema nor a batch says what the columns mean.
-            StoreError: if it is not a run folder, holds a symbolic link, or cannot be read or written; if its settings
-                were changed, or its schema or version is another one; if designs are missing before others, or two
-                files contradict each other. No batch was changed.
+            InputError: if it is opened for writing and has neither a schema nor a batch.
+            StoreError: if it is not a run folder, contains a symbolic link, or cannot be read or written; if its
+                settings, schema or version differ; if designs are missing before others, or two files contradict each
+                other. No batch is changed.
         """
         folder = Path(folder).absolute()
         path = folder / SETTINGS
@@ -183,13 +183,13 @@ class FolderStore:
         try:
             settings = read_regular(path, LARGEST_SETTINGS).decode()
         except FileNotFoundError:
-            kept = [name for name in plain_files(folder / "segments") if is_segment(name)]
-            hint = f" Restore it: segments/{kept[0]} holds its text, in the dataset 'settings'." if kept else ""
+            names = [name for name in plain_files(folder / "segments") if is_segment(name)]
+            hint = f" Restore it: segments/{names[0]} holds its text, in the dataset 'settings'." if names else ""
             raise StoreError(f"{folder} is not a run folder: campaign.toml is missing.{hint}") from None
         except OSError as error:
             raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
         except UnicodeDecodeError:
-            raise StoreError(f"{path} is not UTF-8 text any more. Restore the frozen copy.") from None
+            raise StoreError(f"{path} is no longer UTF-8 text. Restore the frozen copy.") from None
         except ValueError as error:
             raise StoreError(f"{path} {error}. Restore the frozen copy.") from None
         store = cls(folder, settings, schema, FolderLock(folder) if write else None, provenance or {})
@@ -201,14 +201,14 @@ class FolderStore:
         return store
 
     def _load(self) -> None:
-        """Read and check all batches; only then, and only under the lock, tidy up."""
+        """Read and check all batches; only then, and only under the lock, clean up."""
         folder = self.folder / "segments"
         segments, damaged = read_segments(folder)
         check_campaign(segments, self.settings, self.schema)
         if self.schema is None and segments:
             self.schema = segments[0].schema
         if self.schema is None and self._lock:
-            raise InputError(f"{self.folder} holds no batch yet: to write to it, say what the columns mean (schema).")
+            raise InputError(f"{self.folder} holds no batch yet: a schema is required for writing.")
         if self.schema:
             self._start = chain_start(self.settings, self.schema)
         try:
@@ -225,42 +225,42 @@ class FolderStore:
             self._compare_provenance()
         else:
             for name, reason in sorted(recovery.damaged.items()):
-                self._warn(f"segments/{name} {reason}; it is ignored. Opening to write renames it to {QUARANTINE}.")
+                self._warn(f"segments/{name} {reason}; it is ignored. A writer will rename it to {QUARANTINE}.")
 
     def _compare_provenance(self) -> None:
         provenance = self._segments[-1].provenance if self._segments else {}
-        # A merged segment may hold several, one after the other.
+        # A merged segment may hold several values in sequence.
         before = {name: [*compaction.history(text, 0).values()][-1] for name, text in provenance.items()}
         changed = {name: now for name, now in self._provenance.items() if before.get(name, now) != now}
-        # An entry that is named after a key of the settings is the digest of the user's code that the key names.
+        # An entry named after a settings key is the digest of the user code that the key refers to.
         code = {name: changed.pop(name) for name in list(changed) if "." in name}
         for name, now in code.items():
             self._warn(
-                f"Your own code has changed since the last batch, {_named(self.settings, name)} ({name}) or what it "
-                f"imports: {_short(before[name])} -> {_short(now)}. What follows is by the code as it is now."
+                f"Your code has changed since the last batch, {_setting(self.settings, name)} ({name}) or a module "
+                f"that it imports: {_short(before[name])} -> {_short(now)}. New simulations use the current code."
             )
         if changed:
             self._warn(
-                "This machine or its versions are not those of the last batch, so that what follows is not "
-                "bit-identical to an uninterrupted campaign: "
+                "This machine or its software differs from that of the last batch, so the continued campaign is not "
+                "bit-identical to an uninterrupted one: "
                 + "; ".join(f"{name} {_short(before[name])} -> {_short(now)}" for name, now in changed.items())
                 + "."
             )
 
     def _tidy(self, recovery: Recovery) -> None:
-        """Make the folders, set bad files aside, remove temporaries and what a compaction left. Data stays."""
+        """Create missing folders, quarantine damaged files, and remove temporary files and inputs of compactions."""
         folder = self.folder / "segments"
         try:
             for name in FOLDERS:
                 with suppress(FileExistsError):
                     os.mkdir(self.folder / name)
-            for place in (self.folder, *(self.folder / name for name in FOLDERS)):
-                for name in plain_files(place):
+            for parent in (self.folder, *(self.folder / name for name in FOLDERS)):
+                for name in plain_files(parent):
                     if name.startswith(TEMPORARY):
-                        os.unlink(place / name)
+                        os.unlink(parent / name)
             for name, reason in sorted(recovery.damaged.items()):
                 self._warn(set_aside(folder / name, reason))
-            # The merged segment must be durable under its name before its inputs go.
+            # The merged segment must be durable under its name before its inputs are removed.
             sync_folder(folder)
             for name in recovery.covered:
                 os.unlink(folder / name)
@@ -271,16 +271,16 @@ class FolderStore:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know: files set aside, skipped or ignored, versions that changed, missing locks."""
+        """Messages for the user: files quarantined, skipped or ignored, changed versions, missing locks."""
         return tuple(self._warnings)
 
     def new_warnings(self) -> tuple[str, ...]:
-        """The warnings that came since this was asked last."""
+        """The warnings since the last call."""
         shown, self._shown = self._shown, len(self._warnings)
         return tuple(self._warnings[shown:])
 
     def _warn(self, text: str) -> None:
-        text = visible(text)  # it may name a stranger's file
+        text = visible(text)  # it may contain an untrusted file name
         if text not in self._warnings:
             self._warnings.append(text)
 
@@ -297,7 +297,7 @@ class FolderStore:
         return self._segments[-1].after if self._segments else self._start
 
     def _writable(self) -> Schema:
-        """The schema to write by.
+        """The schema for writing.
 
         Raises:
             StoreError: if this object may not write.
@@ -308,8 +308,8 @@ class FolderStore:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """One change of the folder. After what may have left it half done, this object refuses any other."""
-        self._refusal = f"Writing to {self.folder} was interrupted. Open it again: what was acknowledged is whole."
+        """Guard one change of the folder. If it may be incomplete, this object refuses every later change."""
+        self._refusal = f"Writing to {self.folder} was interrupted. Open it again: acknowledged data is intact."
         try:
             yield
         except SyncError as error:
@@ -324,35 +324,35 @@ class FolderStore:
         """Append a batch (see Store); merge segments if there are many small ones."""
         schema = self._writable()
         first = self._segments[-1].last + 1 if self._segments else 0
-        kept = own_copy(batch, schema)
-        segment = Segment(self.settings, schema, first, self._digest, (kept,), self._provenance)
+        copy = checked_copy(batch, schema)
+        segment = Segment(self.settings, schema, first, self._digest, (copy,), self._provenance)
         data = encode_segment(segment)
         with self._writing():
             self._publish(segment, data)
             self._segments.append(segment)
-            self._batches.append(kept)
+            self._batches.append(copy)
             self._batches_read = None
         try:
             self.compact()
         except StoreError as error:
-            # The batch is durable, and so many small files are only slow.
+            # The batch is durable; small files only cost time.
             self._warn(f"Small segments were not merged: {error}")
 
     def _publish(self, segment: Segment, data: bytes) -> None:
-        """Commit a segment of new designs, fenced against a writer that the lock did not stop."""
+        """Commit a segment of new designs, protected against a writer that the lock did not stop."""
         path = self.folder / "segments" / segment.name
-        taken = f"another writer got there first. Open {self.folder} again."
+        reason = f"another writer got there first. Open {self.folder} again."
         if rival := self._rival(segment):
-            raise StoreError(f"Cannot write {path}: {rival} holds its designs already; {taken}")
+            raise StoreError(f"Cannot write {path}: {rival} already holds its designs; {reason}")
         publish(path, data)
-        # The link fences one name only. Of two overlapping names, whoever linked last sees the other one here.
+        # The link protects one name only. Of two overlapping names, the later writer sees the other one here.
         if rival := self._rival(segment):
             with suppress(StoreError):
                 self._warn(set_aside(path, f"was written at the same time as {rival}"))
-            raise StoreError(f"Withdrew {path}: {rival} holds its designs already; {taken}")
+            raise StoreError(f"Withdrew {path}: {rival} already holds its designs; {reason}")
 
     def _rival(self, segment: Segment) -> str | None:
-        """A file, other than the segment's own, with ids of the segment."""
+        """Another file that contains ids of the segment."""
         for name in plain_files(self.folder / "segments"):
             if is_segment(name) and name != segment.name:
                 first, last = (int(number) for number in name.removesuffix(".h5").split("-"))
@@ -361,10 +361,10 @@ class FolderStore:
         return None
 
     def compact(self) -> None:
-        """Merge what is due (see `activefail.record.compaction`); batches and chain stay as they are.
+        """Merge segments that are due (see `activefail.record.compaction`); batches and chain do not change.
 
         Raises:
-            StoreError: if a merged file cannot be written; its inputs are still there.
+            StoreError: if a merged file cannot be written; its inputs remain.
         """
         self._writable()
         folder = self.folder / "segments"
@@ -378,7 +378,7 @@ class FolderStore:
                 at = self._segments.index(run[0])
                 self._segments[at : at + len(run)] = [merged]
                 for segment in run:
-                    # One that stays is harmless, and removed when the folder is opened next.
+                    # A remaining input is harmless; the next writer removes it.
                     with suppress(OSError):
                         os.unlink(folder / segment.name)
                 sync_folder(folder)
@@ -402,7 +402,7 @@ class FolderStore:
         return sorted((int(name.removesuffix(".h5")), folder / name) for name in names)
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
-        """The newest state that is whole and of this record (see Store)."""
+        """The newest intact state of this record (see Store)."""
         digests = {digest for segment in self._segments for digest in segment.chain.values()} or {self._start}
         for iteration, path in reversed(self._states()):
             if iteration in self._rejected:
@@ -430,7 +430,7 @@ class FolderStore:
             replace(self.folder / "sets" / f"{name}.h5", data)
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
-        """The set, or None (see Store); one that is damaged or of another campaign is set aside."""
+        """The set, or None (see Store); a damaged or foreign set is quarantined."""
         path = self.folder / "sets" / f"{name}.h5"
         if path.name not in plain_files(path.parent):
             return None
@@ -450,7 +450,7 @@ class FolderStore:
         return [name.removesuffix(".h5") for name in names if name.endswith(".h5") and not name.startswith(TEMPORARY)]
 
     def close(self) -> None:
-        """Write nothing more and release the lock; the batches stay readable."""
+        """Refuse further writes and release the lock; the batches stay readable."""
         if self._lock:
             self._lock.release()
             self._lock = None

@@ -1,4 +1,4 @@
-"""Segments: whole batches in one immutable file each, in a chain of digests that begins with settings and schema."""
+"""Segments: immutable files of whole batches, in a chain of digests that starts with settings and schema."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from activefail import __version__
 from activefail.errors import DamagedError, StoreError
 from activefail.record.batch import COLUMNS, Batch, Schema, batch_of, columns_of, results_of
-from activefail.record.hdf5 import Image, encode, opened
+from activefail.record.hdf5 import Image, encode, open_image
 from activefail.visible import visible
 
 SCHEMA_VERSION = 1
-"""Version of what the datasets and attributes of the files mean."""
+"""Version of the meaning of the files' datasets and attributes."""
 
 
 def chain_start(settings: str, schema: Schema) -> str:
-    """The digest that the chain of a campaign begins with (SHA-256 over the settings' SHA-256 and the schema)."""
+    """The digest at the start of a campaign's chain (SHA-256 of the settings' SHA-256 and the schema)."""
     return hashlib.sha256(sha256(settings).encode() + schema.text.encode()).hexdigest()
 
 
 def chain_next(before: str, batch: Batch) -> str:
-    """The digest after a batch: SHA-256 over the one before it and every bit of the batch."""
+    """The digest after a batch: SHA-256 of the previous digest and every bit of the batch."""
     columns = columns_of(batch)
     digest = hashlib.sha256(bytes.fromhex(before))
     digest.update(f"{batch.iteration} {batch.designs.shape} {batch.results.margins.shape}\n".encode())
@@ -53,7 +53,7 @@ class Segment:
 
     @cached_property
     def chain(self) -> dict[int, str]:
-        """The chain's digest before the design of each id at which a batch begins, and after the last design."""
+        """The chain's digest before each id at which a batch begins, and after the last design."""
         end, digest = self.first, self.before
         chain = {end: digest}
         for batch in self.batches:
@@ -78,7 +78,7 @@ class Segment:
 
 
 def segment_name(first: int, last: int) -> str:
-    """Name of the file with the designs of these ids."""
+    """Name of the file with the designs `first` to `last`."""
     return f"{first:09d}-{last:09d}.h5"
 
 
@@ -105,7 +105,7 @@ def encode_segment(segment: Segment) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """What a segment's file says of itself and of its outcomes; see Segment.
+    """A segment without designs and margins, for quick reading; see Segment.
 
     Attributes:
         iterations, sizes: (number of batches,) int64.
@@ -125,24 +125,24 @@ class Outline:
 
 
 def decode_outline(name: str, data: bytes) -> Outline:
-    """The outline of the segment in a file of this name; every bit of the file is checked, not the chain within it.
+    """The outline of the segment in a file with this name; checks every bit of the file, but not its chain.
 
     Raises:
-        DamagedError: if the file is not whole or not what its name says.
-        StoreError: if it was written in another version.
+        DamagedError: if the file is damaged or does not match its name.
+        StoreError: if another version wrote it.
     """
-    with opened(data) as image:
+    with open_image(data) as image:
         return _outline(name, image)
 
 
 def decode_segment(name: str, data: bytes) -> Segment:
-    """The segment in a file of this name.
+    """The segment in a file with this name.
 
     Raises:
-        DamagedError: if the file is not whole or not what its name says.
-        StoreError: if it was written in another version.
+        DamagedError: if the file is damaged or does not match its name.
+        StoreError: if another version wrote it.
     """
-    with opened(data) as image:
+    with open_image(data) as image:
         outline = _outline(name, image)
         known = {"origin": outline.origin, "outcome": outline.outcome}
         others = [column for column in COLUMNS if column not in known]
@@ -179,11 +179,11 @@ def _outline(name: str, image: Image) -> Outline:
     return Outline(settings, schema, first, last, before, after, iterations, sizes, origin, outcome)
 
 
-_MISNAMED = "is not the file that its name, its chain and its settings' SHA-256 say"
+_MISNAMED = "does not match its name, its chain or its settings' SHA-256"
 
 
 def read_columns(image: Image, names: Sequence[str], n: int, schema: Schema) -> dict[str, NDArray[Any]]:
-    """The named columns of n designs, their declared types and shapes checked before they are read."""
+    """The named columns of n designs; their declared types and shapes are checked before reading."""
     return {name: image.array(name, COLUMNS[name], _shape(name, n, schema)) for name in names}
 
 
@@ -198,7 +198,7 @@ def _shape(column: str, n: int, schema: Schema) -> tuple[int, ...]:
 
 
 def check_version(image: Image) -> None:
-    """Raise StoreError if a file was written in another schema version."""
+    """Raise StoreError if a file has another schema version."""
     written = image.attribute("schema_version")
     if written != str(SCHEMA_VERSION):
         program = visible(image.attributes("provenance.").get("activefail", "of an unknown version"))

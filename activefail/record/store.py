@@ -1,4 +1,4 @@
-"""The store seam: what keeps a campaign's record, and what it promises."""
+"""The store interface: how a campaign's record is kept, and what a store guarantees."""
 
 import re
 from collections.abc import Mapping
@@ -13,64 +13,63 @@ from activefail.simulators.interface import Results
 from activefail.space import Array
 
 STATES_KEPT = 3
-"""How many states of what was learned a store keeps."""
+"""Number of states that a store keeps."""
 
 
 class Store(Protocol):
-    """Where a campaign is recorded: batches, states of what was learned, and sets of designs beside the campaign.
+    """The record of a campaign: batches, states of what was learned, and sets of designs outside the budget.
 
-    **Durability.** A batch is kept from the moment `commit` returns; a state and a set from the moment `write_state`
-    and `write_set` return. Kept means: it survives the process, where the store outlives it, and the loss of power,
-    where the disk honours fsync. `MemoryStore` keeps everything as long as the object lives.
+    **Durability.** A batch is durable once `commit` returns; a state or a set once `write_state` or `write_set`
+    returns. Durable data survives the process and, if the disk honours fsync, the loss of power. `MemoryStore` keeps
+    its data as long as the object lives.
 
-    **Readers.** Batches, states and sets are seen whole or not at all. A reader of a folder in which another process
-    writes has the batches that were committed when it was opened: a prefix of the writer's, never more later on. States
-    and sets are read when they are asked for; a state that was learned from a batch that the reader does not know is
-    skipped.
+    **Readers.** Batches, states and sets are visible as a whole or not at all. A reader of a folder in which another
+    process writes has the batches that were committed when the reader was opened, and no later ones. States and sets
+    are read on demand; a state that was learned from a batch unknown to the reader is skipped.
 
     **Writers.** At most one store writes to a record. A second one is refused when it is opened or, on a file system
     without locks, when it commits.
 
-    **Threads and processes.** One thread calls a store at a time, any thread. A store is not pickled and not used after
-    a fork.
+    **Threads and processes.** Any thread may call a store, but only one at a time. A store is not pickled and not used
+    after a fork.
 
-    **Arrays.** A store copies what it is given before it returns; the caller keeps its arrays. The arrays of `batches`
-    are the store's and read-only. The arrays that `latest_state` and `read_set` return are the caller's own. All come
-    back bit for bit, NaN payloads and signed zeros too.
+    **Arrays.** A store copies its arguments before it returns; the caller keeps its arrays. The arrays of `batches`
+    belong to the store and are read-only. The caller owns the arrays that `latest_state` and `read_set` return. All
+    arrays keep their bits, including NaN payloads and signed zeros.
 
-    **Exceptions.** After InputError nothing has changed, and the store stays usable. After StoreError what was not
-    acknowledged is not in the record, everything acknowledged is, and the call can be repeated, with one exception:
-    where fsync failed (SyncError) or a write was interrupted, the store refuses every later write with StoreError;
-    opened again, the record holds all acknowledged batches and perhaps the last one.
+    **Exceptions.** After InputError nothing has changed, and the store stays usable. After StoreError the record holds
+    all acknowledged data and nothing else, and the call can be repeated, with one exception: if fsync failed
+    (SyncError) or a write was interrupted, the store refuses every later write with StoreError; opened again, the
+    record holds all acknowledged batches and perhaps the last one.
 
-    **Closing.** A store is a context manager that closes itself and lets exceptions pass. A closed store refuses to
-    write with StoreError and can still be read.
+    **Closing.** A store is a context manager that closes itself and propagates exceptions. A closed store refuses
+    writes with StoreError and can still be read.
     """
 
     @property
     def batches(self) -> tuple[Batch, ...]:
-        """All committed batches, in the order of their commits; a later commit does not change a tuple given before."""
+        """All committed batches, in the order of their commits; a later commit does not change the returned tuple."""
         ...
 
     def commit(self, batch: Batch) -> None:
         """Append a batch; it is durable when this returns.
 
         Raises:
-            InputError: if the batch is not of the store's schema.
-            StoreError: if it cannot be kept, or the store may not write; no reader ever sees a part of it.
+            InputError: if the batch does not match the store's schema.
+            StoreError: if it cannot be written, or the store may not write; no reader ever sees a part of it.
         """
         ...
 
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays, learned from the batches so far; durable when this returns.
 
-        It replaces a state of the same iteration. States of later iterations are dropped: they belong to a course that
-        this campaign did not take. Of the others the newest three stay. Losing a state loses time only, as it can be
-        learned again.
+        A state of the same iteration is replaced. States of later iterations are dropped: they belong to a discarded
+        course of the campaign. The newest three states are kept. A lost state costs only time, as it can be learned
+        again.
 
         Args:
-            iteration: that the state includes; at least 0.
-            arrays: float64 or int64, of any shape, under any names that are not empty.
+            iteration: last iteration that the state includes; at least 0.
+            arrays: float64 or int64 arrays of any shape, under non-empty names.
 
         Raises:
             InputError: if an array has another type, a name is empty or the iteration is negative.
@@ -79,39 +78,39 @@ class Store(Protocol):
         ...
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
-        """The newest state and its iteration, of those that are whole, not rejected and learned from these batches."""
+        """The newest state and its iteration, among intact, not rejected states learned from these batches."""
         ...
 
     def reject_state(self, iteration: int, reason: str) -> None:
-        """Skip the state of an iteration in this object from now on, until it is written anew.
+        """Skip the state of an iteration in this object until it is written again.
 
-        Allowed on a store that may not write: the record does not change.
+        A store that may not write allows this too, since the record does not change.
 
         Args:
-            iteration: of the state; one that does not exist is no error.
+            iteration: iteration of the state, which need not exist.
             reason: completes "<file> ..." in a warning.
         """
         ...
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
-        """Keep designs X, shape (n, d), and their results beside the campaign, in the place of a set of this name.
+        """Keep designs X, shape (n, d), and their results outside the budget; replaces a set of the same name.
 
         Raises:
-            InputError: if the name is not made of letters, digits, `_` and `-`, or the set is not of the schema.
+            InputError: if the name is not made of letters, digits, `_` and `-`, or the set does not match the schema.
             StoreError: if it cannot be written, or the store may not write; the older set stays.
         """
         ...
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
-        """The set, or None if there is none that is whole and of this campaign."""
+        """The set, or None without an intact set of this campaign."""
         ...
 
     def set_names(self) -> list[str]:
-        """Names of the sets, sorted; `read_set` says whether one is whole."""
+        """Names of the sets, sorted; only `read_set` checks a set."""
         ...
 
     def close(self) -> None:
-        """Write nothing more and let another writer in. A second call does nothing."""
+        """Refuse further writes and allow another writer. A second call does nothing."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -119,7 +118,11 @@ class Store(Protocol):
 
 
 def checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Copies of the arrays of a state."""
+    """Copies of a state's arrays.
+
+    Raises:
+        InputError: if an array has another type, a name is empty or the iteration is negative.
+    """
     if iteration < 0 or not all(arrays):
         raise InputError(f"A state needs `iteration >= 0` and names, got {iteration} and {list(arrays)}.")
     state = {name: np.array(array) for name, array in arrays.items()}

@@ -1,4 +1,4 @@
-"""What a custom simulator is given and what it returns: names and numbers of one design."""
+"""Input and output of a custom simulator: one design as a dictionary, and its result."""
 
 from collections.abc import Mapping
 
@@ -9,37 +9,45 @@ from activefail.space import Array, DesignSpace
 
 
 def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, float]]:
-    """Designs, (n, d), as a dictionary each: variables and fixed quantities."""
+    """One dictionary per design, (n, d): values of the variables and the fixed quantities."""
     return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in np.asarray(X).tolist()]
 
 
-def read_answer(said: object, outcomes: tuple[str, ...], margins: tuple[str, ...], seconds: float) -> Results:
-    """What a simulator of one's own said of one design, as a record holds it."""
-    if isinstance(said, str):
-        said = {"outcome": said}
-    if not isinstance(said, Mapping):
-        raise UnusableAnswerError(f"the answer must be an outcome or a table with one, got {said!r}")
-    unknown = set(said) - {"outcome", "margins"}
+def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, ...], seconds: float) -> Results:
+    """The result of one design, from what a custom simulator returned.
+
+    Raises:
+        UnusableAnswerError: if the answer breaks a rule.
+    """
+    if isinstance(answer, str):
+        answer = {"outcome": answer}
+    if not isinstance(answer, Mapping):
+        raise UnusableAnswerError(f"the answer must be an outcome or a table with one, got {answer!r}")
+    unknown = set(answer) - {"outcome", "margins"}
     if unknown:
-        raise UnusableAnswerError(f"the answer may hold outcome and margins, got {sorted(map(str, unknown))[0]!r} too")
-    outcome, told = said.get("outcome"), said.get("margins", {})
-    # A text, of its own characters: not what says that it equals one.
-    text = str.__str__(outcome) if isinstance(outcome, str) else None
-    if text not in outcomes:
+        raise UnusableAnswerError(
+            f"the answer may contain only outcome and margins, got {sorted(map(str, unknown))[0]!r}"
+        )
+    outcome, margin_values = answer.get("outcome"), answer.get("margins", {})
+    # A subclass of str may override `==`; compare its characters.
+    outcome_name = str.__str__(outcome) if isinstance(outcome, str) else None
+    if outcome_name not in outcomes:
         raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
-    if not isinstance(told, Mapping):
-        raise UnusableAnswerError(f"margins: must be a table of {', '.join(margins) or 'nothing'}, got {told!r}")
-    for name in told:
+    if not isinstance(margin_values, Mapping):
+        raise UnusableAnswerError(
+            f"margins: must be a table of {', '.join(margins) or 'nothing'}, got {margin_values!r}"
+        )
+    for name in margin_values:
         if name not in margins:
             raise UnusableAnswerError(
                 f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
             )
-    values = [told.get(name, np.nan) for name in margins]
+    values = [margin_values.get(name, np.nan) for name in margins]
     for name, value in zip(margins, values, strict=True):
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
             raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
     return Results(
-        np.array([outcomes.index(text)], dtype=np.int8),
+        np.array([outcomes.index(outcome_name)], dtype=np.int8),
         np.zeros(1, dtype=np.int8),
         np.array([values], dtype=np.float64).reshape(1, len(margins)),
         np.array([seconds]),

@@ -14,10 +14,10 @@ from activefail.space import Array, DesignSpace
 
 @dataclass(frozen=True)
 class DfpSimulator:
-    """The bearing model over the nine variables of Table 1, whatever ranges a campaign gives them.
+    """The bearing model over the nine variables of Table 1, in any ranges.
 
     Attributes:
-        space: of the designs.
+        space: design space.
     """
 
     space: DesignSpace
@@ -31,10 +31,11 @@ class DfpSimulator:
 
     @classmethod
     def on(cls, space: DesignSpace, model: Model, tolerance: Tolerance) -> "DfpSimulator":
-        """The simulator for designs of a space.
+        """The simulator for a design space.
 
         Raises:
-            InputError: if the space lacks a variable of Table 1, has another one, or reaches to zero or below.
+            InputError: if the space lacks a variable of Table 1, has an unknown one, contains values that are not
+                positive, or contains a bearing that cannot be built.
         """
         lowest, highest = space.table(np.array([space.low, space.high]), TABLE_1.names)
         for name in (*space.names, *space.fixed):
@@ -51,12 +52,12 @@ class DfpSimulator:
                 key = "value" if name in space.fixed else "low"
                 raise InputError(f"space.{name}.{key}: must be positive for the dfp simulator, got {low}.")
         try:
-            # The hardest to build of all: small radius, wide dish, high slider.
+            # The hardest bearing to build: small radius, wide dish, high slider.
             Bearing.from_row([lowest[0], *highest[1:7]], model.slider_diameter)
-        except InputError as impossible:
+        except InputError as error:
             raise InputError(
-                f"space: the corner of least T_b, largest D_tot and h_sl_ratio cannot be built with a "
-                f"bearing.slider_diameter of {model.slider_diameter:g} m. {impossible}"
+                f"space: the bearing with the smallest T_b and the largest D_tot and h_sl_ratio cannot be built with "
+                f"a bearing.slider_diameter of {model.slider_diameter:g} m. {error}"
             ) from None
         return cls(space, model, tolerance)
 

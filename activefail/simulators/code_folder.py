@@ -1,4 +1,4 @@
-"""A folder of the user's code: how its modules are imported, and one digest of their sources."""
+"""The folder of the user's code: imports from it, and a digest of its sources."""
 
 import ast
 import hashlib
@@ -12,21 +12,21 @@ from types import ModuleType
 
 
 class _FolderFinder:
-    """Finds the modules of one folder, after all others, and knows which of them it has found.
+    """Finds the modules of one folder and remembers which modules it found.
 
-    It stands on `sys.meta_path` before Python's own finder. The folder is the last on `sys.path`, so that none of its
-    modules hides a library. Processes that the user's code starts take `sys.path` over and find the modules, too.
+    It precedes Python's path finder on `sys.meta_path`. The folder is last on `sys.path`, so that none of its modules
+    shadows a library. Processes started by the user's code inherit `sys.path` and find the modules too.
 
     Attributes:
-        folder: where it looks.
-        sources: digests of the sources that were imported, or are about to be.
+        folder: the folder of the user's code.
+        sources: digests of the sources that were, or are about to be, imported.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.sources: dict[Path, str] = {}
-        self._found: set[str] = set()
-        # A folder that Python searches anyway keeps its place.
+        self._modules: set[str] = set()
+        # A folder that is already on the path keeps its place.
         self._added = str(folder) not in sys.path
         if self._added:
             sys.path.append(str(folder))
@@ -35,18 +35,18 @@ class _FolderFinder:
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The module or package of that name, if it lies in the folder; Python itself finds what a package holds."""
+        """The top-level module or package, if it is in the folder; Python finds the modules inside a package."""
         if path is None and (spec := PathFinder.find_spec(name)) is not None:
-            place = next(iter(spec.submodule_search_locations or []), spec.origin)
-            if place and Path(place).parent == self.folder:
-                self._found.add(name)
+            location = next(iter(spec.submodule_search_locations or []), spec.origin)
+            if location and Path(location).parent == self.folder:
+                self._modules.add(name)
                 return spec
         return None
 
     def remove(self) -> None:
-        """Take it from where Python looks, and forget the modules that it has found."""
+        """Remove the finder and the folder from Python's search, and unload the modules that it found."""
         for name in list(sys.modules):
-            if name.partition(".")[0] in self._found:
+            if name.partition(".")[0] in self._modules:
                 del sys.modules[name]
         if self._added and str(self.folder) in sys.path:
             sys.path.remove(str(self.folder))
@@ -54,13 +54,13 @@ class _FolderFinder:
 
 
 def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
-    """Let imports find the modules of a folder, and no longer those of the folder before it.
+    """Make the modules of a folder importable, in place of those of the previous folder.
 
-    Python knows modules by name alone, and two campaigns may each have a helper of one name.
+    Python identifies modules by name only, and two campaigns may have helper modules of the same name.
 
     Args:
-        folder: of the user's code.
-        sources: that are about to be imported; if one has changed since it was imported, all are imported again.
+        folder: the folder of the user's code.
+        sources: digests of the sources to import; if one has changed since its import, all are imported again.
     """
     finder = next((finder for finder in sys.meta_path if isinstance(finder, _FolderFinder)), None)
     if finder is not None:
@@ -71,7 +71,7 @@ def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
     if finder is None:
         finder = _FolderFinder(folder)
     for path in sources.keys() - finder.sources.keys():
-        # Python would use compiled code of a source that has changed in the same second and kept its length.
+        # Python would reuse the bytecode of a source that changed within the same second at the same length.
         with suppress(OSError):
             Path(importlib.util.cache_from_source(path)).unlink()
     finder.sources.update(sources)
@@ -82,22 +82,22 @@ def import_from(folder: Path, sources: Mapping[Path, str]) -> None:
 
 
 def sources_of(path: Path, folder: Path) -> dict[Path, str]:
-    """Digests of a source and of those in the folder that it imports, or these do; empty if there is no such file."""
-    found: dict[Path, str] = {}
-    left = [path]
-    while left:
-        path = left.pop()
-        if path not in found and path.is_file():
+    """Digests of a source and of all sources in the folder that it imports, directly or not; empty without a file."""
+    digests: dict[Path, str] = {}
+    pending = [path]
+    while pending:
+        path = pending.pop()
+        if path not in digests and path.is_file():
             text = path.read_bytes()
-            found[path] = sha256(text)
+            digests[path] = sha256(text)
             for name in _names_imported(text, path.parent.relative_to(folder).parts):
-                place = folder.joinpath(*name.split("."))
-                left += [place.with_suffix(".py"), place / "__init__.py"]
-    return found
+                stem = folder.joinpath(*name.split("."))
+                pending += [stem.with_suffix(".py"), stem / "__init__.py"]
+    return digests
 
 
 def digest_of(sources: Mapping[Path, str], folder: Path) -> str:
-    """One digest of sources in a folder; that of a single source is its own."""
+    """One digest for all sources in a folder; for a single source, the digest of its bytes."""
     if len(sources) == 1:
         return next(iter(sources.values()))
     lines = sorted(f"{path.relative_to(folder)} {digest}\n" for path, digest in sources.items())
@@ -105,14 +105,14 @@ def digest_of(sources: Mapping[Path, str], folder: Path) -> str:
 
 
 def sha256(content: bytes) -> str:
-    """The SHA-256 of some bytes, in hexadecimal digits."""
+    """The SHA-256 of bytes, in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 
 
 def _names_imported(text: bytes, package: tuple[str, ...]) -> set[str]:
-    """Full names that a source in a package imports: modules, the packages around them, and what may be either."""
+    """Full names that a source in a package imports: modules, their parent packages, and names that may be modules."""
     names: set[str] = set()
-    # A source that cannot be parsed is reported when it is imported.
+    # The import reports a source that cannot be parsed.
     with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
         for node in ast.walk(ast.parse(text)):
             match node:

@@ -1,4 +1,4 @@
-"""A program that is run once for each design."""
+"""Custom simulators that are programs, run once for each design."""
 
 import hashlib
 import json
@@ -25,35 +25,35 @@ from activefail.simulators.interface import Results, UnusableAnswerError
 from activefail.space import Array, DesignSpace
 
 LONGEST_EXCERPT = 300
-"""Characters of a program's `stderr.txt` that a message repeats."""
+"""Characters of a program's `stderr.txt` that a message quotes."""
 
 
 LONGEST_NUMBER = 100
-"""Largest width and precision of a format in a command: memory and time grow with both."""
+"""Largest width and precision in a format of a command: memory and time grow with both."""
 
 
 LARGEST_ANSWER = 1_000_000
-"""Bytes that the file of an answer may have."""
+"""Most bytes in an answer's file."""
 
 
 @dataclass(frozen=True)
 class CommandSimulator:
-    """A program that answers one design a run, each in a folder of its own, named after the design.
+    """A program that simulates one design per run, in a folder named after the design.
 
-    The folder holds `design.json` with the values of the variables and the fixed quantities, and then what the program
-    prints (`stdout.txt`, `stderr.txt`). In the command, which no shell sees, `{name}` stands for a value, `{out}` for
-    the file that the program writes its answer to, a JSON object with "outcome" and perhaps "margins", and `{here}` for
-    the folder of the campaign's own code.
+    The folder contains `design.json`, with the values of the variables and the fixed quantities, and the program's
+    output (`stdout.txt`, `stderr.txt`). The command runs without a shell. In it, `{name}` is replaced by a value,
+    `{here}` by the folder of the user's code, and `{out}` by the file to which the program writes its answer: a JSON
+    object with "outcome" and, optionally, "margins".
 
     Attributes:
-        space: of the designs.
+        space: design space.
         command: the program and its arguments.
-        here: what `{here}` stands for; None if the program may not be run.
-        work: where the folders are made.
-        outcomes, margins: what it may answer.
-        retries: how often it is run again where its exit code is not 0 or it leaves no answer.
-        keep: whether the folders of the simulations that it answered are kept.
-        largest_file: that it may write [bytes]; one that writes more is ended.
+        here: the value of `{here}`; None if the program may not be run.
+        work: parent of the designs' folders.
+        outcomes, margins: the names that an answer may contain.
+        retries: how often the program is run again if its exit code is not 0 or its answer is unusable.
+        keep: whether to keep the folders of successful simulations.
+        largest_file: largest file that the program may write [bytes]; a program that exceeds it is killed.
     """
 
     space: DesignSpace
@@ -74,23 +74,23 @@ class CommandSimulator:
         quantities = (*self.space.names, *self.space.fixed)
         for name in ("out", "here"):
             if name in quantities:
-                raise InputError(f"space.{name}: `{{{name}}}` has another meaning in simulator.command; rename it.")
+                raise InputError(f"space.{name}: `{{{name}}}` is reserved in simulator.command; rename the variable.")
         known = dict.fromkeys(quantities, 1.0) | {"out": "out", "here": "here"}
         try:
             parts = shlex.split(self.command)
-            fields = [asked for part in parts for asked in string.Formatter().parse(part) if asked[1] is not None]
-            asked = [field for _, field, _, _ in fields]
+            fields = [field for part in parts for field in string.Formatter().parse(part) if field[1] is not None]
+            names = [name for _, name, _, _ in fields]
             for _, field, form, _ in fields:
                 if "{" in (form or ""):
-                    raise ValueError(f"a format holds no braces, as that of {{{field}}} does")
+                    raise ValueError(f"the format of {{{field}}} must not contain braces")
                 if any(len(digits.lstrip("0")) > 3 or int(digits) > LONGEST_NUMBER for digits in _digits(form or "")):
                     raise ValueError(
-                        f"a format has a width and a precision of at most {LONGEST_NUMBER}, unlike that of {{{field}}}"
+                        f"the format of {{{field}}} must have a width and a precision of at most {LONGEST_NUMBER}"
                     )
                 if field not in known:
                     raise ValueError(f"{{{field}}} is none of {', '.join(f'{{{name}}}' for name in known)}")
-            if "out" not in asked:
-                raise ValueError("the program must be told where to write its answer, by {out}")
+            if "out" not in names:
+                raise ValueError("the command must contain {out}, the file for the program's answer")
             for part in parts:
                 part.format_map(known)
         except ValueError as error:
@@ -98,41 +98,40 @@ class CommandSimulator:
 
     def arguments(self, design: Mapping[str, float], out: Path) -> list[str]:
         """The program and its arguments for a design."""
-        # Enough digits that the program reads the very same number.
+        # With enough digits for the program to read the same number.
         values = {name: _Number(value) for name, value in design.items()} | {"out": str(out), "here": str(self.here)}
         return [part.format_map(values) for part in shlex.split(self.command)]
 
     def run(self, X: Array) -> Results:
-        """Answer designs, (n, d), one after the other.
+        """Simulate designs, (n, d), one after the other.
 
         Raises:
             InputError: if the program may not be run.
-            OSError: if the program cannot be started, or its folder not be written.
+            OSError: if the program cannot be started or its folder cannot be written.
             RuntimeError: if its exit code is not 0.
-            UnusableAnswerError: if it leaves no answer.
+            UnusableAnswerError: if its answer is missing or breaks a rule.
         """
         if self.here is None:
             raise InputError(
-                f"simulator.command: {self.command!r} is a program that the campaign names. A run folder may come from "
-                f"someone else, so that such programs are run only where the folder of their files is named: "
-                f"--code FOLDER."
+                f"simulator.command: {self.command!r} is a program named by the campaign. A run folder may come from "
+                f"someone else, so such a program runs only if you name the folder of its files: --code FOLDER."
             )
         answers = []
         for row, design in zip(np.asarray(X), designs_by_name(self.space, X), strict=True):
             folder = self.work / hashlib.sha256(row.tobytes()).hexdigest()[:16]
-            for again in reversed(range(1 + self.retries)):
+            for retries_left in reversed(range(1 + self.retries)):
                 try:
                     answers.append(self._run_once(design, folder))
                     break
                 except (RuntimeError, UnusableAnswerError):
-                    if not again:
+                    if not retries_left:
                         raise
             if not self.keep:
                 shutil.rmtree(folder, ignore_errors=True)
         return Results.concatenate(answers)
 
     def _run_once(self, design: Mapping[str, float], folder: Path) -> Results:
-        # What an earlier try has left there would be taken for an answer.
+        # An answer left by an earlier attempt must not be read.
         shutil.rmtree(folder, ignore_errors=True)
         if not self.work.is_dir():
             make_folder(self.work)
@@ -141,7 +140,7 @@ class CommandSimulator:
         out = folder / "answer.json"
         began = time.perf_counter()
         with (folder / "stdout.txt").open("wb") as stdout, (folder / "stderr.txt").open("wb") as stderr:
-            # The worker's supervisor ends it with the worker.
+            # The worker's supervisor kills it along with the worker.
             with _largest_file(self.largest_file):
                 program = subprocess.Popen(
                     self.arguments(design, out), cwd=folder, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr
@@ -151,27 +150,27 @@ class CommandSimulator:
         if code == -signal.SIGXFSZ:
             raise RuntimeError(f"a file in {folder} would exceed simulator.largest_file, {self.largest_file} bytes")
         if code != 0:
-            # A character of UTF-8 has four bytes at most.
+            # A UTF-8 character has at most four bytes.
             end = end_of(folder / "stderr.txt", 4 * LONGEST_EXCERPT).decode(errors="replace").strip()
             how = f"exit code {code}" + (f" ({signal_name(-code)})" if code < 0 else "")
             raise RuntimeError(f"{how}; {folder}{os.sep}stderr.txt ends: {end[-LONGEST_EXCERPT:]!r}")
         try:
-            # The program's own link, as to a file of its results, is followed.
+            # The program may link to a file of its results.
             written = read_regular(out, LARGEST_ANSWER, follow=True)
         except FileNotFoundError:
-            raise UnusableAnswerError(f"the program has not written {out}") from None
-        except ValueError as unfit:
-            raise UnusableAnswerError(f"{out} {unfit}") from None
+            raise UnusableAnswerError(f"the program did not write {out}") from None
+        except ValueError as error:
+            raise UnusableAnswerError(f"{out} {error}") from None
         try:
-            said = json.loads(written)
-        except (ValueError, RecursionError) as malformed:
-            raise UnusableAnswerError(f"{out} is not JSON: {malformed}") from None
-        return read_answer(said, self.outcomes, self.margins, seconds)
+            answer = json.loads(written)
+        except (ValueError, RecursionError) as error:
+            raise UnusableAnswerError(f"{out} is not JSON: {error}") from None
+        return read_answer(answer, self.outcomes, self.margins, seconds)
 
 
 @contextmanager
 def _largest_file(size: int) -> Iterator[None]:
-    """Processes that are started within can write no larger files [bytes]; this one can again afterwards."""
+    """Limit the file size [bytes] of processes started in the context; this process is limited only meanwhile."""
     before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     lower = size if before == resource.RLIM_INFINITY else min(size, before)
     resource.setrlimit(resource.RLIMIT_FSIZE, (lower, hard))
@@ -182,12 +181,12 @@ def _largest_file(size: int) -> Iterator[None]:
 
 
 def _digits(form: str) -> list[str]:
-    """The numbers in a format: its width and its precision, and perhaps a digit that it fills with."""
-    return re.findall(r"\d+", form)  # of any script, as Python reads them
+    """The numbers in a format: width, precision, and a fill character that is a digit."""
+    return re.findall(r"\d+", form)  # digits of any script, as Python accepts them
 
 
 class _Number(float):
-    """A number that is written with all its digits where no other format is asked for."""
+    """A number whose default format has all digits."""
 
     def __format__(self, form: str) -> str:
         return format(float(self), form) if form else repr(float(self))

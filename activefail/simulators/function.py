@@ -1,4 +1,4 @@
-"""Custom simulators that are functions of Python."""
+"""Custom simulators that are Python functions."""
 
 import time
 from collections.abc import Callable
@@ -16,20 +16,20 @@ from activefail.space import Array, DesignSpace
 
 @dataclass(frozen=True)
 class PythonSimulator:
-    """A function that answers one design, and runs in processes of its own.
+    """A function that simulates one design, in a worker process.
 
-    It is given a dictionary with the values of the variables and the fixed quantities, and returns the name of the
-    outcome, or a dictionary with "outcome" and, where there are any, "margins", a dictionary of numbers. What it raises
-    costs that simulation alone.
+    It takes a dictionary with the values of the variables and the fixed quantities. It returns the name of the outcome,
+    or a dictionary with "outcome" and, optionally, "margins", a dictionary of numbers. If it raises, only that
+    simulation fails.
 
     Attributes:
-        space: of the designs.
-        reference: of the function, "module:function".
+        space: design space.
+        reference: the function, as "module:function".
         code: folder of its module and of those that it imports; None if it may not be run.
-        outcomes, margins: what it may answer.
-        source: digest that its module must have, also on another machine; "" if any will do (see `load_function`).
-        folder: of the run, in which no code is looked for.
-        renew: simulations that one process may run; any number if None.
+        outcomes, margins: the names that an answer may contain.
+        source: digest required of its module, on any machine; "" accepts any (see `load_function`).
+        folder: the run folder, from which no code is run.
+        renew: most simulations per process; None means no limit.
     """
 
     space: DesignSpace
@@ -45,41 +45,41 @@ class PythonSimulator:
     releases_gil = False
 
     def load(self) -> str:
-        """The digest of the source of the function's module, once it is imported.
+        """Import the function's module and return the digest of its source.
 
         Raises:
-            InputError: if there is no such function, or it may not be run.
+            InputError: if the function does not exist or may not be run.
         """
         return load_function(self.reference, self.code, SIMULATOR_KEY, self.folder)[1]
 
     def prepare(self) -> None:
-        """Import the function's module, which is no part of a simulation's time.
+        """Import the function's module, so that the import does not count as simulation time.
 
         Raises:
             InputError: as `load` does.
         """
         _loaded(self.reference, self.code, self.source, self.folder)
         if self.code is not None:
-            # For what it imports as it runs: another simulator may have been prepared since it was loaded.
+            # For imports at run time: another simulator may have been prepared since the module was loaded.
             import_from(self.code, {})
 
     def run(self, X: Array) -> Results:
-        """Answer designs, (n, d), one after the other.
+        """Simulate designs, (n, d), one after the other.
 
         Raises:
             InputError: as `load` does.
-            UnusableAnswerError: if what it returns is no answer.
+            UnusableAnswerError: if a return value breaks a rule.
         """
         function = _loaded(self.reference, self.code, self.source, self.folder)
         answers = []
         for design in designs_by_name(self.space, X):
             began = time.perf_counter()
             try:
-                said = function(design)
+                answer = function(design)
             except ActivefailError as error:
-                # Raised in the user's code, it is no error of ours and costs this simulation alone.
+                # The user's code raised it: only this simulation fails, not the campaign.
                 raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
-            answers.append(read_answer(said, self.outcomes, self.margins, time.perf_counter() - began))
+            answers.append(read_answer(answer, self.outcomes, self.margins, time.perf_counter() - began))
         return Results.concatenate(answers)
 
 
@@ -87,11 +87,11 @@ class PythonSimulator:
 def _loaded(
     reference: str, code: Path | None, source: str, folder: Path | None
 ) -> Callable[[dict[str, float]], object]:
-    """The function, imported once in a process for each source that it has had."""
-    function, found = load_function(reference, code, SIMULATOR_KEY, folder)
-    if source and found != source:
+    """The function, imported once per process and source digest."""
+    function, digest = load_function(reference, code, SIMULATOR_KEY, folder)
+    if source and digest != source:
         raise InputError(
-            f"{SIMULATOR_KEY}: the module of {reference}, or one that it imports from its folder, is another one here "
-            f"than where the campaign was started."
+            f"{SIMULATOR_KEY}: the module of {reference}, or one that it imports from its folder, differs from the one "
+            f"where the campaign was started."
         )
     return function

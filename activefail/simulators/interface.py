@@ -1,4 +1,4 @@
-"""The simulator seam: rows of a design space in, outcomes and margins out."""
+"""The simulator interface: designs in, outcomes and margins out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from activefail.space import Array
 
 NUMERICAL_FAILURE = -1
-"""The outcome of a simulation that gave no answer: never a training point, always counted."""
+"""The outcome of a simulation without a usable result: counted, never learned from."""
 
 
 WORKER_DIED, TIME_LIMIT, OUT_OF_MEMORY, RAISED, UNUSABLE_ANSWER = -1, -2, -3, -4, -5
-"""Causes of a numerical failure beside every simulator's own: what befell the simulation, not its numbers."""
+"""Causes of a numerical failure in the execution of a simulation, in addition to each simulator's causes."""
 
 EXECUTION_CAUSES = {
     WORKER_DIED: "worker_died",
@@ -26,24 +26,24 @@ EXECUTION_CAUSES = {
 
 
 def cause_name(causes: Sequence[str], code: int) -> str:
-    """The name of a cause: one of the simulator's, or of what befell the simulation."""
+    """The name of a cause: one of the simulator's or of EXECUTION_CAUSES."""
     return EXECUTION_CAUSES[code] if code < 0 else causes[code]
 
 
 class UnusableAnswerError(Exception):
-    """What a simulator returned is no answer to what it was asked."""
+    """A simulator returned something that is not a valid answer."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """What a simulator answered for n designs.
+    """Results of n designs.
 
-    The arrays are not copied: a slice and the columns given share memory. Whoever receives results owns the arrays.
+    The arrays are not copied: slices share memory with them. The receiver of results owns the arrays.
 
     Attributes:
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
         cause: (n,) int8, index into the simulator's causes, or one of EXECUTION_CAUSES.
-        margins: (n, k) float64, one column for each of the simulator's margins; NaN where one has no meaning.
+        margins: (n, k) float64, one column for each of the simulator's margins; NaN where a margin is undefined.
         seconds: (n,) float64, wall time of each simulation [s]; finite, at least 0.
 
     Raises:
@@ -79,24 +79,24 @@ class Results:
 
 
 class Simulator(Protocol):
-    """Anything that answers designs with outcomes in order of severity.
+    """Anything that maps designs to outcomes in order of severity.
 
-    **Names.** `outcomes`, `causes` and `margins` do not change in the life of a simulator, and no name comes twice in
-    one of them. The record keeps indices into them.
+    **Names.** `outcomes`, `causes` and `margins` never change, and the names in each are unique. The record stores
+    indices into them.
 
-    **Rows.** The answer to a design depends on that design alone: not on the rows beside it, nor on earlier calls. The
-    same design gives the same bits, but for `seconds`. A resumed campaign is bit-identical only with such a simulator.
+    **Rows.** The result of a design depends on that design alone: not on other rows, nor on earlier calls. The same
+    design gives the same bits, except for `seconds`. Only then is a resumed campaign bit-identical.
 
-    **Threads and processes.** Where `releases_gil`, `run` is called from several threads at once. Otherwise it is
-    called in worker processes, with one design at a time. A simulator can be pickled, and gives the same answers then.
-    Where it has a method `prepare`, a worker process calls this once before the first simulation, whose time limit does
-    not count it.
+    **Threads and processes.** If `releases_gil` is true, `run` is called from several threads at once. Otherwise it is
+    called in worker processes, one design at a time. A simulator can be pickled, and gives the same results afterwards.
+    If it has a method `prepare`, a worker process calls it once before the first simulation; its time does not count
+    towards the time limit.
 
-    **Arrays.** `run` neither changes X, which may be read-only, nor keeps it. The results are the caller's.
+    **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
-    **Exceptions.** An ActivefailError ends the campaign. Any other exception costs its simulation alone: a call for
+    **Exceptions.** An ActivefailError ends the campaign. Any other exception fails its simulation only: a call for
     several designs that raises is repeated row by row, and a row that raises is a numerical failure with the cause
-    `raised` or `out_of_memory`. So are rows whose answer the record cannot hold, with the cause `unusable_answer`.
+    `raised` or `out_of_memory`. A row with an invalid answer is one with the cause `unusable_answer`.
     """
 
     @property
@@ -106,7 +106,7 @@ class Simulator(Protocol):
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of what can decide an outcome; the first is the empty string (nothing to name)."""
+        """Names of what can decide an outcome; the first is the empty string (no cause)."""
         ...
 
     @property
@@ -116,7 +116,7 @@ class Simulator(Protocol):
 
     @property
     def releases_gil(self) -> bool:
-        """Whether threads run it side by side; processes are used otherwise."""
+        """Whether to run it in parallel threads; otherwise it runs in processes."""
         ...
 
     def run(self, X: Array) -> Results:
@@ -126,14 +126,14 @@ class Simulator(Protocol):
             X: (n, d) float64, n >= 0; columns and units of the design space.
 
         Returns:
-            Results of the n designs, in their order. A row that the simulator itself gives up has the outcome
+            Results of the n designs, in their order. A simulation that the simulator abandons has the outcome
             NUMERICAL_FAILURE and one of the simulator's causes.
         """
         ...
 
 
 def unanswered(simulator: Simulator, n: int, cause: int = 0) -> Results:
-    """Results of n simulations that gave no answer, for a cause."""
+    """Results of n simulations that failed with a cause."""
     return Results(
         np.full(n, NUMERICAL_FAILURE, dtype=np.int8),
         np.full(n, cause, dtype=np.int8),

@@ -1,4 +1,4 @@
-"""Loads a function of the user's that a campaign file names, and the digest of its source."""
+"""Loads a user's function that a campaign file names, with the digest of its source."""
 
 import importlib
 import importlib.util
@@ -16,49 +16,49 @@ from activefail.visible import visible
 
 SIMULATOR_KEY = "simulator.python"
 FEATURES_KEY = "classifier.features.python"
-"""The settings that name a user's functions; the record keeps the digests of their sources under the same keys."""
+"""The settings that name a user's functions; the record stores the digests of their sources under these keys."""
 
 
 def load_function(
     reference: str, code: Path | None, key: str, run: Path | None = None
 ) -> tuple[Callable[..., Any], str]:
-    """The function "module:function" and the SHA-256 of its module's source, "" if the module has no file.
+    """The function and the SHA-256 of its module's source, "" if the module has no file.
 
-    The module is searched in the folder of the user's code first, then where Python searches. What it imports is
-    searched in the other order, so that no module of the user's hides a library. The digest covers the modules of the
-    folder that it imports, too.
+    The module is searched in the folder of the user's code first, then on Python's path. Its imports are searched in
+    the opposite order, so that no user module shadows a library. The digest also covers the modules that it imports
+    from the folder.
 
     Args:
-        reference: of the function.
-        code: folder of the user's code; None if none may be run.
+        reference: the function, as "module:function".
+        code: folder of the user's code; None if no code may be run.
         key: setting that names the function, for messages.
-        run: run folder, which may come from someone else: no code in it is run, unless `code` lies in it.
+        run: run folder, which may come from someone else: its code is run only if `code` lies in it.
 
     Raises:
-        InputError: if there is no such module or function, the module cannot be imported, or it may not be run.
+        InputError: if the module or function does not exist, cannot be imported, or may not be run.
     """
     if code is None:
         raise InputError(
-            f"{key}: {reference} is code of the campaign's own. A run folder may come from someone else, so that such "
-            f"code is run only where its folder is named: --code FOLDER."
+            f"{key}: {reference} is custom code. A run folder may come from someone else, so custom code runs only if "
+            f"you name its folder: --code FOLDER."
         )
     module_name, _, name = reference.partition(":")
     file = code / Path(*module_name.split(".")).with_suffix(".py")
     try:
-        # Whoever names the run folder, or one in it, wants its code.
+        # Naming the run folder as --code, or a folder inside it, permits its code.
         module, digest = _load_module(module_name, file, code, None if run is None or _lies_in(code, run) else run)
-    except ModuleNotFoundError as missing:
-        if not file.is_file() and missing.name and f"{module_name}.".startswith(f"{missing.name}."):
+    except ModuleNotFoundError as error:
+        if not file.is_file() and error.name and f"{module_name}.".startswith(f"{error.name}."):
             raise InputError(f"{key}: there is no module {module_name!r}; looked for {file}.") from None
-        raise InputError(f"{key}: {module_name} cannot be imported: {visible(str(missing))}.") from missing
-    except _NeverRunError as refused:
+        raise InputError(f"{key}: {module_name} cannot be imported: {visible(str(error))}.") from error
+    except _NeverRunError as error:
         raise InputError(
-            f"{key}: {module_name} is {refused}, in the run folder, which may come from someone else. Code in run "
-            f"folders is not run. Name another folder, or that one itself if you trust it: --code FOLDER."
+            f"{key}: {module_name} is {error}, in the run folder, which may come from someone else. Code in run "
+            f"folders is never executed. Name another folder, or this one if you trust it: --code FOLDER."
         ) from None
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # a script that ends itself must not end us, and in silence
+    except BaseException as error:  # a script that calls sys.exit must not end the program silently
         reason = visible(description_of(error))
         raise InputError(f"{key}: {module_name} cannot be imported: {reason}.") from error
     function = getattr(module, name, None)
@@ -68,39 +68,39 @@ def load_function(
 
 
 class _NeverRunError(Exception):
-    """A module lies where no code is run from."""
+    """A module lies in a folder from which no code is run."""
 
 
-def _load_module(name: str, file: Path, code: Path, never: Path | None) -> tuple[ModuleType, str]:
-    """A module and the digest of its source: the file's if there is one, or else the one that Python finds.
+def _load_module(name: str, file: Path, code: Path, forbidden: Path | None) -> tuple[ModuleType, str]:
+    """A module and the digest of its source: from the file if it exists, otherwise from Python's path.
 
     Raises:
-        _NeverRunError: if it lies in the folder `never`.
+        _NeverRunError: if it lies in the folder `forbidden`.
     """
     package = file.with_suffix("") / "__init__.py"
     source = file if file.is_file() else package
-    if source == file and never and _lies_in(file, never):
+    if source == file and forbidden and _lies_in(file, forbidden):
         raise _NeverRunError(file)
     sources = sources_of(source, code)
     import_from(code, sources)
     with _current_folder_kept():
-        module = _module_of(file, name) if source == file else _module_that_python_finds(name, never)
-    found = Path(module.__file__) if module.__file__ else None
-    if source in (file, found):
+        module = _module_from_file(file, name) if source == file else _module_from_path(name, forbidden)
+    origin = Path(module.__file__) if module.__file__ else None
+    if source in (file, origin):
         return module, digest_of(sources, code)
-    return module, sha256(found.read_bytes()) if found and found.is_file() else ""
+    return module, sha256(origin.read_bytes()) if origin and origin.is_file() else ""
 
 
-def _module_of(file: Path, name: str) -> ModuleType:
-    """The module of a file, under a name that the file alone has: two campaigns may each have a module of one name."""
+def _module_from_file(file: Path, name: str) -> ModuleType:
+    """The module of a file, under a name unique to the file: two campaigns may have modules of the same name."""
     unique = f"activefail_own_{sha256(str(file.resolve()).encode())[:12]}_{name.replace('.', '_')}"
     spec = importlib.util.spec_from_file_location(unique, file)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
-    # As an import does: what looks itself up there (dataclasses, numba) must find it.
+    # As an import does: dataclasses and numba look their module up there.
     sys.modules[unique] = module
     try:
-        # Not by its loader, which may use compiled code of a source that has changed in the same second.
+        # Its loader might reuse the bytecode of a source that changed within the same second.
         exec(compile(file.read_bytes(), file, "exec", dont_inherit=True), module.__dict__)
     except BaseException:
         del sys.modules[unique]
@@ -108,20 +108,20 @@ def _module_of(file: Path, name: str) -> ModuleType:
     return module
 
 
-def _module_that_python_finds(name: str, never: Path | None) -> ModuleType:
-    """The module that Python itself finds under a name.
+def _module_from_path(name: str, forbidden: Path | None) -> ModuleType:
+    """The module that Python finds on its path.
 
     Raises:
-        _NeverRunError: if it, or a package around it, lies in the folder `never`: Python may search the current folder.
+        _NeverRunError: if it or a parent package lies in `forbidden`: Python may search the current folder.
     """
     parts = name.split(".")
     for depth in range(1, len(parts) + 1):
-        # Imports the packages around it, which were checked before.
+        # This imports the parent packages, which are already checked.
         spec = importlib.util.find_spec(".".join(parts[:depth]))
-        places = [] if spec is None else [spec.origin or "", *(spec.submodule_search_locations or [])]
-        for place in map(Path, filter(None, places)):
-            if never and _lies_in(place, never):
-                raise _NeverRunError(place)
+        locations = [] if spec is None else [spec.origin or "", *(spec.submodule_search_locations or [])]
+        for location in map(Path, filter(None, locations)):
+            if forbidden and _lies_in(location, forbidden):
+                raise _NeverRunError(location)
     return importlib.import_module(name)
 
 
@@ -131,14 +131,14 @@ def _lies_in(path: Path, folder: Path) -> bool:
 
 @contextmanager
 def _current_folder_kept() -> Iterator[None]:
-    """Code that runs within leaves the current folder as it was: relative paths of the user's start from there."""
+    """Restore the current folder at the end of the context: the user's relative paths start from it."""
     try:
-        here = os.getcwd()
-    except OSError:  # it was removed
-        here = None
+        current = os.getcwd()
+    except OSError:  # the folder was removed
+        current = None
     try:
         yield
     finally:
-        if here is not None:
+        if current is not None:
             with suppress(OSError):
-                os.chdir(here)
+                os.chdir(current)

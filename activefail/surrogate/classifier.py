@@ -1,8 +1,8 @@
 """The campaign's classifier: a variational GP for each boundary between outcomes, and their probabilities.
 
-Training (`fitting`) and prediction (`Readout`) are matrices of this package's own. `Latent.model` is the same posterior
-as a BoTorch `ApproximateGPyTorchModel` around an ordinary GPyTorch `ApproximateGP`; tests hold the two to each other.
-The campaign's loop does not use it: BoTorch's acquisition functions do (`activefail.acquisition.botorch`).
+Training (`fitting`) and prediction (`Readout`) are implemented here, with dense matrices. `Latent.model` is the same
+posterior as a BoTorch `ApproximateGPyTorchModel` around a GPyTorch `ApproximateGP`; tests compare the two. The
+campaign's loop does not use it; BoTorch's acquisition functions do (`activefail.acquisition.botorch`).
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from activefail.surrogate.sites import Projection
 Kernel = Literal["rbf", "matern52"]
 
 _ROWS_AT_ONCE = 4096
-"""Points predicted in one call: bounds the memory of a prediction at n x 4096 numbers."""
+"""Most points per call of a prediction, which limits its memory to n x 4096 numbers."""
 
 
 _FARTHEST = 1e3
@@ -37,13 +37,13 @@ _FARTHEST = 1e3
 
 
 def _bounded(F: Array) -> Tensor:
-    # Far outside the space nothing is known anyway, and one huge number would swamp the other rows in the covariance's
-    # sums of squares.
+    # Far outside the space nothing is known, and one huge number would dominate the sums of squares in the covariance
+    # of the other rows.
     return torch.from_numpy(np.clip(F, -_FARTHEST, _FARTHEST))
 
 
 class _VariationalGP(gpytorch.models.ApproximateGP):
-    """The trained posterior in GPyTorch's whitened form. A fit without inducing points has all its points as such."""
+    """The trained posterior in GPyTorch's whitened form. Without inducing points, all training points serve as such."""
 
     def __init__(self, trained: Fit) -> None:
         Z = trained.features if trained.inducing is None else trained.features[trained.inducing]
@@ -106,10 +106,10 @@ class Moments(NamedTuple):
 
 @dataclass(frozen=True)
 class Latent:
-    """The latent function of one boundary: large where the outcome is probably beyond it.
+    """The latent of one boundary: positive where the outcome is probably at least that severe.
 
     Attributes:
-        trained: labels 1 for outcomes at least as severe as the boundary's, -1 for the others.
+        trained: the fit to labels 1 for outcomes at least as severe as the boundary's, -1 for the others.
     """
 
     trained: Fit
@@ -123,7 +123,7 @@ class Latent:
 
     @cached_property
     def readout(self) -> Readout:
-        """The same posterior as plain matrices, from which predictions are faster."""
+        """The same posterior as plain matrices, for faster predictions."""
         return readout(self.trained)
 
     def moments(self, F: Array) -> Moments:
@@ -141,11 +141,11 @@ class Latent:
 
 @dataclass(frozen=True)
 class Classifier:
-    """Probabilities of outcomes in order of severity, from one latent a boundary.
+    """Probabilities of outcomes in order of severity, from one latent per boundary.
 
     Attributes:
         outcomes: names, least severe first.
-        features: from designs to what the latents see.
+        features: map from designs to the latents' inputs.
         latents: one for each outcome but the first: "at least as severe as this one".
     """
 
@@ -160,16 +160,16 @@ class Classifier:
     def probabilities(self, X: Array) -> Array:
         """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1.
 
-        Each latent says on its own whether an outcome is at least as severe as its own. They are taken as independent,
-        given that they do not contradict each other: with P_i of latent i, p_j ∝ Π_{i≤j} P_i · Π_{i>j} (1 − P_i).
-        So the most severe outcome is a little less likely than its latent alone says, by what the others doubt.
+        Latent i gives the probability P_i that the outcome is at least as severe as outcome i. The latents are taken as
+        independent, conditional on being consistent: p_j ∝ Π_{i≤j} P_i · Π_{i>j} (1 − P_i). So the most severe outcome
+        is slightly less probable than its latent alone predicts.
         """
         F = self.features(X)
         return self.weighed([latent.moments(F) for latent in self.latents])
 
     def weighed(self, moments: Sequence[Moments]) -> Array:
-        """The probabilities of `probabilities` from the moments of each latent, which the caller may need, too."""
-        z = np.stack([found.standardised for found in moments], axis=1)
+        """As `probabilities`, from the moments of each latent, for callers that need these too."""
+        z = np.stack([latent_moments.standardised for latent_moments in moments], axis=1)
         beyond = np.pad(np.cumsum(log_ndtr(z), axis=1), ((0, 0), (1, 0)))
         short = np.pad(np.cumsum(log_ndtr(-z)[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
         return np.asarray(softmax(beyond + short, axis=1))
@@ -187,14 +187,14 @@ def train(
     kernel: Kernel,
     warm: Classifier | None = None,
 ) -> Classifier:
-    """Train a classifier on designs, (n, d), and their outcomes, (n,), none of them a numerical failure.
+    """Train a classifier on designs, (n, d), and their outcomes, (n,), without numerical failures.
 
     Args:
-        X, outcome: the designs and indices into the outcomes.
+        X, outcome: the designs, and indices into the outcomes.
         outcomes: names, least severe first.
-        features: what the latents see of a design.
-        kernel: of the latents' covariance.
-        warm: a classifier trained on the first of these points, to start from.
+        features: map from designs to the latents' inputs.
+        kernel: kernel of the latents' covariance.
+        warm: a classifier trained on the first of these points, as the starting point.
 
     Raises:
         InputError: if there are no designs.
@@ -207,6 +207,6 @@ def train(
         start = warm.latents[severity - 1].trained if warm is not None else None
         return Latent(fit(F, _boundary_labels(outcome, severity), kernel, start))
 
-    # torch and LAPACK release the interpreter's lock: boundaries train side by side.
+    # torch and LAPACK release the interpreter's lock, so boundaries train in parallel.
     with ThreadPoolExecutor(len(outcomes) - 1) as pool:
         return Classifier(tuple(outcomes), features, tuple(pool.map(train_boundary, range(1, len(outcomes)))))

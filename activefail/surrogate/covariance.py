@@ -1,8 +1,8 @@
-"""The prior of a latent: a constant mean and an ARD covariance with priors of its own.
+"""The prior of a latent: a constant mean and an ARD covariance, with priors for its scales.
 
 Training and prediction use the values and derivatives of this module. `covariance_module` is the same covariance in
-GPyTorch, for the model that BoTorch gets; GPyTorch takes five times as long for the same numbers. Tests hold the values
-and derivatives to GPyTorch's.
+GPyTorch, for BoTorch's model; GPyTorch takes five times as long for the same numbers. Tests compare the values and
+derivatives with GPyTorch's.
 """
 
 import math
@@ -15,23 +15,23 @@ from scipy.spatial.distance import cdist
 from torch import Tensor
 
 JITTER = 1e-6
-"""Added to the diagonal of K; the GPyTorch model that the result is loaded into adds the same."""
+"""Added to the diagonal of K, as in the GPyTorch model of the result."""
 
 _OUTPUTSCALE_PRIOR = (math.log(10.0), 2.0)
-"""Mean and deviation of the output scale's logarithm. Flat: a sharp boundary needs a latent many times the likelihood's
-unit width."""
+"""Mean and standard deviation of the output scale's logarithm. Flat, because a sharp boundary needs a latent many times
+as large as the likelihood's unit width."""
 
 
 def _lengthscale_prior(dimension: int) -> tuple[float, float]:
-    """Mean and deviation of a length scale's logarithm.
+    """Mean and standard deviation of a length scale's logarithm, in units of the features' spread.
 
-    They grow with the root of the dimension [HvarfnerEtAl2024], in units of the features' spread.
+    The length scale grows with the root of the dimension [HvarfnerEtAl2024].
     """
     return math.sqrt(2.0) + 0.5 * math.log(dimension), math.sqrt(3.0)
 
 
 class Hyperparameters(NamedTuple):
-    """Of a constant mean and an ARD covariance, in the features' standard units."""
+    """Hyperparameters of a constant mean and an ARD covariance, in the features' standard units."""
 
     mean: float
     log_outputscale: float
@@ -51,18 +51,18 @@ def covariance_module(kernel: str, dimension: int) -> gpytorch.kernels.Kernel:
         dimension: number of features.
 
     Raises:
-        ValueError: if the kernel is neither.
+        ValueError: if the kernel is unknown.
     """
     # exp, not softplus: L-BFGS then steps in the logarithm of each scale.
     positive = gpytorch.constraints.Positive(transform=torch.exp, inv_transform=torch.log)
     lengthscale_prior = gpytorch.priors.LogNormalPrior(*_lengthscale_prior(dimension))
     _check(kernel)
-    given = {
+    common = {
         "ard_num_dims": dimension,
         "lengthscale_constraint": positive,
         "lengthscale_prior": lengthscale_prior,
     }
-    base = gpytorch.kernels.RBFKernel(**given) if kernel == "rbf" else gpytorch.kernels.MaternKernel(nu=2.5, **given)
+    base = gpytorch.kernels.RBFKernel(**common) if kernel == "rbf" else gpytorch.kernels.MaternKernel(nu=2.5, **common)
     outputscale_prior = gpytorch.priors.LogNormalPrior(*_OUTPUTSCALE_PRIOR)
     return gpytorch.kernels.ScaleKernel(
         base, outputscale_constraint=positive, outputscale_prior=outputscale_prior
@@ -70,16 +70,16 @@ def covariance_module(kernel: str, dimension: int) -> gpytorch.kernels.Kernel:
 
 
 def set_hyperparameters(covariance: gpytorch.kernels.Kernel, hyperparameters: Hyperparameters) -> None:
-    """Write the scales into a covariance made by `covariance_module`."""
+    """Write the scales into a covariance from `covariance_module`."""
     with torch.no_grad():
         covariance.raw_outputscale.fill_(hyperparameters.log_outputscale)
         covariance.base_kernel.raw_lengthscale.copy_(hyperparameters.log_lengthscale.reshape(1, -1))
 
 
 def log_prior(hyperparameters: Hyperparameters) -> tuple[float, Tensor]:
-    """Log density of the scales, and its gradient, (1 + m,), by log output scale and log length scales.
+    """Log density of the scales' logarithms, and its gradient, (1 + m,), by log output scale and log length scales.
 
-    As densities of the logarithms: the mode then does not depend on the scales' units.
+    The mode of this density does not depend on the scales' units.
     """
     log_lengthscale = hyperparameters.log_lengthscale
     scales = torch.cat([log_lengthscale.new_tensor([hyperparameters.log_outputscale]), log_lengthscale])
@@ -101,7 +101,7 @@ def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tens
         kernel: as for `covariance_module`.
 
     Raises:
-        ValueError: if the kernel is neither.
+        ValueError: if the kernel is unknown.
     """
     _check(kernel)
     F_scaled, G_scaled = _scaled(hyperparameters, F, G)
@@ -112,7 +112,7 @@ def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tens
         np.exp(K, out=K)
         K *= s2
         return torch.from_numpy(K)
-    # s² (1 + d + d²/3) exp(−d), d = √5 r; in place, since for many points memory is what takes the time.
+    # s² (1 + d + d²/3) exp(−d), d = √5 r; in place, because memory access dominates the time for many points.
     d = cdist(F_scaled, G_scaled)
     d *= math.sqrt(5.0)
     fall = np.exp(-d)
@@ -132,7 +132,7 @@ def covariance_gradient(
 
     Args:
         K: k(F, G), (n, l).
-        by_K: what is differentiated by each of its entries, (n, l).
+        by_K: derivative by each entry of K, (n, l).
     """
     F_scaled, G_scaled = _scaled(hyperparameters, F, G)
     by_logarithm = K * by_K

@@ -1,8 +1,8 @@
-"""How a variational GP classifier is trained: its sites to their fixed point, its hyperparameters by L-BFGS.
+"""Training of a variational GP classifier: sites by fixed-point iteration, hyperparameters by L-BFGS.
 
-The hyperparameters are learned on the bound that the sites attain, whose gradient needs no derivative of the sites.
-Up to `EXACT` points the posterior is that of all points; beyond, it is projected on inducing points. GPyTorch takes no
-part in training or prediction; `activefail.surrogate.classifier.Latent.model` hands it the result.
+The hyperparameters maximise the bound at the optimal sites, whose gradient needs no derivative of the sites. Up to
+`EXACT` points the posterior is that of all points; beyond, it is projected on inducing points. GPyTorch is not used in
+training or prediction; `activefail.surrogate.classifier.Latent.model` passes the result to it.
 """
 
 import math
@@ -29,27 +29,27 @@ from activefail.surrogate.sites import Posterior, Projection, Sites, column_squa
 from activefail.surrogate.sites import probit_expectations as probit_expectations
 
 EXACT = 1000
-"""Most points whose posterior needs no inducing points: a step of the sites costs the cube of their number."""
+"""Most points without inducing points: a step of the sites costs the cube of their number."""
 
 LEARNED_ON = 1000
-"""Most points that hyperparameters are learned on."""
+"""Most points for learning hyperparameters."""
 
 _COARSE = 250
-"""Points that hyperparameters are learned on first; beyond, inducing points stand in for all while they are learned."""
+"""Points on which hyperparameters are learned first; with more, inducing points are used while they are learned."""
 
 _HALFWAY = 4000
-"""Points whose posterior foresees the sites of many more, and whose inducing points serve these."""
+"""Points whose posterior predicts the sites of many more, and whose inducing points are used for these."""
 
 _ROUNDS = 3
-"""How often inducing points are added for what has moved since they were chosen."""
+"""Most rounds of adding inducing points after sites or hyperparameters have changed."""
 
 GROWTH = 0.05
-"""A warm start keeps its hyperparameters until the points have grown by this share since they were learned."""
+"""A warm start keeps its hyperparameters until the number of points has grown by this share since they were learned."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A trained latent: what it was trained on, and all that is needed to use it or to train on from it."""
+    """A trained latent, with the data to predict from it or to continue training."""
 
     kernel: str
     features: Tensor  # (n, m)
@@ -58,12 +58,12 @@ class Fit:
     sites: Sites
     elbo: float
     evaluations: int
-    learned_on: int  # points when the hyperparameters were last learned
-    inducing: Tensor | None = None  # rows of the features, int64; None when the posterior is that of all points
+    learned_on: int  # number of points when the hyperparameters were last learned
+    inducing: Tensor | None = None  # rows of the features, int64; None if the posterior is that of all points
 
     @property
     def prior(self) -> Tensor | Projection:
-        """The prior at the training points as `posterior` takes it."""
+        """The prior at the training points, as an argument of `posterior`."""
         if self.inducing is None:
             return prior_covariance(self.features, self.kernel, self.hyperparameters)
         return project(self.features, self.inducing, self.kernel, self.hyperparameters)
@@ -75,7 +75,7 @@ class Fit:
 
 
 class Readout(NamedTuple):
-    """A posterior as what its m points of support say of any other: with k = k(Z, x),
+    """A posterior in terms of its m support points Z: with k = k(Z, x),
 
     mean(x) = prior mean + kᵀ weights, covariance(x, x′) = k(x, x′) − (root k)ᵀ (root k′).
     """
@@ -86,7 +86,7 @@ class Readout(NamedTuple):
 
 
 def readout(trained: Fit) -> Readout:
-    """How predictions follow from a trained latent."""
+    """The matrices for predictions from a trained latent."""
     state, precision = trained.posterior, trained.sites.precision
     if trained.inducing is None:
         # K − K W^½ B⁻¹ W^½ K
@@ -102,22 +102,22 @@ def readout(trained: Fit) -> Readout:
     return Readout(Z, weights, root)
 
 
-def predict(trained: Fit, of: Readout, F: Tensor) -> tuple[Tensor, Tensor]:
+def predict(trained: Fit, matrices: Readout, F: Tensor) -> tuple[Tensor, Tensor]:
     """Marginal mean and variance at features F, (n, d), each (n,)."""
     h = trained.hyperparameters
-    k = covariance(trained.kernel, h, of.support, F)
-    shrinkage = of.root @ k
+    k = covariance(trained.kernel, h, matrices.support, F)
+    shrinkage = matrices.root @ k
     variance = math.exp(h.log_outputscale) + JITTER - column_squares(shrinkage)
-    return h.mean + k.T @ of.weights, variance.clamp_min(JITTER)
+    return h.mean + k.T @ matrices.weights, variance.clamp_min(JITTER)
 
 
-def predict_jointly(trained: Fit, of: Readout, F: Tensor) -> tuple[Tensor, Tensor]:
+def predict_jointly(trained: Fit, matrices: Readout, F: Tensor) -> tuple[Tensor, Tensor]:
     """Mean, (n,), and covariance, (n, n), at features F, (n, d)."""
     h = trained.hyperparameters
-    k = covariance(trained.kernel, h, of.support, F)
-    shrinkage = of.root @ k
+    k = covariance(trained.kernel, h, matrices.support, F)
+    shrinkage = matrices.root @ k
     joint = prior_covariance(F, trained.kernel, h).addmm_(shrinkage.T, shrinkage, alpha=-1.0)
-    return h.mean + k.T @ of.weights, joint
+    return h.mean + k.T @ matrices.weights, joint
 
 
 def condition(
@@ -131,10 +131,10 @@ def condition(
     learned_on: int = 0,
     inducing: Tensor | None = None,
 ) -> Fit:
-    """The variational posterior for given hyperparameters, its sites solved from the given ones on.
+    """The variational posterior for fixed hyperparameters, with its sites iterated from `sites`.
 
     Args:
-        inducing: of more than `EXACT` points: rows to keep as inducing points, beside which others are chosen.
+        inducing: with more than `EXACT` points, rows to keep as inducing points; others are added.
     """
     sites = _default_start(features, labels)[1] if sites is None else sites
     if len(labels) <= EXACT:
@@ -154,12 +154,12 @@ def _induced(
     tolerance: float,
     inducing: Tensor | None,
 ) -> tuple[Tensor, Sites, Posterior]:
-    """Inducing points beside those given, and the sites and posterior with them."""
+    """Extended inducing points, with their sites and posterior."""
     for _ in range(_ROUNDS):
         rows, prior = choose(features, sites.precision, kernel, hyperparameters, inducing)
         inducing = rows
         sites, state = solve_sites(prior, hyperparameters.mean, labels, sites, tolerance)
-        # Points were chosen by the precisions that were foreseen; now they are known.
+        # The points were chosen by predicted precisions, which are now known.
         if len(rows) >= MOST or float(sites.precision @ prior.rest) <= 2.0 * LEFT:
             break
     return rows, sites, state
@@ -169,23 +169,23 @@ def _default_start(features: Tensor, labels: Tensor) -> tuple[Hyperparameters, S
     n, m = features.shape
     share = (labels > 0).double().mean().clamp(1.0 / (n + 1), n / (n + 1.0))
     mean = float(torch.special.ndtri(share))
-    # One length scale of the features' spread times the root of their number, as for the prior.
+    # A length scale of the features' spread times the root of their number, as in the prior.
     lengthscale = math.log(math.sqrt(m))
     hyperparameters = Hyperparameters(mean, math.log(10.0), torch.full((m,), lengthscale, dtype=torch.float64))
     return hyperparameters, Sites(0.1 * labels, torch.full((n,), 0.1, dtype=torch.float64))
 
 
 def _extended_sites(trained: Fit, features: Tensor, labels: Tensor) -> Sites:
-    """The sites of a fit, and for the points that come after its own what its posterior says of each."""
+    """The sites of a fit, with predicted sites for the points after its own."""
     n = len(trained.labels)
     if n == len(labels):
         return trained.sites
-    foreseen = _foreseen_sites(trained, features[n:], labels[n:])
-    return Sites(*(torch.cat(both) for both in zip(trained.sites, foreseen, strict=True)))
+    predicted = _predicted_sites(trained, features[n:], labels[n:])
+    return Sites(*(torch.cat(pair) for pair in zip(trained.sites, predicted, strict=True)))
 
 
-def _foreseen_sites(trained: Fit, features: Tensor, labels: Tensor) -> Sites:
-    """First sites of points from what the posterior of others says of each."""
+def _predicted_sites(trained: Fit, features: Tensor, labels: Tensor) -> Sites:
+    """Initial sites of points, from the posterior of others."""
     mean, variance = predict(trained, readout(trained), features)
     _, gradient, curvature = probit_expectations(labels, mean, variance)
     least = 1e-8 / math.exp(trained.hyperparameters.log_outputscale)
@@ -193,7 +193,7 @@ def _foreseen_sites(trained: Fit, features: Tensor, labels: Tensor) -> Sites:
 
 
 class Evaluation(NamedTuple):
-    """The training objective at some hyperparameters: the bound plus their log prior, and what it was found with."""
+    """The training objective at some hyperparameters, the bound plus their log prior, with its gradient and sites."""
 
     value: float
     gradient: np.ndarray  # (2 + m,) by mean, log output scale and log length scales
@@ -209,10 +209,10 @@ def evaluate(
     tolerance: float,
     inducing: Tensor | None = None,
 ) -> Evaluation:
-    """The objective with its sites solved to `tolerance` [nats], starting from the given ones.
+    """The objective, with its sites iterated from `sites` to `tolerance` [nats].
 
     Args:
-        inducing: rows of the features that stand in for all of them.
+        inducing: rows of the features to use as inducing points.
     """
     solve = _evaluate_dense if inducing is None else partial(_evaluate_projected, rows=inducing)
     sites, elbo, by_mean, by_scales = solve(kernel, hyperparameters, features, labels, sites, tolerance)
@@ -224,12 +224,12 @@ def evaluate(
 def _evaluate_dense(
     kernel: str, hyperparameters: Hyperparameters, features: Tensor, labels: Tensor, sites: Sites, tolerance: float
 ) -> tuple[Sites, float, Tensor, Tensor]:
-    """Sites, bound and its derivatives by the mean and by the scales."""
+    """Sites, the bound, and its derivatives by the mean and by the scales."""
     K = covariance(kernel, hyperparameters, features, features)
     jittered = K.clone()
     jittered.diagonal().add_(JITTER)
     sites, state = solve_sites(jittered, hyperparameters.mean, labels, sites, tolerance)
-    # d ELBO/dK = ½(ααᵀ − W^½ B⁻¹ W^½): the sites' own derivative vanishes at their optimum.
+    # d ELBO/dK = ½(ααᵀ − W^½ B⁻¹ W^½): the derivative by the sites vanishes at their optimum.
     root = sites.precision.sqrt()
     by_K = -root.unsqueeze(1) * torch.cholesky_inverse(state.cholesky_b) * root
     by_K.addr_(state.alpha, state.alpha).mul_(0.5)
@@ -246,7 +246,7 @@ def _evaluate_projected(
     tolerance: float,
     rows: Tensor,
 ) -> tuple[Sites, float, Tensor, Tensor]:
-    """As `_evaluate_dense`, of the bound with inducing points."""
+    """As `_evaluate_dense`, for the bound with inducing points."""
     Z = features[rows]
     Kz = covariance(kernel, hyperparameters, Z, Z)
     Kzx = covariance(kernel, hyperparameters, Z, features)
@@ -255,8 +255,8 @@ def _evaluate_projected(
     s2 = math.exp(hyperparameters.log_outputscale)
     projection = Projection(V, (s2 + JITTER - column_squares(V)).clamp_min(JITTER))
     sites, state = solve_sites(projection, hyperparameters.mean, labels, sites, tolerance)
-    # At the optimum the bound changes through the marginals alone, N(μ + Vᵀv, rest + Vᵀ A⁻¹ V), where rest falls by the
-    # squares of V.
+    # At the optimum the bound changes only through the marginals, N(μ + Vᵀv, rest + Vᵀ A⁻¹ V), where rest decreases by
+    # the squares of V.
     by_V = torch.outer(state.alpha, state.gradient) + (V - torch.cholesky_solve(V, state.cholesky_b)) * state.curvature
     # V = L⁻¹ k(Z, X), and L is the factor of k(Z, Z) [Murray2016].
     by_Kzx = torch.linalg.solve_triangular(L.mT, by_V, upper=True)
@@ -285,67 +285,68 @@ def unpack(packed: np.ndarray) -> Hyperparameters:
 def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, tolerance: float = 1e-3) -> Fit:
     """Train a latent by maximising the bound plus the hyperparameters' log prior.
 
-    The hyperparameters are learned on at most `LEARNED_ON` points, evenly spread over the rows. The posterior is
-    that of all points, and exact up to `EXACT` of them.
+    The hyperparameters are learned on at most `LEARNED_ON` points, evenly spread over the rows. The posterior is that
+    of all points, exact for up to `EXACT` of them.
 
     Args:
         features: (n, m) in standard units, float64.
         labels: (n,) of -1 and 1, float64.
         kernel: as for `covariance_module`.
-        warm: an earlier fit, whose points are the first of these, to start from; a few points more do not move its
-            hyperparameters.
-        tolerance: of the objective [nats] of up to `EXACT` points; the sites of a step are solved ten times finer.
+        warm: an earlier fit to the first of these points, as the starting point; if few points were added, its
+            hyperparameters are kept.
+        tolerance: tolerance of the objective [nats] for up to `EXACT` points; the sites of a step are solved to a tenth
+            of it.
     """
     n = len(labels)
-    # Inducing points cost more of the bound than this; beyond, the same accuracy a point.
-    finest = 0.01 * tolerance if n <= EXACT else tolerance * n / EXACT
+    # Inducing points lose more of the bound than the tolerance; with them the accuracy per point is constant.
+    accuracy = 0.01 * tolerance if n <= EXACT else tolerance * n / EXACT
     if warm is not None and n <= (1.0 + GROWTH) * warm.learned_on:
         start, sites = warm.hyperparameters, _extended_sites(warm, features, labels)
-        return condition(features, labels, kernel, start, sites, finest, 0, warm.learned_on, warm.inducing)
+        return condition(features, labels, kernel, start, sites, accuracy, 0, warm.learned_on, warm.inducing)
     learned, evaluations = warm, 0
     for size in sorted({min(n, size) for size in ((_COARSE, LEARNED_ON) if warm is None else (LEARNED_ON,))}):
         rows = _spread(n, size)
-        # What is learned of a part is uncertain by nats.
-        finish = tolerance if size == n else 10.0 * tolerance
-        learned = _learned(features[rows], labels[rows], kernel, learned, finish)
+        # On a subset the objective is uncertain by several nats anyway.
+        subset_tolerance = tolerance if size == n else 10.0 * tolerance
+        learned = _learned(features[rows], labels[rows], kernel, learned, subset_tolerance)
         evaluations += learned.evaluations
     assert learned is not None
     h = learned.hyperparameters
     if n <= LEARNED_ON:
-        return condition(features, labels, kernel, h, learned.sites, finest, evaluations, n)
+        return condition(features, labels, kernel, h, learned.sites, accuracy, evaluations, n)
     if n > 2 * _HALFWAY:
-        return _fit_many(features, labels, kernel, warm, learned, finest, evaluations)
-    sites = _foreseen_sites(learned, features, labels)
-    moved = condition(features, labels, kernel, h, sites, finest, evaluations, n)
+        return _fit_many(features, labels, kernel, warm, learned, accuracy, evaluations)
+    sites = _predicted_sites(learned, features, labels)
+    updated = condition(features, labels, kernel, h, sites, accuracy, evaluations, n)
     if warm is None:
-        return moved
+        return updated
     sites = _extended_sites(warm, features, labels)
-    kept = condition(features, labels, kernel, warm.hyperparameters, sites, finest, evaluations, n, warm.inducing)
-    # A part of the points may call for what is worse for all.
-    return max(kept, moved, key=objective)
+    previous = condition(features, labels, kernel, warm.hyperparameters, sites, accuracy, evaluations, n, warm.inducing)
+    # Hyperparameters learned on a subset may be worse for all points.
+    return max(previous, updated, key=objective)
 
 
 def _fit_many(
-    features: Tensor, labels: Tensor, kernel: str, warm: Fit | None, learned: Fit, finest: float, evaluations: int
+    features: Tensor, labels: Tensor, kernel: str, warm: Fit | None, learned: Fit, accuracy: float, evaluations: int
 ) -> Fit:
-    """The posterior of many points, by way of a part of them.
+    """The posterior of many points, by way of a subset.
 
-    The part judges whether learned hyperparameters are better than those of before, and its posterior foresees sites
-    and inducing points of all.
+    The subset decides whether the learned hyperparameters improve on the previous ones. Its posterior predicts the
+    sites and inducing points of all.
     """
     rows = _spread(len(labels), _HALFWAY)
-    part = features[rows], labels[rows]
+    subset = features[rows], labels[rows]
 
-    def on_part(trained: Fit) -> Fit:
-        return condition(*part, kernel, trained.hyperparameters, _foreseen_sites(trained, *part), 1.0)
+    def on_subset(trained: Fit) -> Fit:
+        return condition(*subset, kernel, trained.hyperparameters, _predicted_sites(trained, *subset), 1.0)
 
-    moved = on_part(learned)
-    if warm is not None and objective(on_part(warm)) >= objective(moved):
+    latest = on_subset(learned)
+    if warm is not None and objective(on_subset(warm)) >= objective(latest):
         h, sites, inducing = warm.hyperparameters, _extended_sites(warm, features, labels), warm.inducing
     else:
-        assert moved.inducing is not None
-        h, sites, inducing = moved.hyperparameters, _foreseen_sites(moved, features, labels), rows[moved.inducing]
-    return condition(features, labels, kernel, h, sites, finest, evaluations, len(labels), inducing)
+        assert latest.inducing is not None
+        h, sites, inducing = latest.hyperparameters, _predicted_sites(latest, features, labels), rows[latest.inducing]
+    return condition(features, labels, kernel, h, sites, accuracy, evaluations, len(labels), inducing)
 
 
 def objective(trained: Fit) -> float:
@@ -354,22 +355,22 @@ def objective(trained: Fit) -> float:
 
 
 def _spread(n: int, size: int) -> Tensor:
-    """`size` of n rows, evenly spread."""
+    """Indices of `size` of n rows, evenly spread."""
     return torch.arange(n) if n <= size else torch.linspace(0, n - 1, size).round().long()
 
 
-def _learned(features: Tensor, labels: Tensor, kernel: str, before: Fit | None, tolerance: float) -> Fit:
-    """Hyperparameters learned on points, from those of an earlier fit of any points on, with their sites."""
-    if before is None:
+def _learned(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None, tolerance: float) -> Fit:
+    """Hyperparameters learned on points, starting from an earlier fit to any points, with their sites."""
+    if warm is None:
         start, sites = _default_start(features, labels)
     else:
-        start, sites = before.hyperparameters, _foreseen_sites(before, features, labels)
+        start, sites = warm.hyperparameters, _predicted_sites(warm, features, labels)
     evaluations, inducing = 0, None
     for _ in range(_ROUNDS):
         if len(labels) > _COARSE:
             inducing, sites, _ = _induced(features, labels, kernel, start, sites, 0.1 * LEFT, inducing)
-        start, sites, more = _learn_hyperparameters(features, labels, kernel, start, sites, tolerance, inducing)
-        evaluations += more
+        start, sites, count = _learn_hyperparameters(features, labels, kernel, start, sites, tolerance, inducing)
+        evaluations += count
         if inducing is None:
             break
         if float(sites.precision @ project(features, inducing, kernel, start).rest) <= 2.0 * LEFT:
@@ -386,7 +387,7 @@ def _learn_hyperparameters(
     tolerance: float,
     inducing: Tensor | None,
 ) -> tuple[Hyperparameters, Sites, int]:
-    """The best hyperparameters by L-BFGS, the sites that belong to them, and how often the objective was evaluated."""
+    """The best hyperparameters by L-BFGS, their sites, and the number of evaluations of the objective."""
     evaluations = 0
 
     def negative(packed: np.ndarray) -> tuple[float, np.ndarray]:
@@ -395,7 +396,7 @@ def _learn_hyperparameters(
         value, gradient, sites = evaluate(kernel, unpack(packed), features, labels, sites, 0.1 * tolerance, inducing)
         return -value, -gradient
 
-    found = minimize(
+    optimum = minimize(
         negative,
         pack(start),
         jac=True,
@@ -403,4 +404,4 @@ def _learn_hyperparameters(
         bounds=[(-50.0, 50.0), (-5.0, 12.0)] + [(-5.0, 8.0)] * features.shape[1],
         options={"ftol": 1e-2 * tolerance, "gtol": 10.0 * tolerance, "maxiter": 100},
     )
-    return unpack(found.x), sites, evaluations
+    return unpack(optimum.x), sites, evaluations

@@ -1,12 +1,12 @@
-"""Inducing points for many training points: rows of these, chosen where the posterior needs them.
+"""Inducing points for many training points, chosen from these where the posterior needs them.
 
-What a projection on inducing points loses of the bound is, to first order, ½ Σ W_i rest_i: the variance that they leave
-unexplained, weighted by the precision of each point's site. So they are chosen greedily by that product, a pivoted
-Cholesky factorisation of W^½ K W^½, until the sum is small. Points deep inside a region have next to no precision and
-get next to no inducing points; unweighted, four times as many are needed for the same bound.
+To first order, a projection on inducing points loses ½ Σ W_i rest_i of the bound: the unexplained variance, weighted by
+the precision of each point's site. So the points are chosen greedily by that product, a pivoted Cholesky factorisation
+of W^½ K W^½, until the sum is small. Points deep inside a region have little precision and get few inducing points;
+without the weights, four times as many points are needed for the same bound.
 
-GPyTorch's model of the result (`activefail.surrogate.classifier.Latent.model`) has these points as its inducing points;
-tests hold its posterior and bound to those here.
+GPyTorch's model of the result (`activefail.surrogate.classifier.Latent.model`) uses the same inducing points; tests
+compare its posterior and bound with those here.
 """
 
 import math
@@ -18,22 +18,22 @@ from activefail.surrogate.covariance import JITTER, Hyperparameters, covariance,
 from activefail.surrogate.sites import Projection, column_squares, whitened
 
 LEFT = 1.0
-"""Σ W_i rest_i at which enough inducing points are chosen: a fifth of a nat or less of the bound, as measured."""
+"""Σ W_i rest_i below which no more inducing points are added; measured, it costs at most a fifth of a nat."""
 
 MOST = 500
-"""Most inducing points, whatever is left then: a step of the sites costs the square of their number."""
+"""Most inducing points: a step of the sites costs the square of their number."""
 
 _BLOCK = 64
-"""Candidates that are considered together, so that most of the work is products of matrices."""
+"""Candidates per block, so that most of the work is matrix products."""
 
 _STALE = 0.25
-"""A candidate of a block is taken while it is worth this share of the block's first."""
+"""A candidate of a block is chosen while its value is at least this share of the block's first."""
 
 
 def project(
     features: Tensor, rows: Tensor, kernel: str, hyperparameters: Hyperparameters, at: Tensor | None = None
 ) -> Projection:
-    """The prior at features, (n, d), or at others (`at`), by inducing points, rows (m,) of the features."""
+    """The prior at features, (n, d), or at `at`, projected on inducing points, rows (m,) of the features."""
     Z = features[rows]
     L = torch.linalg.cholesky(prior_covariance(Z, kernel, hyperparameters))
     K = covariance(kernel, hyperparameters, Z, features if at is None else at)
@@ -42,7 +42,7 @@ def project(
 
 
 def _rest(V: Tensor, hyperparameters: Hyperparameters) -> Tensor:
-    # GPyTorch's strategy adds the jitter to a point's own variance, too.
+    # GPyTorch's strategy also adds the jitter to a point's variance.
     prior_variance = math.exp(hyperparameters.log_outputscale) + JITTER
     return (prior_variance - column_squares(V)).clamp_min(JITTER)
 
@@ -59,9 +59,9 @@ def choose(
 
     Args:
         features: (n, d).
-        precision: (n,) of the sites, as far as known.
+        precision: (n,) current precision of the sites.
         rows: inducing points to keep; others are added.
-        most: how many at most.
+        most: most inducing points.
     """
     n = len(features)
     chosen = [] if rows is None else rows.tolist()
@@ -76,7 +76,7 @@ def choose(
             break
         m = len(chosen)
         block = torch.topk(worth, min(_BLOCK, n)).indices
-        # What the inducing points so far leave of the block's covariances, (block, n).
+        # The block's covariances less what the present inducing points explain, (block, n).
         C = covariance(kernel, hyperparameters, features[block], features).addmm_(V[:m, block].T, V[:m], alpha=-1.0)
         first = float(worth[block[0]])
         for _ in range(min(len(block), most - m)):

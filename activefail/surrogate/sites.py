@@ -1,10 +1,10 @@
-"""The best Gaussian posterior for a given prior: a Gaussian site for each training point, iterated to its fixed point.
+"""The optimal Gaussian posterior for a prior: a Gaussian site for each training point, iterated to a fixed point.
 
-It has the form S = (K⁻¹ + W)⁻¹ with a diagonal W [OpperArchambeau2009]: two numbers a point instead of n²/2. They
-are found by damped natural-gradient steps [KhanLin2017].
+It has the form S = (K⁻¹ + W)⁻¹ with a diagonal W [OpperArchambeau2009]: two numbers per point instead of n²/2. Damped
+natural-gradient steps find them [KhanLin2017].
 
-The algebra is this package's own, on dense matrices. Tests hold the posterior and its bound to GPyTorch's. They also
-check that GPyTorch's optimiser, started there, does not better the bound (`tests/surrogate/test_fitting.py`).
+The algebra is implemented here, on dense matrices. Tests compare the posterior and its bound with GPyTorch's. They also
+check that GPyTorch's optimiser, started there, does not improve the bound (`tests/surrogate/test_fitting.py`).
 """
 
 import math
@@ -17,16 +17,16 @@ from scipy.linalg.lapack import dtrtri
 from torch import Tensor
 
 _FIRST_SHARE, _LEAST_SHARE = 0.6, 0.02
-"""Share of a natural-gradient step that is taken at first, and at least; undamped steps oscillate."""
+"""First and least share of a natural-gradient step; undamped steps oscillate."""
 
 _NEAR = 1e-3
-"""Gain of a step [nats a point] below which steps are extrapolated."""
+"""Gain of a step [nats per point] below which steps are extrapolated."""
 
 _MEMORY = 6
-"""Steps that an extrapolation looks back on."""
+"""Earlier steps that an extrapolation uses."""
 
 _WEAK_SITE = 1e-6
-"""A site's precision times the prior variance, below which its point's variance is that of the prior to six digits."""
+"""Precision of a site times the prior variance below which a point's variance is the prior's to six digits."""
 
 _NODES, _WEIGHTS = (torch.from_numpy(a) for a in np.polynomial.hermite_e.hermegauss(20))
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
@@ -40,7 +40,7 @@ class Sites(NamedTuple):
 
 
 class Projection(NamedTuple):
-    """A prior of many points by what m inducing points say of each: f = prior mean + Vᵀv + rest, v ~ N(0, I)."""
+    """A prior of n points projected on m inducing points: f = prior mean + Vᵀv + rest, v ~ N(0, I)."""
 
     whitened: Tensor  # V (m, n): L⁻¹ k(Z, X) with LLᵀ = k(Z, Z)
     rest: Tensor  # (n,) prior variance that the inducing points do not explain
@@ -61,26 +61,26 @@ class Posterior(NamedTuple):
 def probit_expectations(labels: Tensor, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """E[log Φ(yf)], E[∂ log Φ(yf)/∂f] and E[−∂² log Φ(yf)/∂f²] under f ~ N(mean, variance), each shape (n,).
 
-    The last by Stein's lemma, E[−∂²l] = −E[l′·(f − mean)]/variance: so the three are value and exact derivatives of one
-    quadrature, and the sites climb the very bound that is reported. The second derivative itself is a step in f, which
-    few nodes miss where the latent is wide.
+    The last uses Stein's lemma, E[−∂²l] = −E[l′·(f − mean)]/variance: the three are then value and exact derivatives of
+    one quadrature, so that the sites maximise the reported bound. The second derivative is nearly a step in f, which
+    the nodes resolve poorly where the latent is wide.
     """
     sd = variance.sqrt()
     f = mean.unsqueeze(-1) + sd.unsqueeze(-1) * _NODES  # n -> n x 20
     y = labels.unsqueeze(-1)
     log_cdf = torch.special.log_ndtr(y * f)
     slope = y * torch.exp(-0.5 * f * f - 0.5 * math.log(2.0 * math.pi) - log_cdf)  # yφ/Φ
-    # Not negative but for rounding: the slope falls with f.
+    # Negative only by rounding: the slope decreases with f.
     curvature = (-(slope @ (_WEIGHTS * _NODES)) / sd).clamp_min(0.0)
     return log_cdf @ _WEIGHTS, slope @ _WEIGHTS, curvature
 
 
 def posterior(prior: Tensor | Projection, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:
-    """The Gaussian that prior and sites define, and its evidence lower bound.
+    """The Gaussian defined by prior and sites, with its evidence lower bound.
 
     Args:
-        prior: K at the training points, (n, n), or its projection on inducing points. The bound is then that of
-            [Titsias2009] (for other likelihoods [HensmanEtAl2015]), at most the one with K.
+        prior: K at the training points, (n, n), or its projection on inducing points. With a projection the bound is
+            that of [Titsias2009] (for other likelihoods [HensmanEtAl2015]), at most the one with K.
     """
     if isinstance(prior, Projection):
         return _projected_posterior(prior, prior_mean, labels, sites)
@@ -90,7 +90,7 @@ def posterior(prior: Tensor | Projection, prior_mean: float, labels: Tensor, sit
 def _projected_posterior(prior: Projection, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:
     V, (linear, precision) = prior.whitened, sites
     X = V * precision.sqrt()
-    # LAPACK's half of a symmetric product; the transposed view is stored by columns.
+    # BLAS computes one half of the symmetric product; the transposed view is stored by columns.
     A = torch.from_numpy(dsyrk(1.0, X.numpy().T, trans=1, lower=0).T)
     A.diagonal().add_(1.0)
     R = torch.linalg.cholesky(A)
@@ -105,13 +105,13 @@ def _projected_posterior(prior: Projection, prior_mean: float, labels: Tensor, s
 
 
 def column_squares(V: Tensor) -> Tensor:
-    """Σ_i V_ij², (n,) of (m, n); torch's own takes up to ten times as long."""
+    """Σ_i V_ij², (n,) of (m, n); torch takes up to ten times as long."""
     return torch.from_numpy(np.einsum("ij,ij->j", V.numpy(), V.numpy()))
 
 
 def whitened(L: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-    """L⁻¹ and L⁻¹K of a lower triangle, (m, m) and (m, n): a product takes half the time of a solution."""
-    # LAPACK and BLAS, by columns: the transposed views are upper triangles, and nothing is copied.
+    """L⁻¹ and L⁻¹K of a lower triangle, (m, m) and (m, n): a product takes half the time of a triangular solve."""
+    # LAPACK and BLAS store by columns: the transposed views are upper triangles and need no copy.
     inverse, _ = dtrtri(L.numpy().T, lower=0)
     product = dtrmm(1.0, inverse, K.numpy().T, side=1, lower=0)
     return torch.from_numpy(inverse.T), torch.from_numpy(product.T)
@@ -138,9 +138,9 @@ def _dense_posterior(K: Tensor, prior_mean: float, labels: Tensor, sites: Sites)
 def _posterior_variance(K: Tensor, precision: Tensor, root: Tensor, L: Tensor) -> Tensor:
     """diag(S), (n,), from the factor L of B: S_ii = (1 − (B⁻¹)_ii)/W_ii, which costs a third of K − VᵀV.
 
-    Where a site hardly informs, that is a difference of equal numbers, and the other formula is taken.
+    At a weak site this formula cancels, and the other one is used.
     """
-    # LAPACK, by columns: the transposed view is its upper triangle, and nothing is copied.
+    # LAPACK stores by columns: the transposed view is the upper triangle and needs no copy.
     inverse, _ = dtrtri(L.numpy().T, lower=0)
     shrunk = 1.0 - torch.from_numpy(np.einsum("ij,ij->i", inverse, inverse))
     prior = K.diagonal()
@@ -153,18 +153,18 @@ def _posterior_variance(K: Tensor, precision: Tensor, root: Tensor, L: Tensor) -
 
 
 def fixed_point(state: Posterior) -> Sites:
-    """The sites that a posterior asks for: its own at the optimum."""
+    """The target sites of a posterior, equal to its sites at the optimum."""
     return Sites(state.gradient + state.curvature * state.mean, state.curvature)
 
 
 def solve_sites(
     prior: Tensor | Projection, prior_mean: float, labels: Tensor, sites: Sites, tolerance: float, most: int = 200
 ) -> tuple[Sites, Posterior]:
-    """Iterate the sites to where the bound moves by less than `tolerance` [nats]; at most `most` steps.
+    """Iterate the sites until the bound changes by less than `tolerance` [nats], for at most `most` steps.
 
-    A step that lowers the bound is halved: with large output scales a fixed damping can circle for ever. Near the
-    optimum, where plain steps gain a constant factor each, they are extrapolated [Anderson1965]; an extrapolation
-    that lowers the bound is not taken.
+    A step that lowers the bound is halved: with large output scales, fixed damping can cycle for ever. Near the
+    optimum, where plain steps converge linearly, they are extrapolated [Anderson1965]; an extrapolation that lowers the
+    bound is rejected.
     """
     state = posterior(prior, prior_mean, labels, sites)
     share, change = _FIRST_SHARE, math.inf
@@ -177,12 +177,12 @@ def solve_sites(
         following = posterior(prior, prior_mean, labels, step)
         change = following.elbo - state.elbo
         if change < -tolerance and (extrapolated or share > _LEAST_SHARE):
-            # What was learned of the way is wrong here: a plain step is next, then a shorter one.
+            # Earlier steps mislead here: take a plain step next, then a shorter one.
             past = []
             share = share if extrapolated else 0.5 * share
             continue
         sites, state = step, following
-        # By the change that a whole step promises: a short one says little about how far the optimum is.
+        # Relative to the share: the gain of a short step says little about the distance to the optimum.
         if abs(change) < tolerance * share:
             break
         share = min(1.0, 1.15 * share)
@@ -194,16 +194,16 @@ def _between(sites: Sites, target: Sites, share: float) -> Sites:
 
 
 def _extrapolated(past: list[tuple[Sites, Sites]], state: Posterior, share: float) -> Sites:
-    """Anderson's step from sites and their targets so far: that combination of them whose steps cancel best."""
+    """Anderson's step from earlier sites and their targets: the combination of them with the smallest residual."""
     x, r = (
         torch.stack(columns, dim=1)
         for columns in zip(*((torch.cat(at), torch.cat(target) - torch.cat(at)) for at, target in past), strict=True)
     )
-    # In units of the posterior: what a site's change moves.
+    # In units of the posterior, so that residuals of different sites are comparable.
     unit = torch.cat([state.variance.sqrt(), state.variance]).unsqueeze(1)
     by_x, by_r = x.diff(dim=1), r.diff(dim=1)
     weights = torch.linalg.lstsq(unit * by_r, unit * r[:, -1:], rcond=1e-8, driver="gelsd").solution
     following = (x[:, -1:] + share * r[:, -1:] - (by_x + share * by_r) @ weights).squeeze(1)
     linear, precision = following.split(len(state.mean))
-    # Half of the last but one where it would leave the positive numbers.
+    # Half of the last precision where the step would not be positive.
     return Sites(linear, torch.where(precision > 0.0, precision, 0.5 * past[-1][0].precision))

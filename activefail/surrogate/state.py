@@ -1,4 +1,4 @@
-"""The arrays that a classifier's learning comes to, and the classifier in them again."""
+"""Conversion of a trained classifier to named arrays and back."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,11 +17,11 @@ from activefail.surrogate.inducing import MOST
 from activefail.surrogate.sites import Sites
 
 _LARGEST_LOGARITHM = 100.0
-"""Of a learned scale: the priors keep it far below, and its square can be computed with."""
+"""Largest magnitude of a learned scale's logarithm: the priors keep it far lower, and its square does not overflow."""
 
 
 def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
-    """All that a classifier has learned, as named arrays."""
+    """The learned quantities of a classifier, as named arrays."""
     state: dict[str, Any] = {}
     for name, latent in zip(classifier.outcomes[1:], classifier.latents, strict=True):
         trained = latent.trained
@@ -41,10 +41,10 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
 
 
 def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -> None:
-    """Check what a state holds of one boundary's latent, trained on n designs of m features.
+    """Check the arrays of one boundary's latent, trained on n designs with m features.
 
     Raises:
-        DamagedError: if an array has a type, a shape or a value that no training gives.
+        DamagedError: if an array has a type, a shape or a value that training cannot produce.
     """
     number, count, reals = ("<f8", ()), ("<i8", ()), "<f8"
     expected = {
@@ -60,7 +60,7 @@ def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -
     for key, (dtype, shape) in expected.items():
         array = state[f"{name}/{key}"]
         if (array.dtype, array.shape) != (np.dtype(dtype), shape) or not np.isfinite(array).all():
-            raise DamagedError(f"holds a {key} that is not of finite numbers of shape {shape}")
+            raise DamagedError(f"holds a {key} that is not an array of finite numbers of shape {shape}")
     for key in ("log_outputscale", "log_lengthscale"):
         if (np.abs(state[f"{name}/{key}"]) > _LARGEST_LOGARITHM).any():
             raise DamagedError(f"holds a {key} beyond ±{_LARGEST_LOGARITHM:g}")
@@ -86,18 +86,18 @@ def classifier_from_state(
     features: FeatureMap,
     kernel: Kernel,
 ) -> Classifier:
-    """The classifier that `classifier_state` described.
+    """The classifier from its `classifier_state`.
 
     Args:
-        state: its arrays.
-        X: (n, d) designs that it was trained on.
+        state: the arrays.
+        X: (n, d) training designs.
         outcome: (n,) their outcomes.
-        outcomes, features, kernel: as in its training.
+        outcomes, features, kernel: as in training.
 
     Raises:
         KeyError: if an array is missing.
-        DamagedError: if the arrays are none that a training gives, or predict nothing: a file may be whole, and of a
-            stranger's making.
+        DamagedError: if training cannot produce the arrays, or they give no predictions: an intact file may still come
+            from someone else.
     """
     F = torch.from_numpy(features(X))
     latents = []
@@ -119,20 +119,20 @@ def classifier_from_state(
             int(state[f"{name}/learned_on"]),
             None if inducing is None else torch.from_numpy(inducing),
         )
-        latents.append(_predicting(Latent(trained)))
+        latents.append(_checked(Latent(trained)))
     return Classifier(tuple(outcomes), features, tuple(latents))
 
 
-def _predicting(latent: Latent) -> Latent:
-    """A latent, once it has predicted something.
+def _checked(latent: Latent) -> Latent:
+    """The latent, checked by a prediction.
 
     Raises:
-        DamagedError: if it cannot.
+        DamagedError: if it gives no finite prediction.
     """
     try:
         with np.errstate(all="ignore"):
             moments = latent.moments(latent.trained.features[:1].numpy())
-    # Numbers may be finite each and still give a covariance that has no factor.
+    # Finite numbers may still give a covariance without a Cholesky factor.
     except (ArithmeticError, LookupError, RuntimeError, ValueError) as error:
         raise DamagedError(f"cannot be used ({type(error).__name__})") from error
     if not (np.isfinite(moments.mean).all() and np.isfinite(moments.sd).all()):

@@ -1,4 +1,4 @@
-"""Threads of the learning."""
+"""Limits the threads of linear algebra."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep torch and BLAS to one thread: sums then have one order on every run, and workers get the cores."""
+    """Limit torch and BLAS to one thread, so that sums have the same order in every run and workers get the cores."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

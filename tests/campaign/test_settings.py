@@ -114,11 +114,11 @@ BROKEN = {
     ),
     "a normal far from its bounds": (
         "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
-        ["space.mu: 0.1 to 0.2 must hold at least 1e-06 of the normal"],
+        ["space.mu: 0.1 to 0.2 must contain at least 1e-06 of the normal"],
     ),
     "a logarithm of what is not positive": (
         "space.mu = {low = 0.0, high = 0.2, distribution = 'log_uniform'}",
-        ["space.mu: `low > 0` must hold with a uniform logarithm", "0.0"],
+        ["space.mu: `low > 0` must hold for log_uniform", "0.0"],
     ),
     "unknown distribution": (
         "space.mu = {low = 0.1, high = 0.2, distribution = 'normal'}",

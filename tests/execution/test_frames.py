@@ -16,14 +16,14 @@ from activefail.execution.frames import (
     Frame,
     FrameKind,
     Question,
-    ask_for_senders,
+    decode_frame,
+    encode_frame,
     longest_answer,
-    opened,
     pack_answer,
     pack_error,
     pack_text,
-    received,
-    sealed,
+    receive,
+    request_senders,
     unpack_answer,
     unpack_error,
     unpack_text,
@@ -34,11 +34,11 @@ pytestmark = pytest.mark.faults
 
 SECRET, QUESTION, PROCESS, MOST = bytes(range(32)), Question.about(b"a design", bytes(16)), 4711, 100
 PAYLOAD = b"an answer"
-FRAME = sealed(SECRET, QUESTION, PROCESS, FrameKind.ANSWERED, PAYLOAD)
+FRAME = encode_frame(SECRET, QUESTION, PROCESS, FrameKind.ANSWERED, PAYLOAD)
 
 
 def read(data: bytes, question: Question = QUESTION, process: int | None = PROCESS, most: int = MOST) -> Frame | None:
-    return opened(data, SECRET, question, process, most)
+    return decode_frame(data, SECRET, question, process, most)
 
 
 def test_a_frame_is_read_as_it_was_written_and_what_follows_it_is_seen() -> None:
@@ -67,11 +67,14 @@ def test_a_frame_of_which_any_bit_is_wrong_is_refused() -> None:
 @pytest.mark.parametrize(
     ("frame", "says"),
     [
-        (sealed(SECRET, Question.about(b"a design", bytes([1] * 16)), PROCESS, FrameKind.ANSWERED), "another question"),
-        (sealed(SECRET, Question.about(b"?", QUESTION.ticket), PROCESS, FrameKind.ANSWERED), "another question"),
-        (sealed(SECRET, QUESTION, PROCESS + 1, FrameKind.ANSWERED), "another process"),
-        (sealed(bytes(32), QUESTION, PROCESS, FrameKind.ANSWERED), "checksum"),
-        (sealed(SECRET, QUESTION, PROCESS, 9), "no known kind"),  # type: ignore[arg-type]
+        (
+            encode_frame(SECRET, Question.about(b"a design", bytes([1] * 16)), PROCESS, FrameKind.ANSWERED),
+            "another question",
+        ),
+        (encode_frame(SECRET, Question.about(b"?", QUESTION.ticket), PROCESS, FrameKind.ANSWERED), "another question"),
+        (encode_frame(SECRET, QUESTION, PROCESS + 1, FrameKind.ANSWERED), "another process"),
+        (encode_frame(bytes(32), QUESTION, PROCESS, FrameKind.ANSWERED), "checksum"),
+        (encode_frame(SECRET, QUESTION, PROCESS, 9), "kind is unknown"),  # type: ignore[arg-type]
         (b"\0\0\0\5AAAAA", "does not begin"),
         (FRAME[1:], "does not begin"),
         (FRAME[:4] + FRAME, "does not begin"),
@@ -89,7 +92,7 @@ def test_no_two_questions_have_the_same_ticket() -> None:
 
 
 def test_a_length_beyond_the_bound_is_refused_before_anything_of_it_has_come() -> None:
-    frame = sealed(SECRET, QUESTION, PROCESS, FrameKind.ANSWERED, bytes(MOST + 1))
+    frame = encode_frame(SECRET, QUESTION, PROCESS, FrameKind.ANSWERED, bytes(MOST + 1))
     with pytest.raises(BrokenFrameError, match="too long"):
         read(frame[: len(frame) - MOST - 1])
 
@@ -132,7 +135,7 @@ def test_an_answer_that_the_simulator_cannot_give_is_refused(wrong: dict[str, fl
     good = Disc().run(np.array([[0.5, 20.0]]))
     kinds = {"outcome": np.int8, "cause": np.int8, "seconds": np.float64}
     results: Results = replace(good, **{name: np.array([value], kinds[name]) for name, value in wrong.items()})
-    with pytest.raises(BrokenFrameError, match="without a meaning"):
+    with pytest.raises(BrokenFrameError, match="out of range"):
         unpack_answer(pack_answer(results, ""), Disc())
 
 
@@ -168,7 +171,7 @@ def test_an_error_without_a_name_here_arrives_as_the_nearest_and_no_other_class_
 def test_the_kernel_says_which_process_sent_something_and_keeps_two_apart() -> None:
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        ask_for_senders(ours)
+        request_senders(ours)
         theirs.sendall(b"parent")
         child = os.fork()
         if child == 0:
@@ -176,7 +179,7 @@ def test_the_kernel_says_which_process_sent_something_and_keeps_two_apart() -> N
             os._exit(0)
         os.waitpid(child, 0)
         theirs.sendall(b"parent")
-        heard = [received(ours) for _ in range(3)]
+        heard = [receive(ours) for _ in range(3)]
         theirs.close()
         assert heard == [(b"parent", os.getpid()), (b"child", child), (b"parent", os.getpid())]
-        assert received(ours)[0] == b""
+        assert receive(ours)[0] == b""

@@ -96,7 +96,7 @@ def decoded(path: Path) -> Callable[[bytes], object]:
 
 
 def image_attribute(path: Path, name: str) -> str:
-    with image.opened(path.read_bytes()) as opened:
+    with image.open_image(path.read_bytes()) as opened:
         return opened.attribute(name)
 
 

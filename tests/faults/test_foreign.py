@@ -464,7 +464,7 @@ SPACE = DesignSpace((Parameter("y", 0.0, 1.0),))
 )
 def test_a_format_that_would_fill_the_memory_is_refused_before_it_is_used(received: Path, form: str) -> None:
     command = f"model {{y:{form}}} {{out}}"
-    limit = rf"a width and a precision of at most {LONGEST_NUMBER}, unlike that of {{y}}"
+    limit = rf"the format of {{y}} must have a width and a precision of at most {LONGEST_NUMBER}"
     with pytest.raises(InputError, match=re.escape(limit)):
         CommandSimulator(SPACE, command, None, Path("work"), ("safe", "failure"), ())
     text = (received / "campaign.toml").read_text()
@@ -536,7 +536,7 @@ def test_without_flock_a_kill_locks_nothing_and_a_lock_made_elsewhere_is_not_bus
         with traced(victim.pid, *no_flock):
             victim.go_on()
             assert victim.end() == 0, victim.told
-        assert "has no locks: make sure that one process at a time writes there" in victim.told[-1]
+        assert "has no locks: make sure that only one process writes at a time" in victim.told[-1]
     assert "(INJECTED)" in (tmp_path / "trace").read_text()
     assert finished(folder) == uninterrupted
 

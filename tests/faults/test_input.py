@@ -363,9 +363,9 @@ def test_a_file_of_any_bytes_is_no_table_and_is_refused_by_its_name(
 @pytest.mark.parametrize(
     ("content", "parts"),
     [
-        (f"{HEADER},mu\n".encode(), ["column 'mu': must come once, comes 2 times"]),
-        (f"{HEADER},outcome\n".encode(), ["column 'outcome': will be written and must not be there already"]),
-        (HEADER.replace("mu", "Mu").encode(), ["column 'mu': required, but not there"]),
+        (f"{HEADER},mu\n".encode(), ["column 'mu': must occur once, occurs 2 times"]),
+        (f"{HEADER},outcome\n".encode(), ["column 'outcome': is an output column and must not be in the table"]),
+        (HEADER.replace("mu", "Mu").encode(), ["column 'mu': required, but missing"]),
         (HEADER.replace(",", ";").encode(), ["columns must be separated by commas, not by ';'"]),
         (HEADER.encode("utf-16"), ["must be UTF-8 text"]),
         (f"{HEADER}\n".encode() + ",".join(ROW).replace("0.06", "0.0\xe9").encode("latin-1"), ["must be UTF-8 text"]),

@@ -54,7 +54,7 @@ def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_ca
     assert said.code == 1
     (line,) = said.err.splitlines()
     assert line.startswith(f"activefail: Cannot write {disk / 'run'}")
-    assert line.endswith("No space left on device. What was there before is whole; resume when it is cured.")
+    assert line.endswith("No space left on device. Existing data is intact. Fix the problem, then resume.")
     done = len(list((disk / "run" / "segments").iterdir()))
     assert 0 < done < 6
     again = activefail("resume", disk / "run")

@@ -101,8 +101,8 @@ INVALID = "its answer was not a valid frame: "
 HARMFUL = {
     "forks_and_forges": f"{INVALID}another process sent it, twice",
     "forks_and_repeats": f"{INVALID}another process sent it, twice",
-    "writes": f"{INVALID}it does not begin as a frame does, twice",
-    "writes_much": f"{INVALID}it does not begin as a frame does, twice",
+    "writes": f"{INVALID}it does not begin like a frame, twice",
+    "writes_much": f"{INVALID}it does not begin like a frame, twice",
     "closes": "its worker process died (its connection was closed or replaced), twice",
     "shuts_down": "its worker process died (its connection was closed or replaced), twice",
     "replaces": "its worker process died (its connection was closed or replaced), twice",

@@ -468,7 +468,7 @@ def test_any_changed_bit_is_noticed_before_hdf5_sees_it(tmp_path: Path, monkeypa
     bits = [8 * i + j for i in range(512) for j in range(8)] + [8 * i + i % 8 for i in range(512, len(data))]
     for bit in bits:
         data[bit // 8] ^= 1 << bit % 8
-        with pytest.raises(DamagedError), image.opened(bytes(data)):
+        with pytest.raises(DamagedError), image.open_image(bytes(data)):
             pass
         data[bit // 8] ^= 1 << bit % 8
 
@@ -548,7 +548,7 @@ def test_a_segment_under_a_wrong_name_is_not_believed(tmp_path: Path) -> None:
     path.rename(path.with_name("000000002-000000005.h5"))
     with FolderStore.open(tmp_path / "run", SCHEMA, write=True) as store:
         assert contents(store) == held[:1]
-        assert "000000002-000000005.h5 is not the file that its name" in store.warnings[0]
+        assert "000000002-000000005.h5 does not match its name" in store.warnings[0]
 
 
 def test_a_segment_of_another_campaign_with_the_same_settings_is_quarantined(tmp_path: Path) -> None:
@@ -714,7 +714,7 @@ def test_without_the_lock_a_writer_that_missed_a_compaction_is_fenced(
     for seed in (1, 2):
         first.commit(batch(2, seed))
     assert segments(tmp_path / "run") == ["000000000-000000005.h5"]
-    with pytest.raises(StoreError, match=r"000000000-000000005\.h5 holds its designs already"):
+    with pytest.raises(StoreError, match=r"000000000-000000005\.h5 already holds its designs"):
         second.commit(batch(2, 9))
     assert read(tmp_path / "run") == contents(first)
 

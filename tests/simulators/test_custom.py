@@ -127,7 +127,7 @@ UNUSABLE = {
     "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
     "['safe']": "must be an outcome or a table with one",
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
-    "{'outcome': 'safe', 'margin': {}}": "may hold outcome and margins, got 'margin' too",
+    "{'outcome': 'safe', 'margin': {}}": "may contain only outcome and margins, got 'margin'",
     "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a table of gap, energy",
     "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
     "{'outcome': 'safe', 'margins': {'gap': 'wide'}}": "margins.gap: must be a number, got 'wide'",
@@ -194,7 +194,7 @@ def test_a_module_that_raises_such_an_error_as_it_is_imported_is_refused(tmp_pat
 def test_a_function_may_not_be_run_where_no_folder_was_named(tmp_path: Path) -> None:
     (tmp_path / "model.py").write_text("raise SystemExit")
     simulator = PythonSimulator(SPACE, "model:run", None, ("safe", "failure"), ())
-    with pytest.raises(InputError, match=r"model:run is code of the campaign's own.*--code FOLDER"):
+    with pytest.raises(InputError, match=r"model:run is custom code.*--code FOLDER"):
         answer(simulator, X)
 
 
@@ -205,7 +205,7 @@ def test_a_worker_that_has_another_source_refuses_and_a_new_source_is_loaded_ane
     python(tmp_path, source=MODEL.replace("> 1.0", "> 0.1"))
     second = replace(first, source=first.load())
     assert answer(second, X)[0].outcome.tolist() == [1, 1, 2]
-    with pytest.raises(InputError, match=r"the module of model:run, or one that it .* is another one here than where"):
+    with pytest.raises(InputError, match=r"the module of model:run, or one that it .* differs from the one where"):
         answer(replace(first, source="0" * 64), X)
 
 
@@ -312,7 +312,7 @@ def test_a_module_that_a_function_imports_is_part_of_its_source(tmp_path: Path, 
     assert second.source != first.source
     expected = {"damage": [1, 1, 2], "failure": [0, 2, 2], "more": [1, 2]}[next(iter(changed))]
     assert answer(second, X[: len(expected)])[0].outcome.tolist() == expected
-    with pytest.raises(InputError, match=r"or one that it imports from its folder, is another one here than where"):
+    with pytest.raises(InputError, match=r"or one that it imports from its folder, differs from the one where"):
         answer(replace(first, source="0" * 64), X)
 
 
@@ -477,7 +477,7 @@ FAILING = {
     "sys.stderr.write('no licence\\n'); sys.exit(3)": (RAISED, "exit code 3; .*stderr.txt ends: 'no licence'"),
     "os.kill(os.getpid(), 11)": (RAISED, r"exit code -11 \(SIGSEGV\); "),
     "os.kill(os.getpid(), 40)": (RAISED, r"exit code -40 \(signal 40\); "),
-    "pass": (UNUSABLE_ANSWER, "the program has not written .*answer.json"),
+    "pass": (UNUSABLE_ANSWER, "the program did not write .*answer.json"),
     "open(sys.argv[-1], 'w').write('{')": (UNUSABLE_ANSWER, "answer.json is not JSON"),
     "open(sys.argv[-1], 'wb').write(bytes(range(256)))": (UNUSABLE_ANSWER, "answer.json is not JSON"),
     "open(sys.argv[-1], 'w').write('[\"safe\"]')": (UNUSABLE_ANSWER, "must be an outcome or a table with one"),
@@ -589,12 +589,12 @@ if float(sys.argv[1]) > 3:
 @pytest.mark.parametrize(
     ("command", "says"),
     [
-        ("model {drift}", "the program must be told where to write its answer, by {out}"),
+        ("model {drift}", "the command must contain {out}, the file for the program's answer"),
         ("model {drfit} {out}", "{drfit} is none of {drift}, {T}, {storeys}, {out}, {here}"),
         ("model {} {out}", "{} is none of"),
         ("model {drift.real} {out}", "{drift.real} is none of"),
         ("model {drift:q} {out}", "Unknown format code 'q'"),
-        ("model {drift:{nope}} {out}", "a format holds no braces, as that of {drift} does"),
+        ("model {drift:{nope}} {out}", "the format of {drift} must not contain braces"),
         ("model {drift {out}", "expected '}' before end of string|is none of"),
         ("model 'a {out}", "No closing quotation"),
     ],
@@ -606,7 +606,7 @@ def test_a_command_that_cannot_be_filled_in_is_refused(tmp_path: Path, command: 
 
 def test_a_variable_that_a_command_could_not_name_is_refused(tmp_path: Path) -> None:
     space = DesignSpace((Parameter("out", 0.0, 1.0),))
-    with pytest.raises(InputError, match=r"space.out: `\{out\}` has another meaning in simulator.command"):
+    with pytest.raises(InputError, match=r"space.out: `\{out\}` is reserved in simulator.command"):
         CommandSimulator(space, "model {out}", tmp_path, tmp_path, ("safe", "failure"), ())
 
 
@@ -656,7 +656,7 @@ def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
         assert float(row["gap"]) == 3.0 - drift
     again = activefail("resume", run, "--budget", "24")
     assert again.code == 2
-    assert "simulator.python: model:run is code of the campaign's own" in again.err
+    assert "simulator.python: model:run is custom code" in again.err
     assert "--code FOLDER" in again.err
     assert "Traceback" not in again.err
     said = activefail("resume", run, "--budget", "24", "--code", mine)
@@ -827,8 +827,8 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     assert said.code == 0
     digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, f"{MODEL}# other\n")]
     assert said.err == (
-        "warning: Your own code has changed since the last batch, model:run (simulator.python) or what it imports: "
-        f"{digests[0]} -> {digests[1]}. What follows is by the code as it is now.\n"
+        "warning: Your code has changed since the last batch, model:run (simulator.python) or a module "
+        f"that it imports: {digests[0]} -> {digests[1]}. New simulations use the current code.\n"
     )
 
 
