@@ -271,7 +271,7 @@ def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> 
         test = evidence.curve.test_size + evidence.curve.unanswered
         commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}{code}")
     if evidence.error is not None:
-        commands.append(f"activefail verify {folder} --simulations {evidence.error.asked}{code}")
+        commands.append(f"activefail verify {folder} --simulations {evidence.error.requested}{code}")
     return [*commands, f"activefail report {folder}{code if _features_need_code(findings.campaign) else ''}"]
 
 

@@ -487,7 +487,7 @@ def test_the_outcomes_colours_are_told_apart_by_every_eye(outcomes, vision):
     ],
 )
 def test_a_name_of_one_s_own_is_a_symbol_where_it_is_a_letter_and_has_no_meaning(name, symbol, text):
-    told = quantities.own_quantity(name, "s")
+    told = quantities.custom_quantity(name, "s")
     assert (told.symbol, told.text, told.unit, told.meaning) == (symbol, text, "s", "")
 
 
