@@ -93,7 +93,7 @@ def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Clas
 
 
 def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
-    """Simulated designs worth a drawing, as (row, reason): on both sides of the target boundary, and at the first one."""
+    """Simulated designs worth drawing, as (row, reason): on both sides of the target boundary, and at the first one."""
     campaign = findings.campaign
     severity, outcome = campaign.severity, findings.outcome
     F = campaign.features(findings.X)

@@ -63,7 +63,7 @@ class History:
 
     @property
     def initial(self) -> NDArray[np.bool_]:
-        """Which simulations belong to the initial design, (n,); unlike active designs, these sample the design space."""
+        """Which simulations belong to the initial design, (n,); only these are a sample of the design space."""
         return np.asarray(self.origin == SEED)
 
     @property

@@ -44,7 +44,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Observer:
-    """Callbacks of a running campaign: `progress` and `stage` report; `stop` requests an end after the current batch."""
+    """Callbacks of a running campaign: `progress` and `stage` report, `stop` ends it after the current batch."""
 
     progress: Callable[[Progress], None] = lambda _: None
     stage: Callable[[str], None] = lambda _: None

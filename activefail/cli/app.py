@@ -68,7 +68,7 @@ def _main() -> None:
 
 
 def _end(message: str, code: int) -> NoReturn:
-    """Exit with a message. Later lines are indented: they may quote a stranger's text, which could imitate a message."""
+    """Exit with a message. Later lines are indented: they may quote a stranger's text that imitates a message."""
     first, *rest = f"activefail: {message}".split("\n")
     print("\n".join([first, *(line if line.startswith("  ") else f"  {line}" for line in rest)]), file=sys.stderr)
     sys.exit(code)

@@ -603,7 +603,7 @@ def test_pieces_that_do_not_fit_each_other_are_refused_by_key_path_rule_and_valu
 def test_settings_of_the_bearing_beside_a_simulator_of_ones_own_are_refused_unless_features_use_them() -> None:
     table = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
     own = {"simulator": {"command": "a {out}"}, "space": table, "bearing": {"slider_diameter": 0.25}}
-    with pytest.raises(InputError, match=r'bearing\.slider_diameter: belongs to `simulator = "dfp"`.*; got 0\.25'):
+    with pytest.raises(InputError, match=r'bearing\.slider_diameter: applies to `simulator = "dfp"`.*; got 0\.25'):
         Campaign.of(parse_settings(tomli_w.dumps(own), "mine.toml"))
     sliding = {"classifier": {"features": "sliding"}}
     assert Campaign.of(parse_settings(tomli_w.dumps(own | sliding), "mine.toml")).space.names == TABLE_1.names

@@ -166,7 +166,7 @@ def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_pat
         assert begun.take(budget=12).finished
     for one in (activefail("status", tmp_path / "run"), activefail("resume", tmp_path / "run", "--budget", "12")):
         assert "warning: None of the campaign's 12 simulations ended in impact or failure." in one.err
-        assert "17.5 %: 12 initial designs" in one.err  # 1 − 0.1^(1/12)
+        assert "17.5 % (90 % confidence, from 12 initial designs" in one.err  # 1 − 0.1^(1/12)
 
 
 def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is_simulated(gentle, tmp_path):
