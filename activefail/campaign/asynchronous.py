@@ -140,13 +140,13 @@ class _Simulations:
                 self._executor.start(self._simulator, self._tickets, design)
                 self._tickets += 1
 
-    def answered(self, seconds: float) -> tuple[Array, Results] | None:
+    def arrived(self, seconds: float) -> tuple[Array, Results] | None:
         """Designs, (k, d), and their results in order of arrival; None if none arrived within the time."""
-        answers = self._executor.answered(seconds)
-        if not answers:
+        arrived = self._executor.answered(seconds)
+        if not arrived:
             return None
-        designs = np.stack([self._designs.pop(ticket) for ticket, _ in answers])
-        return designs, Results.concatenate([results for _, results in answers])
+        designs = np.stack([self._designs.pop(ticket) for ticket, _ in arrived])
+        return designs, Results.concatenate([results for _, results in arrived])
 
 
 def run_asynchronously(task: Task) -> bool:
@@ -168,10 +168,10 @@ def run_asynchronously(task: Task) -> bool:
         observer.progress(replace(progress, seconds_left=left / rate if rate and course.classifier else None))
         task.check(progress)
         ended = ended or left <= 0 or progress.stop_rule_met
-        answered = _next_answers(task, simulations, course.flight[: max(0, left)], ended)
-        if answered is None:
+        arrived = _next_results(task, simulations, course.flight[: max(0, left)], ended)
+        if arrived is None:
             return ended
-        designs, results = answered
+        designs, results = arrived
         origin = np.array([SEED if design.tobytes() in initial else ACTIVE for design in designs], dtype=np.int8)
         store.commit(Batch(course.next_iteration, designs, origin, results))
         observer.stage("learning")
@@ -179,7 +179,7 @@ def run_asynchronously(task: Task) -> bool:
         course.save(store)
 
 
-def _next_answers(task: Task, simulations: _Simulations, flight: Array, ended: bool) -> tuple[Array, Results] | None:
+def _next_results(task: Task, simulations: _Simulations, flight: Array, ended: bool) -> tuple[Array, Results] | None:
     """Start the designs in flight and wait for the next results; None once nothing is running.
 
     Args:
@@ -193,8 +193,8 @@ def _next_answers(task: Task, simulations: _Simulations, flight: Array, ended: b
         if not simulations:
             return None
         task.observer.stage("simulating")
-        if (answered := simulations.answered(_WAIT)) is not None:
-            return answered
+        if (arrived := simulations.arrived(_WAIT)) is not None:
+            return arrived
 
 
 @dataclass

@@ -50,7 +50,7 @@ async function ask(question, data) {
     body: JSON.stringify(data),
   });
   if (response.status === 503) {
-    // The server is busy and tells when to retry.
+    // The server is busy and says when to retry.
     const seconds = Number(response.headers.get("Retry-After")) || 1;
     await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
     return ask(question, data);

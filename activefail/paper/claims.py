@@ -173,7 +173,7 @@ def claims(study: Study) -> list[Claim]:
     return [
         *(
             _share(
-                f"logistic regression, {boundary}, accuracy in sample", theirs, logistic(draws, boundary, "in_sample")
+                f"logistic regression, {boundary}, in-sample accuracy", theirs, logistic(draws, boundary, "in_sample")
             )
             for boundary, theirs in published.LOGISTIC.items()
         ),
@@ -187,8 +187,8 @@ def claims(study: Study) -> list[Claim]:
             "",
             "not in the paper",
         ),
-        _gain("gain over logistic regression, as the paper compares", papers_gain(draws)),
-        _gain("the same, both trained alike and judged on fresh designs", fresh_gain(draws)),
+        _gain("gain over logistic regression, compared as in the paper", papers_gain(draws)),
+        _gain("the same, with equal training data and fresh designs", fresh_gain(draws)),
         Claim(
             "expectation propagation against Laplace, fresh accuracy",
             "the same",

@@ -114,9 +114,7 @@ def _p_values(study: Study) -> list[dict[str, str]]:
 def _caution(method: str, study: Study) -> str:
     """The calibration slope of a method's probabilities in words."""
     low, high = Estimate.over(claims.process(study.draws, method, "calibration_slope")).of_mean
-    return (
-        "too cautious" if low > 1.0 else "too sure of the surest" if high < 1.0 else "neither too sure nor too cautious"
-    )
+    return "underconfident" if low > 1.0 else "overconfident" if high < 1.0 else "neither over- nor underconfident"
 
 
 def _processes(study: Study) -> list[dict[str, str]]:
