@@ -1,4 +1,4 @@
-"""How work is shown while it runs."""
+"""Progress displays."""
 
 import sys
 import time
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]:
-    """A bar on a terminal, nothing otherwise; yields what takes the total and returns what takes the rows done."""
+    """A progress bar on a terminal, otherwise nothing.
+
+    Yields a function that takes the total number of rows and returns a callback for finished rows.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -35,7 +38,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
 
 @contextmanager
 def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator["Observer"]:
-    """A live line on a terminal; a plain line a batch otherwise."""
+    """A live display on a terminal; otherwise one line per batch."""
     from rich.console import Console
 
     from activefail.campaign.progress import Observer
@@ -46,7 +49,7 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
 
         def show(progress: "Progress") -> None:
             nonlocal shown_iteration, shown_at
-            # Batches of the initial design come too fast to be worth a line each.
+            # Batches of the initial design are too frequent for a line each.
             learned = progress.done >= campaign.settings.sampling.initial
             if learned or progress.iteration != shown_iteration or time.monotonic() - shown_at > 10.0:
                 shown_iteration, shown_at = progress.iteration, time.monotonic()
@@ -73,7 +76,7 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
     def enter(name: str) -> None:
         below.plain = f"{line} | {name}" if line else name
 
-    # The text on lines of its own: a narrow terminal would cut it, or the bar.
+    # Text on separate lines: beside the bar, a narrow terminal would truncate it.
     with Live(Group(bar, below), console=console, refresh_per_second=8):
         yield Observer(update, enter, stop)
         below.plain = line
@@ -89,7 +92,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     parts = [] if bar else [f"{progress.done}/{progress.budget} simulations"]
     parts += [f"iteration {progress.iteration}", _counts(campaign, progress)]
     if progress.unseen and progress.done >= campaign.settings.sampling.initial:
-        parts.append(f"searching for {' and '.join(progress.unseen)}, not seen yet")
+        parts.append(f"searching for {' and '.join(progress.unseen)} (not seen yet)")
     if progress.error is not None:
         parts.append(f"error {error_text(progress.error)}")
     if progress.accuracy is not None:

@@ -1,4 +1,4 @@
-"""How a Ctrl-C and a SIGTERM are met: asked once they stop work in order, asked twice at once."""
+"""Handle Ctrl-C and SIGTERM: the first one stops work in order, the second at once."""
 
 import atexit
 import os
@@ -9,70 +9,72 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 INTERRUPTED = 130
-"""The exit code of a program that a Ctrl-C ended, as shells have it."""
+"""Exit code after Ctrl-C, by the convention of shells."""
 
 
 @contextmanager
 def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Callable[[], bool]]:
-    """The first Ctrl-C or SIGTERM asks for a stop and says what is done before it, the second stops at once."""
-    asked = at_once = False
+    """Handle signals in a block: the first requests a stop and prints `stopping`, the second raises KeyboardInterrupt.
 
-    def ask(number: int, frame: object) -> None:
-        nonlocal asked, at_once
-        if asked:
+    Yields a function that returns whether a stop was requested.
+    """
+    stop_requested = at_once = False
+
+    def request_stop(number: int, frame: object) -> None:
+        nonlocal stop_requested, at_once
+        if stop_requested:
             at_once = True
             raise KeyboardInterrupt
-        asked = True
-        print(f"\n{stopping}; once more to stop now", file=sys.stderr)
+        stop_requested = True
+        print(f"\n{stopping}; Ctrl-C again to stop now", file=sys.stderr)
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.signal(number, request_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: asked
-    except Exception as broken:
-        # An interrupt in the middle of one of Python's own locks comes out as that lock's complaint.
+        yield lambda: stop_requested
+    except Exception as error:
+        # An interrupt inside one of Python's locks surfaces as that lock's error.
         if at_once:
-            raise KeyboardInterrupt from broken
+            raise KeyboardInterrupt from error
         raise
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
 @contextmanager
 def hearing_every_ctrl_c() -> Iterator[None]:
-    """A Ctrl-C that meets a call from compiled code, from which Python can raise nothing, comes again.
+    """Repeat a Ctrl-C that arrives in a callback from compiled code, where Python cannot raise it.
 
-    After the block the program is ending. What is cleared away at exit has nothing to lose, and a Ctrl-C more ends it
-    without a traceback.
+    After the block the program is ending: a Ctrl-C during cleanup loses nothing and ends it without a traceback.
     """
-    coming: list[threading.Timer] = []
+    timers: list[threading.Timer] = []
 
-    def unraisable(dropped: "sys.UnraisableHookArgs") -> None:
-        if issubclass(dropped.exc_type, KeyboardInterrupt):
-            again = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
-            again.daemon = True
-            again.start()
-            coming.append(again)
+    def unraisable(event: "sys.UnraisableHookArgs") -> None:
+        if issubclass(event.exc_type, KeyboardInterrupt):
+            timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+            timer.daemon = True
+            timer.start()
+            timers.append(timer)
         else:
-            sys.__unraisablehook__(dropped)
+            sys.__unraisablehook__(event)
 
     hook, sys.unraisablehook = sys.unraisablehook, unraisable
     try:
         yield
     finally:
-        for again in coming:
-            again.cancel()
+        for timer in timers:
+            timer.cancel()
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
         sys.unraisablehook = hook
 
 
 def end_without_waiting() -> None:
-    """End the process after a Ctrl-C without waiting for its threads.
+    """End the process after Ctrl-C without waiting for its threads.
 
-    Where a Ctrl-C meets the start of a thread, Python may wait for that thread for ever, or not at all, and then abort
-    while compiled code runs on in it.
+    If Ctrl-C interrupts the start of a thread, Python may wait for it for ever, or abort while compiled code still runs
+    in it.
     """
-    # Ends the processes that were started, too.
+    # The exit functions also end child processes.
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):

@@ -1,4 +1,4 @@
-"""A run folder, open: the one object behind every command."""
+"""An open run folder, on which the commands are methods."""
 
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 
 class Taken(NamedTuple):
-    """How far a campaign was taken.
+    """The result of `Run.take`.
 
     Attributes:
-        finished: whether it reached its budget or its stop rule; False where it was asked to stop before.
-        progress: where it stands.
-        first_fault: why the first simulation that was abandoned failed, with its design; empty if none was.
+        finished: whether the campaign reached its budget or its stop rule; False if it was stopped before.
+        progress: of the campaign.
+        first_fault: why the first abandoned simulation failed, with its design; empty if there is none.
     """
 
     finished: bool
@@ -44,15 +44,15 @@ class Taken(NamedTuple):
 
 
 class Run:
-    """A run folder, open: a campaign, its record, and what it has learned.
+    """An open run folder: a campaign, its record and its classifier.
 
-    `create_run` and `open_run` make one; it is a context manager that closes itself. One process at a time may have a
-    folder open for writing; reading is safe meanwhile, and sees what was recorded when the folder was opened.
+    `create_run` and `open_run` return one; use it as a context manager to close it. Only one process at a time can open
+    a folder for writing. Reading is safe meanwhile and sees the record as of opening.
 
     Attributes:
-        folder: of the run.
-        campaign: the pieces that its settings name.
-        store: its record.
+        folder: the run folder.
+        campaign: the components of the campaign.
+        store: the record.
     """
 
     def __init__(self, folder: Path, campaign: Campaign, store: "FolderStore", write: bool) -> None:
@@ -60,11 +60,11 @@ class Run:
         self._write = write
         self._classifier: Classifier | None = None
 
-    # ------------------------------------------------------------------------------------------- what it is
+    # ------------------------------------------------------------------------------------------- properties
 
     @property
     def settings(self) -> "CampaignSettings":
-        """The campaign's settings, defaults written out."""
+        """The campaign's settings with all defaults."""
         return self.campaign.settings
 
     @property
@@ -74,18 +74,18 @@ class Run:
 
     @property
     def boundary(self) -> str:
-        """The outcome whose boundary is (mainly) sought."""
+        """The outcome of the (main) target boundary."""
         return self.settings.acquisition.main_boundary
 
     @property
     def history(self) -> History:
-        """What was simulated so far."""
+        """The simulations so far."""
         return History.of(self.store.batches)
 
     @property
     def summary(self) -> Summary:
-        """Where the campaign stands, in counts."""
-        # The settings' text, not the file's: an older program may have left out what has a default now.
+        """The state of the campaign in counts."""
+        # Not the file's text: an older version may have omitted settings that have defaults now.
         return Summary.of(self.settings.text(), self.campaign.simulator.outcomes, self.store.batches)
 
     def resume_command(
@@ -95,11 +95,11 @@ class Run:
         ignore_stop: bool = False,
         executor: str = "",
     ) -> str:
-        """The command that continues the campaign, ready to be pasted.
+        """The command that continues the campaign, quoted for a shell.
 
         Args:
             budget, failure_limit, ignore_stop: as for `take`.
-            executor: options that name where simulations run.
+            executor: options that select the executor.
         """
         command = resume_command(self.folder, self.campaign) + executor
         if ignore_stop:
@@ -112,33 +112,33 @@ class Run:
 
     @property
     def stop_rule_warning(self) -> str:
-        """Why the stop rule cannot be met at its first look, where it has too few simulations; empty otherwise."""
+        """Why the stop rule has too few simulations to be met at its first look; empty if it has enough."""
         from activefail.campaign.stratified import largest_unseen_share
         from activefail.campaign.verification import confidence_of_look, least_simulations
 
         rule = self.settings.stop
         if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
             return ""
-        shown = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
+        bound = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
         return (
-            f"stop.simulations: {rule.simulations} can show an error of at most {percent(shown)} at the first look, if "
-            f"none of them is wrong; {100 * rule.error:g} % needs at least {least}"
+            f"stop.simulations: {rule.simulations} can show an error of at most {percent(bound)} at the first look, "
+            f"even if none is misclassified; {100 * rule.error:g} % needs at least {least}"
         )
 
     def check_budget(self, budget: int | None) -> None:
-        """Check that the campaign can be taken to a budget; its own if None.
+        """Check a budget that replaces the campaign's; None is valid.
 
         Raises:
-            InputError: if it is below 2 or below what is done.
+            InputError: if it is below 2 or below the number of recorded simulations.
         """
         if budget is None:
             return
         if budget < 2:
             raise InputError(f"budget: must be at least 2, got {budget}.")
         if budget < (done := len(self.history)):
-            raise InputError(f"budget: must be at least the {done} simulations that are done, got {budget}.")
+            raise InputError(f"budget: must be at least the {done} recorded simulations, got {budget}.")
 
-    # ------------------------------------------------------------------------------------------- what it does
+    # ------------------------------------------------------------------------------------------- actions
 
     def take(
         self,
@@ -149,18 +149,18 @@ class Run:
         observer: Observer | None = None,
         executor_options: str = "",
     ) -> Taken:
-        """Take the campaign to its budget, or until its stop rule is met.
+        """Run the campaign to its budget, or until its stop rule is met.
 
         Args:
-            budget: simulations in all, instead of the campaign's.
-            failure_limit: share of numerical failures to stop above, instead of the campaign's.
+            budget: simulations in all; replaces the campaign's.
+            failure_limit: largest accepted share of numerical failures; replaces the campaign's.
             ignore_stop: continue even if the stop rule is met.
-            executor: where simulations run; this machine, all cores, if None.
-            observer: is told of progress, and asks for a stop.
-            executor_options: how a command line names the executor, for messages.
+            executor: runs the simulations; if None, all cores of this machine.
+            observer: receives progress and requests a stop.
+            executor_options: command-line options that select the executor, for messages.
 
         Raises:
-            InputError: if the budget is below 2 or below what is done.
+            InputError: if the budget is below 2 or below the number of recorded simulations.
             SimulationError: if the workers or too many of the simulations fail.
             StoreError: if a batch cannot be recorded.
         """
@@ -169,9 +169,9 @@ class Run:
             with self._local_executor() as local:
                 return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
         target = self.settings.sampling.budget if budget is None else budget
-        again = self.resume_command(ignore_stop=ignore_stop, executor=executor_options)
+        command = self.resume_command(ignore_stop=ignore_stop, executor=executor_options)
         finished = run_loop(
-            self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, again
+            self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, command
         )
         self._classifier = None
         return Taken(finished, standing(self.campaign, self.store.batches, target), executor.first_fault)
@@ -182,13 +182,13 @@ class Run:
         return self.learn()
 
     def learn(self, stage: Callable[[str], None] = lambda _: None) -> "Classifier":
-        """Learn from all recorded simulations, once; a run that is open for writing saves what it had to learn.
+        """Train the classifier on all recorded simulations, once; a run open for writing saves it.
 
         Args:
-            stage: is told when learning begins.
+            stage: called when training begins.
 
         Raises:
-            InputError: if there is no simulation, or none with an answer, to learn from.
+            InputError: if no simulation has an outcome.
         """
         from activefail.campaign.learning import current_classifier
 
@@ -205,7 +205,7 @@ class Run:
 
     @property
     def findings(self) -> "Findings":
-        """What the campaign has found so far."""
+        """The findings of the campaign so far."""
         from activefail.campaign.findings import findings_of
 
         with one_thread():
@@ -214,10 +214,10 @@ class Run:
     def predict_table(
         self, source: Path, target: Path, begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None
     ) -> int:
-        """Write the designs of a CSV file back with what the classifier predicts (see `campaign.tables`).
+        """Write a CSV file of designs with predictions added (see `campaign.tables`).
 
         Returns:
-            How many designs lie outside the design space, where the classifier extrapolates.
+            Number of designs outside the design space, where the classifier extrapolates.
         """
         from activefail.campaign.tables import predict_table
 
@@ -226,7 +226,7 @@ class Run:
             return predict_table(self.campaign, classifier, source, target, begin)
 
     def export_table(self, target: Path) -> int:
-        """Write every simulation as a row of a CSV file; how many there were."""
+        """Write every simulation as a row of a CSV file; returns their number."""
         from activefail.campaign.tables import export_table
 
         return export_table(self.campaign, self.store, target)
@@ -234,7 +234,12 @@ class Run:
     def verify(
         self, simulations: int = 200, confidence: float = 0.9, executor: "Executor | None" = None
     ) -> "ErrorEstimate":
-        """The share of the design space that the classifier gets wrong, from fresh simulations outside the budget.
+        """Estimate the share of the design space that the classifier gets wrong, from fresh simulations.
+
+        Args:
+            simulations: number of fresh simulations, outside the budget.
+            confidence: of the interval.
+            executor: as for `take`.
 
         Raises:
             InputError: if the initial design is not finished.
@@ -246,8 +251,8 @@ class Run:
         if len(history) < self.settings.sampling.initial * initial_sets(self.campaign, history):
             raise InputError(f"{self.folder}: has not finished its initial design; there is nothing to verify yet.")
         classifier, iteration = self.classifier, history.last_iteration
-        with nullcontext(executor) if executor else self._local_executor() as working, one_thread():
-            return verify(self.campaign, self.store, working, classifier, iteration, simulations, confidence)
+        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
+            return verify(self.campaign, self.store, pool, classifier, iteration, simulations, confidence)
 
     def compare(
         self,
@@ -256,22 +261,22 @@ class Run:
         stage: Callable[[str], None] = lambda _: None,
         executor: "Executor | None" = None,
     ) -> "list[Score]":
-        """The campaign against static Latin hypercubes, judged on the same fresh designs; kept in the run folder.
+        """Compare the campaign with static designs on the same fresh designs.
 
-        A table and a figure are written to the folder `compare` of the run.
+        Writes a table and a figure to the subfolder `compare` of the run folder.
 
         Args:
             budgets: numbers of simulations; six by default.
-            test_designs: fresh ones to judge by.
-            stage: is told what is done.
+            test_designs: number of fresh test designs.
+            stage: called with each stage of the work.
             executor: as for `take`.
         """
         from activefail.comparison.static import compare, write_scores
         from activefail.figures.curves import plot_learning_curves
         from activefail.figures.style import save_figure
 
-        with nullcontext(executor) if executor else self._local_executor() as working:
-            scores = compare(self.campaign, self.store, working, budgets, test_designs, stage)
+        with nullcontext(executor) if executor else self._local_executor() as pool:
+            scores = compare(self.campaign, self.store, pool, budgets, test_designs, stage)
         results = self.folder / COMPARISON
         results.mkdir(exist_ok=True)
         write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / "scores.csv")
@@ -281,11 +286,11 @@ class Run:
         return scores
 
     def report(self, target: Path | None = None, stage: Callable[[str], None] = lambda _: None) -> "Evidence":
-        """Write what the campaign has found as one HTML file; what the folder holds that judges it.
+        """Write the campaign's results to one HTML file; returns the evidence of its accuracy.
 
         Args:
             target: file to write; `report.html` in the run folder by default.
-            stage: is told what is done.
+            stage: called with each stage of the work.
         """
         from activefail.report.evidence import evidence_of
         from activefail.report.page import render, write_report
@@ -305,7 +310,7 @@ class Run:
     # ------------------------------------------------------------------------------------------- opening, closing
 
     def close(self) -> None:
-        """Let another process write to the folder."""
+        """Close the folder, so that another process can write to it."""
         self.store.close()
 
     def __enter__(self) -> Self:
@@ -316,14 +321,14 @@ class Run:
 
 
 def create_run(folder: Path, campaign: Campaign | Path) -> Run:
-    """A new run folder for a campaign, open for writing.
+    """Create a run folder for a campaign, open for writing.
 
     Args:
         folder: to create.
-        campaign: or its file, whose folder holds the user's code that it names.
+        campaign: a campaign, or its file; the file's folder holds the user's code.
 
     Raises:
-        InputError: if the file is not valid, or the folder is in use.
+        InputError: if the file is invalid, or the folder is in use.
         BusyError, StoreError: if the folder cannot be written.
     """
     if isinstance(campaign, Path):
@@ -339,21 +344,21 @@ def check_unused(folder: Path, campaign: Campaign) -> None:
         InputError: with the command that continues the one it holds.
     """
     if (folder / SETTINGS).exists():
-        again = resume_command(folder, campaign)
-        raise InputError(f"{folder}: holds a campaign already; `{again}` continues it.")
+        command = resume_command(folder, campaign)
+        raise InputError(f"{folder}: holds a campaign already; `{command}` continues it.")
 
 
 def open_run(folder: Path, *, write: bool = False, code: Path | None = None, features: bool = True) -> Run:
-    """The run in a folder.
+    """Open a run folder.
 
     Args:
-        folder: of the run.
-        write: whether this process becomes its only writer.
-        code: folder of the user's code, which is then run.
-        features: whether custom features are needed.
+        folder: the run folder.
+        write: make this process the only writer.
+        code: folder of the user's code, which is executed.
+        features: whether features that are a Python function are needed.
 
     Raises:
-        InputError: if there is no campaign in the folder or its settings are not valid.
+        InputError: if the folder holds no campaign or its settings are invalid.
         StoreError: if the record cannot be read.
         BusyError: if another process is writing to it.
     """
@@ -361,7 +366,7 @@ def open_run(folder: Path, *, write: bool = False, code: Path | None = None, fea
 
 
 def resume_command(folder: Path, campaign: Campaign | None = None) -> str:
-    """The command that continues a campaign, ready to be pasted; with the folder of the user's code."""
+    """The command that continues a campaign, quoted for a shell, with the folder of the user's code."""
     command = f"activefail resume {quoted(folder)}"
     if campaign is None or (isinstance(campaign.settings.simulator, str) and not campaign.sources):
         return command

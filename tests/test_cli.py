@@ -404,7 +404,7 @@ def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -
 
 def test_a_budget_below_what_is_done_is_refused(folder: Path) -> None:
     before = record(folder)
-    rule = "budget: must be at least the 30 simulations that are done, got 29"
+    rule = "budget: must be at least the 30 recorded simulations, got 29"
     refused(activefail("resume", folder, "--budget", "29"), rule)
     assert activefail("resume", folder, "--budget", "30").code == 0
     assert record(folder) == before
@@ -502,10 +502,10 @@ def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_
     rule = "stop = { error = 0.49, confidence = 0.5, simulations = 10, every = 1 }\n"
     (tmp_path / "easy.toml").write_text(rule + TINY)
     folder = tmp_path / "run"
-    assert "good       enough after 20 simulations" in activefail("run", tmp_path / "easy.toml", "--out", folder).out
+    assert "stop rule  met after 20 simulations" in activefail("run", tmp_path / "easy.toml", "--out", folder).out
     assert activefail("status", folder).out.splitlines()[-2:] == [
         f"continue   activefail resume {folder}",
-        f"           activefail resume {folder} --ignore-stop, where it ended by its stop rule",
+        f"           activefail resume {folder} --ignore-stop, if it ended by its stop rule",
     ]
     activefail("resume", folder, "--ignore-stop", "--budget", "25")
     assert activefail("status", folder).out.splitlines()[-1] == f"continue   activefail resume {folder}"
@@ -520,7 +520,7 @@ def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: P
     (tmp_path / "in.csv").write_text(f"site,{HEADER}\nA,{ROW}\nB,{ROW.replace('0.06', '0.5')}\n")
     said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     assert said.code == 0
-    assert said.err == "warning: outside the campaign's ranges, where it extrapolates: 1 designs\n"
+    assert said.err == "warning: the classifier extrapolates: 1 designs lie outside the design space\n"
     assert said.out == f"written to {tmp_path / 'out.csv'}\n"
     for row in table(tmp_path / "out.csv"):
         assert sum(float(row[f"p_{name}"]) for name in ("no_impact", "impact", "failure")) == pytest.approx(1.0)
@@ -651,7 +651,7 @@ def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folde
 @pytest.mark.parametrize("budgets", ["", "many", "20;30", "20,", "20,30.5", "1e2"])
 def test_budgets_that_are_no_whole_numbers_are_refused(folder: Path, budgets: str) -> None:
     said = activefail("compare", folder, "--budgets", budgets)
-    refused(said, f"--budgets: must be whole numbers with commas between them, got {budgets!r}")
+    refused(said, f"--budgets: must be whole numbers separated by commas, got {budgets!r}")
 
 
 @pytest.mark.parametrize(("budgets", "wrong"), [("20,31", 31), ("1", 1), ("0,20", 0), ("-5", -5)])
@@ -660,7 +660,7 @@ def test_budgets_that_the_campaign_has_not_are_refused_before_anything_is_simula
 ) -> None:
     refused(
         activefail("compare", folder, f"--budgets={budgets}"),
-        f"budgets: must lie between 2 and the 30 simulations done, got {wrong}",
+        f"budgets: must be between 2 and the 30 recorded simulations, got {wrong}",
     )
     assert list((folder / "sets").iterdir()) == []
 
@@ -684,7 +684,7 @@ def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(tmp_p
     ("words", "rule"),
     [
         ((), "--out: required"),
-        (("--out", "out", "--budgets", "20"), "--budgets: is for the comparison of a run folder"),
+        (("--out", "out", "--budgets", "20"), "--budgets: only for the comparison of a run folder"),
         (("--out", "out", "--static", "1,20"), "--static: must be at least 2, got 1"),
         (("--out", "out", "--static", "x"), "--static: must be whole numbers"),
         (("--out", "out", "--criteria", "entropic"), "acquisition.criterion: must be"),
@@ -712,7 +712,9 @@ def test_a_comparison_is_not_made_among_other_things(folder: Path, tmp_path: Pat
 
 
 def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -> None:
-    refused(activefail("compare", folder, "--criteria", "bald"), "--criteria: is for the comparison of a campaign file")
+    refused(
+        activefail("compare", folder, "--criteria", "bald"), "--criteria: only for the comparison of a campaign file"
+    )
 
 
 def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Path) -> None:
@@ -754,7 +756,7 @@ def test_a_campaign_is_explored_on_this_machine_until_ctrl_c(folder: Path) -> No
         server.send_signal(signal.SIGINT)
         _, err = server.communicate(timeout=PATIENCE)
     assert server.returncode == 0
-    assert err.splitlines()[-1] == "ended"
+    assert err.splitlines()[-1] == "stopped"
     assert "Traceback" not in err
 
 
@@ -802,7 +804,7 @@ def test_one_signal_ends_a_campaign_after_a_whole_batch_and_the_command_it_names
         process = running.process
         running.wait(2)
         process.send_signal(number)
-        wait_for(process.stderr, "stopping after this batch; once more to stop now")
+        wait_for(process.stderr, "stopping after this batch; Ctrl-C again to stop now")
         running.release()
         out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
@@ -839,7 +841,7 @@ def test_a_second_signal_ends_a_campaign_at_once_and_no_part_of_a_batch_is_kept(
         _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert err.splitlines()[-1] == (
-        f"stopped; batches that were recorded are safe. Continue with: activefail resume {tmp_path / 'run'}"
+        f"stopped; recorded batches are safe. Continue with: activefail resume {tmp_path / 'run'}"
     )
     assert record(tmp_path / "run") == []
 
@@ -906,7 +908,7 @@ def test_a_ctrl_c_ends_every_command_without_a_traceback(
     monkeypatch.setattr("activefail.record.run_folder.read_segments", struck)
     said = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
     assert said.code == 130
-    assert said.err == "activefail: stopped; what was recorded is safe\n"
+    assert said.err == "activefail: stopped; recorded simulations are safe\n"
 
 
 def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
@@ -922,7 +924,7 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
 
     monkeypatch.setattr("activefail.paper.study.run_study", compiling)
     said = activefail("paper", "--out", tmp_path / "paper")
-    assert (said.code, said.err) == (130, "stopped; nothing is kept of it. The same command begins anew.\n")
+    assert (said.code, said.err) == (130, "stopped; nothing was saved. The same command starts over.\n")
 
 
 def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], None] = lambda: None) -> str:
@@ -951,7 +953,7 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
     with holding(f"activefail.paper.study:{place}", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
-    assert err.splitlines()[-1] == "stopped; nothing is kept of it. The same command begins anew."
+    assert err.splitlines()[-1] == "stopped; nothing was saved. The same command starts over."
     assert list((tmp_path / "paper").iterdir()) == []
 
 
@@ -978,10 +980,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
     with holding("activefail.comparison.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
         wait_for(running.process.stderr, "campaigns and classifiers")
         err = struck_as_by_a_terminal(running.process, running.release)
-    assert (
-        err.splitlines()[-1]
-        == f"stopped; what was scored is kept in {tmp_path / 'compared'}. The same command goes on."
-    )
+    assert err.splitlines()[-1] == f"stopped; scores are kept in {tmp_path / 'compared'}. The same command continues."
     said = activefail(*words, "--static", "20")
     assert said.code == 0, said.err
 
@@ -995,7 +994,7 @@ def test_a_second_ctrl_c_ends_a_comparison_over_seeds_in_the_middle_of_its_arms(
         running.process.send_signal(signal.SIGINT)
         wait_for(running.process.stderr, "stopping after this batch")
         err = struck_as_by_a_terminal(running.process)
-    assert err.splitlines()[-1].startswith(f"stopped; what was scored is kept in {tmp_path / 'compared'}.")
+    assert err.splitlines()[-1].startswith(f"stopped; scores are kept in {tmp_path / 'compared'}.")
 
 
 @pytest.mark.faults
@@ -1004,7 +1003,7 @@ def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_
     with holding("activefail.comparison.static:train", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
-    assert err.splitlines()[-1] == "activefail: stopped; what was recorded is safe"
+    assert err.splitlines()[-1] == "activefail: stopped; recorded simulations are safe"
     assert not (folder / "compare").exists()
     assert activefail(*words).code == 0
 

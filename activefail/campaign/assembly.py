@@ -1,4 +1,4 @@
-"""A campaign put together from its settings: design space, simulator and features."""
+"""Build a campaign from its settings: design space, simulator and features."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,7 @@ from activefail.simulators.user_code import FEATURES_KEY, SIMULATOR_KEY, load_fu
 from activefail.space import DesignSpace
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
-"""Of an exported table, beside variables and margins."""
+"""Columns of an exported table besides variables and margins."""
 
 
 def predicted_columns(outcomes: Sequence[str]) -> tuple[str, ...]:
@@ -28,11 +28,11 @@ def predicted_columns(outcomes: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Campaign:
-    """The pieces that settings name, put together; the loop knows nothing more of them than their seams.
+    """The components of a campaign. The loop uses them only through their interfaces.
 
     Attributes:
-        sources: digests of the sources of a user's own functions, by the key that names them.
-        code: folder of the user's own code; None if none may be run.
+        sources: digests of the source files of custom functions, by settings key.
+        code: folder of the user's code; None if it must not be run.
     """
 
     settings: CampaignSettings
@@ -52,22 +52,21 @@ class Campaign:
         simulator: Simulator | None = None,
         custom_features: bool = True,
     ) -> "Campaign":
-        """The campaign that settings describe.
+        """Build the campaign that the settings describe.
 
         Args:
-            settings: of the campaign.
-            code: folder of the user's code that the settings name, which is then run. None: none of it is run, and
-                features that need it cannot be had, nor simulations.
-            run: folder of the run, in which programs that simulate have theirs, and no code is looked for; the current
-                one if None.
-            simulator: instead of the one that the settings name.
-            custom_features: whether features that are a function of the user's are needed; the variables stand in for
-                them if not.
+            settings: settings of the campaign.
+            code: folder of the user's code, which is executed. If None, no user code runs: custom simulations and
+                features that are a Python function are unavailable.
+            run: run folder; simulation programs work in it, and code in it is never executed. The current folder if
+                None.
+            simulator: replaces the simulator in the settings.
+            custom_features: whether features that are a Python function are needed; if not, the variables replace them.
 
         Raises:
-            InputError: if simulator, design space, features and boundary do not fit each other.
+            InputError: if simulator, design space, features and boundary are inconsistent.
         """
-        # Workers and programs that simulate have other current folders.
+        # Workers and simulation programs have other current folders.
         code, run = (None if folder is None else folder.absolute() for folder in (code, run))
         space = settings.design_space()
         sources: dict[str, str] = {}
@@ -86,45 +85,45 @@ class Campaign:
 
     @property
     def time_limit(self) -> float | None:
-        """Seconds that one simulation may take; None where it bounds itself, or may take for ever."""
-        named = self.settings.simulator
-        return None if isinstance(named, str) else named.time_limit
+        """Time limit of one simulation [s]; None for the bearing, and if no limit is set."""
+        simulator = self.settings.simulator
+        return None if isinstance(simulator, str) else simulator.time_limit
 
     @property
     def schema(self) -> Schema:
-        """What the columns of this campaign's record mean."""
+        """The meaning of the record's columns."""
         return Schema(self.space.names, self.simulator.outcomes, self.simulator.causes, self.simulator.margins)
 
     @property
     def severity(self) -> int:
-        """The outcome at and above which a simulation counts as beyond the boundary that is sought (mainly)."""
+        """The least severe outcome beyond the (main) target boundary."""
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
 
 
 def _simulator(
     settings: CampaignSettings, space: DesignSpace, code: Path | None, run: Path | None
 ) -> tuple[Simulator, dict[str, str]]:
-    """The simulator that settings name, and the digest of its source where that is the user's."""
+    """The simulator in the settings, and the digest of its source if it is a Python function."""
     match settings.simulator:
-        case config.PythonSimulator() as named:
+        case config.PythonSimulator() as spec:
             function = PythonSimulator(
-                space, named.python, code, tuple(named.outcomes), tuple(named.margins), folder=run, renew=named.renew
+                space, spec.python, code, tuple(spec.outcomes), tuple(spec.margins), folder=run, renew=spec.renew
             )
             if code is None:
                 return function, {}
             source = function.load()
             return replace(function, source=source), {SIMULATOR_KEY: source}
-        case config.CommandSimulator() as named:
+        case config.CommandSimulator() as spec:
             command = CommandSimulator(
                 space,
-                named.command,
+                spec.command,
                 code,
                 (run or Path.cwd()) / SIMULATIONS,
-                tuple(named.outcomes),
-                tuple(named.margins),
-                named.retries,
-                named.keep,
-                named.largest_file,
+                tuple(spec.outcomes),
+                tuple(spec.margins),
+                spec.retries,
+                spec.keep,
+                spec.largest_file,
             )
             return command, {}
         case _:
@@ -134,37 +133,37 @@ def _simulator(
 def _features(
     settings: CampaignSettings, code: Path | None, run: Path | None, custom: bool
 ) -> tuple[FeatureSet | CustomFeatures | ExpressionFeatures, dict[str, str]]:
-    """The features that settings name, and the digest of their source where that is the user's."""
+    """The features in the settings, and the digest of their source if they are a Python function."""
     match settings.classifier.features:
         case config.PythonFeatures() if not custom:
             return "design", {}
-        case config.PythonFeatures() as named:
-            function, source = load_function(named.python, code, FEATURES_KEY, run)
-            return CustomFeatures(named.python.partition(":")[2], function, named.variables), {FEATURES_KEY: source}
-        case config.ExpressionFeatures() as named:
-            return ExpressionFeatures(named.expressions, named.variables), {}
-        case named:
-            return named, {}
+        case config.PythonFeatures() as spec:
+            function, source = load_function(spec.python, code, FEATURES_KEY, run)
+            return CustomFeatures(spec.python.partition(":")[2], function, spec.variables), {FEATURES_KEY: source}
+        case config.ExpressionFeatures() as spec:
+            return ExpressionFeatures(spec.expressions, spec.variables), {}
+        case feature_set:
+            return feature_set, {}
 
 
 def _check_names(space: DesignSpace, simulator: Simulator) -> None:
-    """Refuses variables and margins whose columns of a table would have the name of another.
+    """Check that variables, margins and fixed columns have distinct names in tables.
 
     Raises:
         InputError: naming the key.
     """
     for name in space.names:
         if name in _COLUMNS:
-            raise InputError(f"space.{name}: is the name of another column of the exported table; rename it.")
+            raise InputError(f"space.{name}: the exported table already has a column of this name; rename it.")
         if name in predicted_columns(simulator.outcomes):
-            raise InputError(f"space.{name}: is the name of a column that `activefail predict` adds; rename it.")
+            raise InputError(f"space.{name}: `activefail predict` adds a column of this name; rename it.")
     for name in simulator.margins:
         if name in (*space.names, *_COLUMNS):
-            raise InputError(f"simulator.margins: {name!r} is the name of another column of the exported table.")
+            raise InputError(f"simulator.margins: the exported table already has a column {name!r}; rename it.")
 
 
 def _check_bearing(settings: CampaignSettings) -> None:
-    """Refuses settings of the bearing that nothing would use; a run folder's frozen ones have the defaults written out.
+    """Reject bearing settings that nothing would use. Frozen settings contain the defaults, which are accepted.
 
     Raises:
         InputError: naming the key and its value.
@@ -175,5 +174,5 @@ def _check_bearing(settings: CampaignSettings) -> None:
     for key, value in settings.bearing:
         if value != getattr(default, key):
             raise InputError(
-                f'bearing.{key}: belongs to `simulator = "dfp"`, and the simulator is one\'s own; got {value!r}.'
+                f'bearing.{key}: applies to `simulator = "dfp"`, not to a custom simulator; got {value!r}.'
             )

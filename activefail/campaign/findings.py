@@ -1,4 +1,4 @@
-"""What a campaign has found so far: its simulations, its classifier, and designs worth a look."""
+"""Results of a campaign so far: its simulations, its classifier, and notable designs."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,13 +22,15 @@ _POOL = 2**12
 
 @dataclass(frozen=True)
 class Findings:
-    """A campaign, what it has simulated and what it has learned.
+    """A campaign with its simulations and its classifier.
 
     Attributes:
-        X: (n, d) designs simulated so far, numerical failures included.
-        outcome: (n,) int8; iteration: (n,).
-        chosen: (n,) bool, by the learner; the others are of the seed design.
-        pool, pool_prediction: designs of the space, the most uncertain of which are listed.
+        X: (n, d) designs simulated so far, including numerical failures.
+        outcome: (n,) int8.
+        iteration: (n,) int64.
+        chosen: (n,) bool; True for active designs, False for the initial design.
+        expected: the error that the classifier expects of itself.
+        pool, pool_prediction: a sample of the design space and its predictions.
     """
 
     folder: Path
@@ -44,36 +46,36 @@ class Findings:
 
     @property
     def boundary(self) -> str:
-        """The outcome whose boundary is (mainly) sought."""
+        """The outcome of the (main) target boundary."""
         return self.campaign.settings.acquisition.main_boundary
 
     @property
     def beyond(self) -> str:
-        """What is beyond that boundary, in words."""
+        """The outcomes beyond that boundary, in words."""
         worst = self.boundary == self.campaign.simulator.outcomes[-1]
         return words(self.boundary) if worst else f"{words(self.boundary)} or worse"
 
     @property
     def influence(self) -> Array:
-        """How much the prediction hangs on each variable, (d,): its mean change when the variable is drawn anew."""
+        """How much the prediction depends on each variable, (d,): its mean change when the variable is redrawn."""
         pool = self.pool[:1024]
         before = predict(self.campaign, self.classifier, pool).beyond
         changes = []
         for column in range(self.campaign.space.dimension):
             moved = pool.copy()
-            # Rolled by half the sample: drawn anew without a random number.
+            # Rolling by half the sample redraws the variable without a random number.
             moved[:, column] = np.roll(pool[:, column], len(pool) // 2)
             changes.append(float(np.abs(predict(self.campaign, self.classifier, moved).beyond - before).mean()))
         return np.array(changes)
 
     @property
     def answered(self) -> NDArray[np.bool_]:
-        """Which simulations have an answer, (n,)."""
+        """Which simulations gave an outcome, (n,)."""
         return np.asarray(self.outcome != NUMERICAL_FAILURE)
 
 
 def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
-    """What a campaign with at least one simulation has found."""
+    """The findings of a campaign with at least one simulation."""
     batches = store.batches
     pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
     return Findings(
@@ -91,7 +93,7 @@ def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Clas
 
 
 def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
-    """Simulated designs worth a drawing, with why: at the sought boundary on both sides, and at the first one below."""
+    """Simulated designs worth drawing, as (row, reason): on both sides of the target boundary, and at the first one."""
     campaign = findings.campaign
     severity, outcome = campaign.severity, findings.outcome
     F = campaign.features(findings.X)
@@ -102,14 +104,12 @@ def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
     beyond, short = np.flatnonzero(outcome >= severity), np.flatnonzero((outcome < severity) & findings.answered)
     if len(beyond):
         first = int(beyond[np.argmin(at[beyond])])
-        chosen.append((first, f"The simulated {thing} beyond the {name} boundary that is nearest to it"))
+        chosen.append((first, f"The simulated {thing} nearest to the {name} boundary, beyond it"))
         if len(short):
-            # The likest of the others, among those near the boundary too.
+            # The most similar of the designs near the boundary on its other side.
             near = short[np.argsort(at[short])[: max(10, len(short) // 10)]]
             second = int(near[np.argmin(np.linalg.norm(F[near] - F[first], axis=1))])
-            chosen.append(
-                (second, f"A simulated {thing} with much the same features, on the other side of the boundary")
-            )
+            chosen.append((second, f"A simulated {thing} with similar features on the other side of the boundary"))
     elif len(short):
         chosen.append((int(short[np.argmin(at[short])]), f"The simulated {thing} nearest to the {name} boundary"))
     mildest = np.flatnonzero(outcome == 0)
@@ -118,6 +118,6 @@ def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
         third = int(mildest[np.argmin(touch)])
         if third not in [row for row, _ in chosen]:
             chosen.append(
-                (third, f"The {thing} with {words(campaign.simulator.outcomes[0])} that came nearest to more")
+                (third, f"The {thing} with {words(campaign.simulator.outcomes[0])} nearest to a more severe outcome")
             )
     return chosen

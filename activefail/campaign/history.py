@@ -1,4 +1,4 @@
-"""What a campaign has simulated so far, as arrays."""
+"""The simulations of a campaign as arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from activefail.space import Array
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The n simulations of a record, in its order; numerical failures are among them.
+    """The n simulations of a record, in its order, including numerical failures.
 
     Attributes:
         designs: (n, d), in the variables' units; (0, 0) for an empty record.
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
-        iteration: (n,) int64, of the batch that each simulation came in; 0 in the initial design.
+        iteration: (n,) int64, iteration of each simulation's batch; 0 in the initial design.
         origin: (n,) int8, SEED or ACTIVE.
     """
 
@@ -30,7 +30,7 @@ class History:
 
     @classmethod
     def of(cls, batches: Sequence[Batch]) -> Self:
-        """The history that batches make."""
+        """The history of some batches."""
         if not batches:
             none = np.empty(0, dtype=np.int8)
             return cls(np.empty((0, 0)), none, np.empty(0, dtype=np.int64), none)
@@ -53,17 +53,17 @@ class History:
 
     @property
     def answered(self) -> NDArray[np.bool_]:
-        """Which simulations gave an answer, (n,)."""
+        """Which simulations gave an outcome, (n,)."""
         return np.asarray(self.outcome != NUMERICAL_FAILURE)
 
     @property
     def training(self) -> Self:
-        """The simulations that a classifier learns from: those that gave an answer."""
+        """The simulations that a classifier learns from: those that gave an outcome."""
         return self[self.answered]
 
     @property
     def initial(self) -> NDArray[np.bool_]:
-        """Which simulations are of the initial design, (n,): unlike chosen ones, a sample of the design space."""
+        """Which simulations belong to the initial design, (n,); only these are a sample of the design space."""
         return np.asarray(self.origin == SEED)
 
     @property
@@ -73,14 +73,14 @@ class History:
 
     @property
     def leading_failures(self) -> int:
-        """How many simulations failed before the first that gave an answer."""
+        """How many simulations failed before the first one with an outcome."""
         return int(np.argmax(self.answered)) if self.answered.any() else len(self)
 
     @property
     def last_iteration(self) -> int:
-        """Of the last batch; 0 for an empty record."""
+        """Iteration of the last batch; 0 for an empty record."""
         return int(self.iteration[-1]) if len(self) else 0
 
     def counts(self, outcomes: int) -> NDArray[np.int64]:
-        """Simulations by outcome, (outcomes,); numerical failures are left out."""
+        """Simulations by outcome, (outcomes,), without numerical failures."""
         return np.bincount(self.outcome[self.answered], minlength=outcomes)

@@ -1,4 +1,4 @@
-"""What a campaign has learned: trained from its record, saved beside it, and found again after an interruption."""
+"""Train a campaign's classifier from its record, and restore it from saved states."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -16,7 +16,7 @@ from activefail.surrogate.state import classifier_from_state, classifier_state
 
 
 def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier | None) -> Classifier:
-    """The classifier of an iteration: trained on the initial design and the first `iteration` chosen batches."""
+    """The classifier of an iteration, trained on the initial design and the first `iteration` active batches."""
     known = history.through(iteration).training
     return train(
         known.designs,
@@ -29,7 +29,7 @@ def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier
 
 
 Saved = tuple[int, dict[str, NDArray[Any]], Classifier]
-"""A saved state: its iteration, its arrays, and the classifier in it."""
+"""A saved state: its iteration, its arrays and its classifier."""
 
 
 def restore(
@@ -38,13 +38,13 @@ def restore(
     through: int,
     check: Callable[[int, Mapping[str, NDArray[Any]]], None] = lambda iteration, state: None,
 ) -> Saved | None:
-    """The newest saved state of at most iteration `through`; None when there is none.
+    """The newest valid state up to iteration `through`; None if there is none.
 
     Args:
-        campaign: that it belongs to.
-        store: that holds it.
-        through: the last iteration that is known.
-        check: raises DamagedError where a state lacks something else that it must hold.
+        campaign: the campaign of the state.
+        store: the store that holds it.
+        through: the last recorded iteration.
+        check: further check of a state; raises DamagedError.
     """
     kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
     while (saved := store.latest_state()) is not None and saved[0] <= through:
@@ -54,7 +54,7 @@ def restore(
             check(iteration, state)
             classifier = classifier_from_state(state, known.designs, known.outcome, outcomes, campaign.features, kernel)
             return iteration, state, classifier
-        except KeyError:  # saved by a version that kept less: learned again from the record
+        except KeyError:  # an older version saved fewer arrays: retrain from the record
             break
         except DamagedError as error:
             store.reject_state(iteration, str(error))
@@ -62,26 +62,28 @@ def restore(
 
 
 def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:
-    """The classifier of all recorded batches, exactly as the running loop has it.
+    """The classifier of all recorded batches, bit for bit as in the running loop.
 
-    What was saved is taken from there; what came since is learned again in the same order, from the same starts.
+    It starts from the last saved state and retrains on the later batches in the same order, from the same starts.
 
     Args:
-        write: whether to save what was learned here.
+        campaign: the campaign.
+        store: its record.
+        write: whether to save the retrained states.
     """
     history = History.of(store.batches)
     last = history.last_iteration
     saved = restore(campaign, store, last)
     iteration, classifier = (-1, None) if saved is None else (saved[0], saved[2])
-    for following in range(iteration + 1, last + 1):
-        classifier = learn(campaign, history, following, classifier)
+    for later in range(iteration + 1, last + 1):
+        classifier = learn(campaign, history, later, classifier)
         if write:
-            store.write_state(following, classifier_state(classifier))
+            store.write_state(later, classifier_state(classifier))
     assert classifier is not None
     return classifier
 
 
 def accuracy(classifier: Classifier, severity: int, X: Array, outcome: NDArray[np.int8]) -> float:
-    """Share of designs on the right side of the boundary below `severity`."""
+    """Share of designs, (n, d), that the classifier puts on the right side of the boundary below `severity`."""
     mean = classifier.latents[severity - 1].moments(classifier.features(X)).mean
     return float(np.mean((mean > 0.0) == (outcome >= severity)))

@@ -1,4 +1,4 @@
-"""The loop: propose, simulate, record, learn, until the budget is spent."""
+"""The campaign loop: propose, simulate, record and learn until the budget is spent."""
 
 import time
 from dataclasses import replace
@@ -30,17 +30,22 @@ def run(
     budget: int,
     observer: Observer | None = None,
     failure_limit: float | None = None,
-    good_enough: bool = True,
-    again: str = "activefail resume DIR",
+    use_stop_rule: bool = True,
+    resume_command: str = "activefail resume DIR",
 ) -> bool:
-    """Take a campaign from where its record stands to its budget, or until it is verified to be good enough.
+    """Continue a campaign from its record to its budget, or until its stop rule is met.
 
-    False when it was asked to stop before.
+    Returns False if it was stopped before.
 
     Args:
-        good_enough: whether the campaign's rule about its error may end it before its budget.
-        failure_limit: share of numerical failures to stop above, instead of the campaign's.
-        again: the command that goes on, for messages.
+        campaign: the campaign.
+        store: its record.
+        executor: runs the simulations.
+        budget: simulations in all.
+        observer: receives progress and requests a stop.
+        failure_limit: largest accepted share of numerical failures; replaces the campaign's.
+        use_stop_rule: whether the stop rule may end the campaign before its budget.
+        resume_command: the command that continues the campaign, for messages.
 
     Raises:
         SimulationError: if the workers or too many of the simulations fail.
@@ -48,15 +53,27 @@ def run(
     """
     observer = observer or Observer()
     limit = campaign.settings.limits.numerical_failures if failure_limit is None else failure_limit
-    take = run_asynchronously if campaign.settings.sampling.asynchronous else _run_in_batches
+    run_loop = run_asynchronously if campaign.settings.sampling.asynchronous else _run_in_batches
     with one_thread():
         validation = _validation_set(campaign, store, executor, observer)
         history = History.of(store.batches)
         initial = initial_designs(campaign, initial_sets(campaign, history))
-        # What failed before the first answer was the fault of a simulator that was mended since.
-        forgiven = history.leading_failures
-        return take(
-            Task(campaign, store, executor, budget, observer, limit, good_enough, again, validation, initial, forgiven)
+        # Failures before the first outcome came from a simulator that has been fixed since.
+        ignored = history.leading_failures
+        return run_loop(
+            Task(
+                campaign,
+                store,
+                executor,
+                budget,
+                observer,
+                limit,
+                use_stop_rule,
+                resume_command,
+                validation,
+                initial,
+                ignored,
+            )
         )
 
 
@@ -68,7 +85,7 @@ def _run_in_batches(task: Task) -> bool:
         observer.progress(progress)
         task.check(progress)
         if progress.done >= budget:
-            # Nothing is learned from a part of the initial design: a later resume would start from it.
+            # Do not train on a part of the initial design: a later resume would start from that state.
             return True
         if observer.stop():
             return False
@@ -87,11 +104,11 @@ def _run_in_batches(task: Task) -> bool:
         progress = task.judged(progress, classifier, verify_now)
         observer.progress(replace(progress, seconds_left=None if seconds is None else seconds * -(-left // batch)))
         task.check(progress)
-        if left == 0 or progress.good_enough:
+        if left == 0 or progress.stop_rule_met:
             return True
         if observer.stop():
             return False
-        began = time.monotonic()
+        start = time.monotonic()
         iteration = progress.iteration + 1
         observer.stage("proposing")
         chosen, history = (iteration - 1) * batch, History.of(store.batches)
@@ -101,7 +118,7 @@ def _run_in_batches(task: Task) -> bool:
         observer.stage("learning")
         classifier = learn(campaign, History.of(store.batches), iteration, classifier)
         store.write_state(iteration, classifier_state(classifier))
-        seconds = time.monotonic() - began
+        seconds = time.monotonic() - start
 
 
 def _simulate_and_record(

@@ -1,4 +1,4 @@
-"""A campaign found again in its run folder."""
+"""Open a campaign from its file or its run folder."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,25 +21,25 @@ def read_campaign(
     run: Path | None = None,
     features: bool = True,
 ) -> Campaign:
-    """The campaign of a file, with a command line's seed and budget instead of its own where they are given.
+    """Read the campaign of a file.
 
     Args:
-        path: of the file.
-        seed, budget: of the command line.
+        path: the campaign file.
+        seed, budget: replace those of the file.
         code, run, features: see `Campaign.of`.
 
     Raises:
-        InputError: naming the file and the rule, if the file cannot be read, is not valid, or its pieces do not fit.
+        InputError: naming the file and the rule, if the file is unreadable, invalid or inconsistent.
     """
     settings = read_settings(path).with_overrides(seed, budget)
     try:
         return Campaign.of(settings, code, run, custom_features=features)
-    except InputError as unfit:
-        raise InputError(f"{path}: {unfit}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def create_folder(folder: Path, campaign: Campaign) -> FolderStore:
-    """A new run folder for a campaign, open for writing.
+    """Create a run folder for a campaign, open for writing.
 
     Raises:
         BusyError, StoreError: as `FolderStore.create` does.
@@ -50,24 +50,24 @@ def create_folder(folder: Path, campaign: Campaign) -> FolderStore:
 
 
 def opened(folder: Path, write: bool, code: Path | None = None, features: bool = True) -> tuple[Campaign, FolderStore]:
-    """The campaign of a run folder and its record; with `write`, this process becomes its only writer.
+    """Open a run folder: its campaign and its record.
 
     Args:
-        folder: of the run.
-        write: whether to.
-        code: folder of the user's code, which is then run (see `Campaign.of`).
-        features: whether they are needed; who only counts does without those that are a function of the user's.
+        folder: the run folder.
+        write: make this process the only writer.
+        code: folder of the user's code, which is executed (see `Campaign.of`).
+        features: whether features that are a Python function are needed; counting outcomes does not need them.
 
     Raises:
-        InputError: if there is no campaign in the folder or its settings are not valid.
+        InputError: if the folder holds no campaign or its settings are invalid.
         StoreError: if the record cannot be read.
         BusyError: if another process is writing to it.
     """
     path = folder / SETTINGS
     refuse_links(folder)
     if not path.is_file():
-        raise InputError(f"{folder}: is not a run folder; there is no campaign.toml in it.")
-    if path.stat().st_size > LARGEST_SETTINGS:  # before it is parsed
+        raise InputError(f"{folder}: is not a run folder; it has no campaign.toml.")
+    if path.stat().st_size > LARGEST_SETTINGS:
         raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
     campaign = read_campaign(path, code=code, run=folder, features=features)
     return campaign, FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources)
@@ -77,7 +77,7 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
 def open_campaign(
     folder: Path, write: bool, code: Path | None = None, features: bool = True
 ) -> Iterator[tuple[Campaign, FolderStore]]:
-    """The same, for a block that closes the record at its end."""
+    """Like `opened`, as a context manager that closes the record."""
     campaign, store = opened(folder, write, code, features)
     with store:
         yield campaign, store

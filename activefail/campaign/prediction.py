@@ -1,4 +1,4 @@
-"""What a campaign's classifier predicts for designs: probabilities, and how sure they are."""
+"""Predictions of a campaign's classifier: probabilities and their intervals."""
 
 from dataclasses import dataclass
 
@@ -10,21 +10,20 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Moments
 
 CONFIDENCE = 0.95
-"""Of every interval that the report and the explorer show of a probability."""
-
+"""Confidence of the intervals of probabilities in the report and the explorer."""
 
 _Z = 1.959964
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a classifier says of n designs.
+    """Predictions for n designs.
 
     Attributes:
         probabilities: (n, number of outcomes).
-        low, high: (n,) interval of the probability of being beyond the sought boundary, by the latent's uncertainty.
-        beyond: (n,) that probability.
-        mean, sd: (n,) of its latent.
+        low, high: (n,) interval of `beyond` from the latent's uncertainty.
+        beyond: (n,) probability of lying beyond the target boundary.
+        mean, sd: (n,) of that boundary's latent.
     """
 
     probabilities: Array
@@ -36,16 +35,16 @@ class Prediction:
 
 
 def interval(moments: Moments) -> tuple[Array, Array]:
-    """95 % interval of the probability Φ(f) by the uncertainty of the latent f, (n,) each.
+    """95 % interval of the probability Φ(f) from the uncertainty of the latent f, (n,) each.
 
-    Widened to hold the probability that is told, the mean of Φ(f): next to 0 and 1 a long tail can pull that out of it.
+    It is widened to contain the reported probability, the mean of Φ(f), which can fall outside near 0 and 1.
     """
     low, high = (np.asarray(ndtr(moments.mean + sign * _Z * moments.sd)) for sign in (-1.0, 1.0))
     return np.minimum(low, moments.probability), np.maximum(high, moments.probability)
 
 
 def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
-    """What the classifier says of designs, (n, d)."""
+    """Predict the outcomes of designs, (n, d)."""
     F = campaign.features(X)
     latents = [latent.moments(F) for latent in classifier.latents]
     moments = latents[campaign.severity - 1]

@@ -1,4 +1,4 @@
-"""Where a campaign stands, as it is told while it runs."""
+"""Progress of a running campaign, as its observer sees it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from activefail.record.batch import Batch
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a campaign stands.
+    """Progress of a campaign.
 
     Attributes:
-        iteration: batches chosen by the learner so far.
-        done: simulations recorded; seed and numerical failures included.
-        budget: simulations to do.
+        iteration: active batches so far.
+        done: recorded simulations, including the initial design and numerical failures.
+        budget: simulations in all.
         counts: (number of outcomes,) recorded simulations by outcome.
-        numerical_failures: recorded simulations without an answer.
-        accuracy: share of the validation set on the right side of the sought boundary; None without a set.
-        seconds_left: estimate for the rest; None before there is a batch to judge by.
-        error: verified misclassified volume; None where it was not verified.
-        unseen: outcomes that no simulation ended in.
-        good_enough: whether the campaign's stop rule is met.
+        numerical_failures: recorded simulations without an outcome.
+        accuracy: share of the validation set on the right side of the target boundary; None without a set.
+        seconds_left: estimated time to the budget; None before the first batch.
+        error: verified error of the classifier; None if not verified.
+        unseen: outcomes without a simulation.
+        stop_rule_met: whether the campaign's stop rule is met.
     """
 
     iteration: int
@@ -39,12 +39,12 @@ class Progress:
     seconds_left: float | None = None
     error: ErrorEstimate | None = None
     unseen: tuple[str, ...] = ()
-    good_enough: bool = False
+    stop_rule_met: bool = False
 
 
 @dataclass(frozen=True)
 class Observer:
-    """What a caller may hear of a running campaign, and how it asks for an end after the batch under way."""
+    """Callbacks of a running campaign: `progress` and `stage` report, `stop` ends it after the current batch."""
 
     progress: Callable[[Progress], None] = lambda _: None
     stage: Callable[[str], None] = lambda _: None
@@ -52,7 +52,7 @@ class Observer:
 
 
 def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Progress:
-    """Where a record stands, without accuracy and time left."""
+    """Progress from the record alone, without accuracy and time left."""
     history = History.of(batches)
     outcomes = campaign.simulator.outcomes
     counts = history.counts(len(outcomes))

@@ -1,4 +1,4 @@
-"""The designs that a campaign asks for: its initial design, and then what its classifier says least of."""
+"""Propose the designs of a campaign: the initial design, then those that the criterion ranks highest."""
 
 import numpy as np
 
@@ -13,15 +13,15 @@ from activefail.surrogate.classifier import Classifier
 
 
 def initial_sets(campaign: Campaign, history: History) -> int:
-    """How many initial designs a record calls for: one, and one more for each that found no answer at all.
+    """How many Latin hypercubes the record needs: one, plus one for each in which every simulation failed.
 
-    There a campaign stops. When it continues, the simulator was mended, and there is still nothing to learn from.
+    A campaign stops after such a hypercube; once the simulator is fixed and the campaign resumes, it needs another.
     """
     return 1 + history.leading_failures // campaign.settings.sampling.initial
 
 
 def initial_designs(campaign: Campaign, sets: int = 1) -> Array:
-    """The Latin hypercubes that a campaign starts from, (sets · initial, d)."""
+    """The Latin hypercubes of the initial design, (sets · initial, d)."""
     settings = campaign.settings
     return np.concatenate(
         [
@@ -40,16 +40,16 @@ def next_designs(
     chosen: int,
     pending: Array | None = None,
 ) -> Array:
-    """The designs, (q, d), of an iteration: those that the classifier so far asks for.
+    """Propose the designs, (q, d), of an iteration.
 
     Args:
-        campaign: that they are for.
-        classifier: of all that is known.
-        history: of all that is known; numerical failures would fail again, and outcomes that it lacks are searched for.
-        iteration: for which they are chosen, from 1 on.
-        q: how many.
-        chosen: before them: what weights and exploration share out is carried over from one batch to the next.
-        pending: (k, d) designs in flight, whose outcomes the classifier does not know yet.
+        campaign: the campaign.
+        classifier: trained on all of `history`.
+        history: all simulations so far; proposals avoid its numerical failures and search for outcomes it lacks.
+        iteration: of the proposed batch, from 1 on.
+        q: number of designs.
+        chosen: number of earlier active designs; the shares of boundaries and exploration carry over between batches.
+        pending: (k, d) designs in flight, without a result yet.
     """
     settings = campaign.settings
     return propose_shared(
@@ -68,7 +68,7 @@ def next_designs(
 
 
 def search_for_unseen(campaign: Campaign, history: History) -> Search | None:
-    """What a search for the outcomes that no simulation ended in starts from; None where all were seen."""
+    """A search for the outcomes without a simulation; None if every outcome has one."""
     outcomes = campaign.simulator.outcomes
-    missing = unseen_outcomes(outcomes, history.counts(len(outcomes)))
-    return Search(history.designs, missing) if missing else None
+    unseen = unseen_outcomes(outcomes, history.counts(len(outcomes)))
+    return Search(history.designs, unseen) if unseen else None

@@ -1,4 +1,4 @@
-"""What a campaign's bits depend on besides its settings: versions, threads and the processor."""
+"""The versions, threads and processor that a campaign's bits depend on besides its settings."""
 
 import platform
 from importlib.metadata import version
@@ -10,7 +10,7 @@ _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
 
 
 def simulation_versions() -> dict[str, str]:
-    """What the answers of simulations depend on, whichever machine computes them."""
+    """The versions that simulation results depend on, on any machine."""
     return {
         "activefail": __version__,
         "python": platform.python_version(),
@@ -20,16 +20,16 @@ def simulation_versions() -> dict[str, str]:
 
 
 def provenance() -> dict[str, str]:
-    """Versions of Python, of the packages that compute and of the physics, threads of a sum, and the processor."""
+    """Versions of Python, numerical packages and physics; number of threads; processor."""
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
-    # None where a package's metadata is there and cannot be read.
+    # `version` returns None if a package's metadata is unreadable.
     record |= {name: version(name) or "unknown" for name in _PACKAGES}
     import llvmlite.binding as llvm
 
     record["bearing_sources"] = sources_digest()
     record["processor"] = llvm.get_host_cpu_name()
-    # The features that numba compiles for; two machines of one name can differ in them.
+    # Numba compiles for these features; two machines of the same name can differ in them.
     record["processor_features"] = ",".join(
-        sorted(name for name, there in llvm.get_host_cpu_features().items() if there)
+        sorted(name for name, present in llvm.get_host_cpu_features().items() if present)
     )
     return record

@@ -1,4 +1,4 @@
-"""What axes and tables call the variables and features of a campaign: symbol, unit and meaning."""
+"""Symbols, units and meanings of a campaign's variables and features, for axes and tables."""
 
 import re
 from collections.abc import Iterable
@@ -11,14 +11,14 @@ from activefail.visible import visible
 
 @dataclass(frozen=True)
 class Quantity:
-    """A variable or feature as people read it.
+    """A variable or feature as shown to a reader.
 
     Attributes:
-        name: as in campaign files and tables.
-        symbol: as mathtext, for figures.
-        text: as plain text with `_` before a subscript, for pages.
-        unit: empty for a pure number.
-        meaning: a few words; empty when nobody said.
+        name: name in campaign files and tables.
+        symbol: mathtext, for figures.
+        text: plain text with `_` before a subscript, for pages.
+        unit: empty for a dimensionless number.
+        meaning: a few words; empty if unknown.
     """
 
     name: str
@@ -29,12 +29,12 @@ class Quantity:
 
     @property
     def axis(self) -> str:
-        """The symbol with its unit, for an axis; a pure number says so."""
+        """Axis label: the symbol with its unit, or with a dash."""
         return f"{self.symbol} [{plain(self.unit)}]" if self.unit else f"{self.symbol} [–]"
 
 
 def plain(text: str) -> str:
-    """A user's text that matplotlib must not take for mathtext."""
+    """Escape a user's text so that matplotlib does not read it as mathtext."""
     return text.replace("$", r"\$")
 
 
@@ -42,7 +42,7 @@ _RAISED = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def _typeset(unit: str) -> str:
-    """A unit with its powers raised: m/s^2 as m/s², N/m^1.5 as N/m¹·⁵."""
+    """A unit with superscripts: m/s^2 as m/s², N/m^1.5 as N/m¹·⁵."""
     return re.sub(r"\^(-?\d+(?:\.\d+)?)", lambda power: power[1].translate(_RAISED), visible(unit))
 
 
@@ -72,7 +72,7 @@ _KNOWN = {
 
 
 def quantity(name: str, unit: str | None = None) -> Quantity:
-    """What is known of a variable or feature; a user's own keeps its name and unit."""
+    """The quantity of a bearing's variable or feature; another name is shown as it is, with its unit."""
     known, unit = _KNOWN.get(name), _typeset(unit or "")
     if known is None:
         return Quantity(name, plain(visible(name)), visible(name), unit)
@@ -104,16 +104,16 @@ _GREEK = {
 _SYMBOL = re.compile(rf"(?P<stem>[A-Za-z]|{'|'.join(_GREEK)})(_(?P<below>[A-Za-z0-9]+))?")
 
 
-def own_quantity(name: str, unit: str = "") -> Quantity:
-    """A variable or feature of which nothing but the name is known: the bearing's `p` may be another's probability.
+def custom_quantity(name: str, unit: str = "") -> Quantity:
+    """A custom variable or feature, of which only the name is known: `p` need not be the bearing's pressure.
 
-    A letter, Latin or Greek, perhaps with a subscript, is set as a symbol.
+    A Latin or Greek letter, with or without a subscript, becomes a symbol.
     """
-    letters, unit = _SYMBOL.fullmatch(name), _typeset(unit)
-    if letters is None:
-        # No subscripts: in `storey_height` there is none.
+    match, unit = _SYMBOL.fullmatch(name), _typeset(unit)
+    if match is None:
+        # `storey_height` has no subscript.
         return Quantity(name, plain(visible(name)), visible(name).replace("_", " "), unit)
-    stem, below = letters["stem"], letters["below"]
+    stem, below = match["stem"], match["below"]
     symbol = f"\\{stem}" if stem in _GREEK else stem
     text = _GREEK.get(stem, stem)
     if below is not None:
@@ -122,13 +122,13 @@ def own_quantity(name: str, unit: str = "") -> Quantity:
 
 
 def _of_simulator(campaign: Campaign, names: Iterable[str]) -> list[Quantity]:
-    """Variables and fixed quantities of a campaign's simulator; what they mean is known of the bearing's alone."""
-    known = quantity if isinstance(campaign.simulator, DfpSimulator) else own_quantity
-    return [known(name, campaign.settings.space[name].unit) for name in names]
+    """Variables or fixed quantities of a simulator; only those of the bearing have a known meaning."""
+    describe = quantity if isinstance(campaign.simulator, DfpSimulator) else custom_quantity
+    return [describe(name, campaign.settings.space[name].unit) for name in names]
 
 
 def variables(campaign: Campaign) -> list[Quantity]:
-    """The variables of a campaign, in its order."""
+    """The variables of a campaign, in order."""
     return _of_simulator(campaign, campaign.space.names)
 
 
@@ -138,10 +138,10 @@ def fixed(campaign: Campaign) -> list[Quantity]:
 
 
 def features(campaign: Campaign) -> list[Quantity]:
-    """The features of a campaign's classifier, in its order; those of a user's own have their names alone."""
-    told = {variable.name: variable for variable in variables(campaign)}
-    known = quantity if isinstance(campaign.settings.classifier.features, str) else own_quantity
-    return [told.get(name) or known(name) for name in campaign.features.names]
+    """The features of a campaign's classifier, in order; custom features have only a name."""
+    by_name = {variable.name: variable for variable in variables(campaign)}
+    describe = quantity if isinstance(campaign.settings.classifier.features, str) else custom_quantity
+    return [by_name.get(name) or describe(name) for name in campaign.features.names]
 
 
 def words(name: str) -> str:
@@ -150,7 +150,7 @@ def words(name: str) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """A number for a table: a few significant digits, a power of ten only where it is very large or small."""
+    """Format a number for a table: a few significant digits, a power of ten only if very large or small."""
     if value == 0.0:
         return "0"
     if 1e-3 <= abs(value) < 1e5:

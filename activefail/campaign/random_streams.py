@@ -1,14 +1,11 @@
-"""Where a campaign's random numbers come from: one stream for each use, so that no order of work changes them."""
+"""Independent random streams of a campaign, one for each use, so that the order of work does not change them."""
 
 import numpy as np
 
 STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5, "verification": 6}
-"""Independent streams of random numbers; a number never changes its meaning, so that old campaigns replay."""
+"""Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 
 
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
-    """The generator of one use of randomness: a counter-based stream keyed by campaign, use and index.
-
-    No order of work, worker or resume can change what it draws.
-    """
+    """The generator of one use of randomness: a counter-based stream keyed by seed, use and index."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=(STREAMS[name], index))))

@@ -1,4 +1,4 @@
-"""A campaign's settings: TOML in, checked and frozen."""
+"""Settings of a campaign: read from TOML, validated and frozen."""
 
 import json
 import re
@@ -33,7 +33,7 @@ from activefail.visible import visible
 
 
 class _Section(BaseModel):
-    # Strict: "7" is no seed, and 0 no truth value.
+    # Strict: reject "7" as a seed and 0 as a boolean.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
@@ -64,14 +64,14 @@ class Variable(_Section):
 
 
 class FixedVariable(_Section):
-    """A quantity that the simulator needs and that is the same for every design."""
+    """A quantity of the simulator that is the same for every design."""
 
     value: float = Field(ge=-LARGEST, le=LARGEST)
     unit: str = ""
 
 
 class BearingSettings(_Section):
-    """Settings of the double friction pendulum simulator (`activefail.bearing.Model` and `Tolerance`)."""
+    """Settings of the double friction pendulum (`activefail.bearing.Model` and `Tolerance`)."""
 
     slider_diameter: float = Field(0.30, gt=0.0, lt=5.0)
     restitution_coefficient: float = Field(0.65, gt=0.0, le=1.0)
@@ -82,25 +82,25 @@ class BearingSettings(_Section):
     tolerance: float = Field(1e-4, ge=1e-10, le=1e-3)
 
     def model(self) -> Model:
-        """The simulator's model."""
+        """The bearing model."""
         return Model(**self.model_dump(exclude={"tolerance"}))
 
     def integration(self) -> Tolerance:
-        """The simulator's tolerance."""
+        """The tolerance of the integration."""
         return Tolerance(relative=self.tolerance)
 
 
 _Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$")]
-"""A function of a module, "module:function"."""
+"""A Python function, "module:function"."""
 
 
-class OwnSimulator(_Section):
-    """What a simulator of one's own answers.
+class CustomSimulator(_Section):
+    """Settings of every custom simulator.
 
     Attributes:
         outcomes: two or three names, the least severe first.
-        margins: names of the numbers that it tells beside the outcome.
-        time_limit: of one simulation [s]; for ever if None.
+        margins: names of the numbers that it returns besides the outcome.
+        time_limit: of one simulation [s]; no limit if None.
     """
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
@@ -116,29 +116,29 @@ class OwnSimulator(_Section):
             if names.count(name) > 1:
                 raise ValueError(f"must differ from each other, got {name!r} twice")
         if "numerical_failure" in names:
-            raise ValueError("'numerical_failure' is what a simulation without an answer is called")
+            raise ValueError("'numerical_failure' is reserved for simulations without an outcome")
         return names
 
 
-class PythonSimulator(OwnSimulator):
-    """A simulator that is a function (`activefail.simulators.function`); its module is looked for as those of features.
+class PythonSimulator(CustomSimulator):
+    """A simulator that is a Python function (`activefail.simulators.function`), found like `PythonFeatures`.
 
     Attributes:
-        renew: how many simulations one worker process may run before a fresh one replaces it; any number if None.
+        renew: simulations after which a worker process is replaced; never if None.
     """
 
     python: _Reference
     renew: int | None = Field(None, ge=1, le=1_000_000)
 
 
-class CommandSimulator(OwnSimulator):
+class CommandSimulator(CustomSimulator):
     """A simulator that is a program (`activefail.simulators.command`).
 
     Attributes:
-        command: with the values of the variables in braces.
-        retries: how often it is run again where it fails.
-        keep: whether the folders of the simulations that it answered are kept.
-        largest_file: that the program may write [bytes].
+        command: command line, with the variables in braces.
+        retries: how often a failed simulation is repeated.
+        keep: whether the folders of successful simulations are kept.
+        largest_file: largest file that the program may write [bytes].
     """
 
     command: str = Field(min_length=1)
@@ -148,13 +148,13 @@ class CommandSimulator(OwnSimulator):
 
 
 class Sampling(_Section):
-    """How many simulations, and how they are shared out.
+    """Numbers of simulations.
 
     Attributes:
-        initial: of the Latin hypercube that a campaign starts from.
+        initial: in the initial design, a Latin hypercube.
         budget: in all.
-        batch: proposed at a time; of an asynchronous campaign, in flight at a time.
-        asynchronous: whether each answer is learned from and followed by another proposal as soon as it comes.
+        batch: in a batch; in an asynchronous campaign, in flight at a time.
+        asynchronous: whether the campaign learns from each result as soon as it arrives.
     """
 
     initial: int = Field(250, ge=2, le=1_000_000)
@@ -168,17 +168,17 @@ class Sampling(_Section):
             raise ValueError(f"`initial <= budget` must hold, got {self.initial} and {self.budget}")
         if self.asynchronous and 2 * self.batch > self.initial:
             raise ValueError(
-                f"`2 batch <= initial` must hold where asynchronous, got batch {self.batch} and initial {self.initial}"
+                f"`2 batch <= initial` must hold if asynchronous, got batch {self.batch} and initial {self.initial}"
             )
         return self
 
 
 class PythonFeatures(_Section):
-    """A function of one's own that says what the classifier sees.
+    """Custom features: a Python function.
 
     Attributes:
-        python: the function; its module is looked for beside the campaign's file, then where Python looks.
-        variables: whether the variables themselves come before what the function returns.
+        python: the function; its module is searched for beside the campaign file, then on Python's path.
+        variables: whether the variables precede the function's columns.
     """
 
     python: _Reference
@@ -186,11 +186,11 @@ class PythonFeatures(_Section):
 
 
 class ExpressionFeatures(_Section):
-    """Features as arithmetic on the variables.
+    """Custom features: arithmetic expressions of the variables.
 
     Attributes:
-        expressions: by the features' names (`activefail.expressions`).
-        variables: whether the variables themselves come before them.
+        expressions: expressions by feature name (`activefail.expressions`).
+        variables: whether the variables precede the expressions' columns.
     """
 
     expressions: dict[str, str] = Field(min_length=1)
@@ -201,19 +201,19 @@ _KINDS: dict[str, dict[str, type[_Section]]] = {
     "simulator": {"python": PythonSimulator, "command": CommandSimulator},
     "features": {"python": PythonFeatures, "expressions": ExpressionFeatures},
 }
-"""Of the tables that are told apart by a key, by that key."""
+"""Alternative tables of a setting, by the key that only they have."""
 
 _NAME, _RANGE = "a name", "a range"
 _WITH = "a table with "
 
 
-def _range_or_value(given: Any) -> str:
-    is_fixed = isinstance(given, FixedVariable) or (isinstance(given, dict) and "value" in given)
+def _range_or_value(entry: Any) -> str:
+    is_fixed = isinstance(entry, FixedVariable) or (isinstance(entry, dict) and "value" in entry)
     return f"{_WITH}value" if is_fixed else _RANGE
 
 
 def _by_key(sections: Mapping[str, type[_Section]]) -> Discriminator:
-    """Tells a name from tables, and the tables from each other by a key that one of them alone has."""
+    """Discriminate a name from tables, and the tables by the key that only one of them has."""
 
     def kind(value: Any) -> str:
         for key, section in sections.items():
@@ -226,7 +226,7 @@ def _by_key(sections: Mapping[str, type[_Section]]) -> Discriminator:
 
 
 class ClassifierSettings(_Section):
-    """What the classifier sees and how smooth it takes the boundary to be."""
+    """Features of the classifier, and the smoothness of its boundaries."""
 
     features: Annotated[
         Annotated[FeatureSet, Tag(_NAME)]
@@ -238,7 +238,7 @@ class ClassifierSettings(_Section):
 
 
 class AcquisitionSettings(_Section):
-    """Where the next simulations go."""
+    """How active designs are chosen."""
 
     criterion: Criterion = "entropy"
     boundary: str | dict[str, float] = "failure"
@@ -251,9 +251,9 @@ class AcquisitionSettings(_Section):
             if not boundary:
                 raise ValueError("must name at least one outcome, got {}")
             for name, weight in boundary.items():
-                number = isinstance(weight, int | float) and not isinstance(weight, bool)
-                # A whole number of TOML may be larger than any that can be computed with.
-                if not (number and 0.0 < weight <= sys.float_info.max):
+                is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
+                # A TOML integer may be larger than any float.
+                if not (is_number and 0.0 < weight <= sys.float_info.max):
                     raise ValueError(f"the weight of {name!r} must be a positive finite number, got {_shown(weight)}")
         elif not isinstance(boundary, str):
             raise ValueError(f"must be an outcome, or a table of outcomes and weights, got {_shown(boundary)}")
@@ -261,31 +261,31 @@ class AcquisitionSettings(_Section):
 
     @property
     def boundaries(self) -> dict[str, float]:
-        """The outcomes whose boundaries are sought, and each one's share of the chosen designs; their sum is 1."""
+        """The share of active designs for each target boundary, by outcome; the shares sum to 1."""
         return boundary_shares(self.boundary)
 
     @property
     def main_boundary(self) -> str:
-        """The outcome with the largest share, the first of equals: by its boundary a campaign is judged."""
+        """The outcome with the largest share, the first if equal; a campaign's error refers to its boundary."""
         return max(self.boundaries, key=self.boundaries.__getitem__)
 
 
 class Validation(_Section):
-    """Extra simulations, outside the budget, on which a campaign measures its accuracy as it goes."""
+    """Designs outside the budget on which a campaign measures its accuracy while it runs."""
 
     size: int = Field(0, ge=0, le=100_000)
 
 
 class Limits(_Section):
-    """When a campaign stops by itself."""
+    """Limits above which a campaign stops with an error."""
 
     numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
 
 
 class Stop(_Section):
-    """When a campaign is good enough: its error is verified to be at most a value, with a confidence.
+    """The stop rule: a campaign ends once its error is verified to be at most `error`, with `confidence`.
 
-    Verification simulations are extra, outside the budget, and asked for every so many batches, once the classifier
+    Verification takes `simulations` fresh designs outside the budget, `every` so many batches, once the classifier
     itself expects no larger error.
     """
 
@@ -305,7 +305,7 @@ def _table_1() -> dict[str, Variable | FixedVariable]:
 
 
 class CampaignSettings(_Section):
-    """All that defines a campaign; with the same versions and threads it gives the same bits."""
+    """The definition of a campaign; with the same versions and threads it gives the same bits."""
 
     description: str = ""
     seed: int = Field(0, ge=0, lt=2**63)
@@ -327,9 +327,9 @@ class CampaignSettings(_Section):
     @model_validator(mode="before")
     @classmethod
     def _with_defaults_of_any_simulator(cls, values: Any) -> Any:
-        """Those of `classifier.features` and `acquisition.boundary` are for bearings.
+        """Set the defaults of a custom simulator.
 
-        For a simulator of one's own they are the variables and the most severe outcome; for `space` there is none.
+        Features are the variables and the target boundary is that of the most severe outcome; `space` has no default.
         """
         if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
             return values
@@ -338,9 +338,9 @@ class CampaignSettings(_Section):
         if isinstance(outcomes, list) and outcomes:
             defaults["acquisition"] = {"boundary": outcomes[-1]}
         for section, default in defaults.items():
-            given = values.get(section, {})
-            if isinstance(given, dict):
-                values = values | {section: default | given}
+            table = values.get(section, {})
+            if isinstance(table, dict):
+                values = values | {section: default | table}
         return {"space": None} | values
 
     @field_validator("space", mode="before")
@@ -349,8 +349,8 @@ class CampaignSettings(_Section):
         if space is not None:
             return space
         if "simulator" in info.data:
-            raise ValueError("required where the simulator is one's own")
-        return _table_1()  # the simulator's own fault is told
+            raise ValueError("required with a custom simulator")
+        return _table_1()  # `simulator` is invalid and has its own error
 
     @field_validator("space")
     @classmethod
@@ -362,25 +362,25 @@ class CampaignSettings(_Section):
 
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
-        variables = {name: given for name, given in self.space.items() if isinstance(given, Variable)}
-        fixed = {name: given.value for name, given in self.space.items() if isinstance(given, FixedVariable)}
-        return DesignSpace(tuple(given.parameter(name) for name, given in variables.items()), fixed)
+        variables = {name: entry for name, entry in self.space.items() if isinstance(entry, Variable)}
+        fixed = {name: entry.value for name, entry in self.space.items() if isinstance(entry, FixedVariable)}
+        return DesignSpace(tuple(variable.parameter(name) for name, variable in variables.items()), fixed)
 
     def text(self) -> str:
-        """The settings as TOML, defaults written out: the frozen copy of a run folder."""
+        """The settings as TOML with all defaults, as frozen in a run folder."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
     def with_overrides(self, seed: int | None = None, budget: int | None = None) -> "CampaignSettings":
-        """The settings with a command line's seed and budget.
+        """The settings with the seed and budget of a command line.
 
         Raises:
             InputError: if one breaks a rule.
         """
-        given = {"seed": seed, "sampling.budget": budget}
-        return self.changed({key: value for key, value in given.items() if value is not None})
+        overrides = {"seed": seed, "sampling.budget": budget}
+        return self.changed({key: value for key, value in overrides.items() if value is not None})
 
     def changed(self, changes: Mapping[str, Any]) -> "CampaignSettings":
-        """The settings with other values at some keys, like "sampling.budget".
+        """The settings with other values for some keys, like "sampling.budget".
 
         Raises:
             InputError: if one breaks a rule.
@@ -396,25 +396,25 @@ class CampaignSettings(_Section):
 
 
 def _key(name: str) -> str:
-    """A key as TOML writes it: quoted where it is not of letters, digits, `_` and `-` alone."""
+    """A key as TOML writes it: quoted unless it consists of letters, digits, `_` and `-`."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 _SHOWN = 200
-"""Most characters of a value in a message."""
+"""Longest value shown in a message, in characters."""
 
 
 def _shown(value: object) -> str:
-    """A value as messages write it."""
+    """A value as shown in messages."""
     try:
         text = repr(value)
-    except ValueError:  # Python writes no whole number of more than 4300 digits
-        return "a number of thousands of digits"
+    except ValueError:  # Python does not print integers of more than 4300 digits
+        return "a number with thousands of digits"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def _keys(path: Sequence[str]) -> list[str]:
-    """The keys that the section at a path may hold; a path as validation errors have it."""
+    """The keys of the section at a path; the path is a validation error's `loc`."""
     match path:
         case []:
             section: Any = CampaignSettings
@@ -424,22 +424,22 @@ def _keys(path: Sequence[str]) -> list[str]:
             section = _KINDS[name][kind.removeprefix(_WITH)]
         case [name, *_]:
             section = CampaignSettings.model_fields[name].annotation
-    # One of them may be None: the section need not be there.
+    # An optional section's type includes None.
     return [key for one in get_args(section) or (section,) for key in getattr(one, "model_fields", ())]
 
 
 def _unknown_key(path: Sequence[str], key: str) -> str:
-    """What is said of a key that the section at a path may not hold."""
+    """The message for a key that the section at a path does not have."""
     match path:
         case ["space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
-            return "a variable has `low` and `high`, or `value` alone"
+            return "a variable has either `low` and `high` or `value`"
         case [*_, "simulator" | "features" as name, kind]:
-            given = kind.removeprefix(_WITH)
+            present = kind.removeprefix(_WITH)
             for other, section in _KINDS[name].items():
                 if key == other:
-                    return f"cannot stand beside `{given}`"
+                    return f"cannot be combined with `{present}`"
                 if key in section.model_fields:
-                    return f"belongs to `{other}`, and does not stand beside `{given}`"
+                    return f"belongs to `{other}`; cannot be combined with `{present}`"
     near = get_close_matches(key, _keys(path), 1)
     return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"
 
@@ -454,7 +454,7 @@ def _rule(error: Any) -> str:
             *section, key = error["loc"]
             return f"{path}: {_unknown_key(section, key)}"
         case "missing":
-            return f"{path}: required, but not there"
+            return f"{path}: required, but missing"
         case "value_error":
             return f"{path}: {message}"
         case "string_pattern_mismatch":
@@ -471,7 +471,7 @@ def _rule(error: Any) -> str:
 
 
 _MOST_RULES = 50
-"""Broken rules that one message lists."""
+"""Most broken rules listed in one message."""
 
 
 def _checked(values: dict[str, Any], source: str) -> "CampaignSettings":
@@ -480,33 +480,33 @@ def _checked(values: dict[str, Any], source: str) -> "CampaignSettings":
     except ValidationError as invalid:
         errors = invalid.errors()
         rules = [f"  {visible(_rule(error))}" for error in errors[:_MOST_RULES]]
-        more = [f"  and {len(errors) - _MOST_RULES} more"] if len(errors) > _MOST_RULES else []
-        raise InputError("\n".join([f"{source}:", *rules, *more])) from None
+        rest = [f"  and {len(errors) - _MOST_RULES} more"] if len(errors) > _MOST_RULES else []
+        raise InputError("\n".join([f"{source}:", *rules, *rest])) from None
 
 
 def parse_settings(text: str, source: str) -> CampaignSettings:
-    """Settings from TOML; `source` names the text in errors.
+    """Parse settings from TOML; `source` names the text in errors.
 
     Raises:
-        InputError: naming the source, and for each mistake the key path, the rule and the value.
+        InputError: naming the source, and for each error the key path, the rule and the value.
     """
     try:
         check_dots(text)
-    except ValueError as dots:
-        raise InputError(f"{source}: {dots}") from None
+    except ValueError as error:
+        raise InputError(f"{source}: {error}") from None
     try:
         values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as malformed:
-        raise InputError(f"{source}: not valid TOML: {malformed}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: not valid TOML: {error}") from None
     except RecursionError:
-        raise InputError(f"{source}: not valid TOML: tables and lists within each other, hundreds deep.") from None
+        raise InputError(f"{source}: not valid TOML: tables or lists nested hundreds deep.") from None
     except ValueError:
-        raise InputError(f"{source}: not valid TOML: a whole number of thousands of digits.") from None
+        raise InputError(f"{source}: not valid TOML: an integer with thousands of digits.") from None
     return _checked(values, source)
 
 
 def read_settings(path: Path) -> CampaignSettings:
-    """Settings of a campaign file.
+    """Read the settings of a campaign file.
 
     Raises:
         InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.

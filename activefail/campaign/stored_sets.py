@@ -1,12 +1,12 @@
-"""Designs simulated beside a campaign and kept in its run folder: their names, their simulation, and reading them.
+"""Sets of designs simulated outside the budget and kept in the run folder: names, simulation and reading.
 
-A set is kept in parts, `<name>-<part>`, so that an interruption loses one part at most. Its name is one of
+A set is stored in parts, `<name>-<part>`, so that an interruption loses at most one part. Its name is one of
 
-    validation                          what progress is judged on
-    test-<designs>                      what samplings are compared on
+    validation                          for the accuracy shown as progress
+    test-<designs>                      for comparing samplings
     static-<designs>[-seed<seed>]       a static Latin hypercube
-    look-<iteration>-<designs>          the fresh simulations of a stop rule's look
-    verification-<iteration>-<designs>  those that a user asked for; at one iteration they are the same designs
+    look-<iteration>-<designs>          fresh simulations of a look of the stop rule
+    verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
 """
 
 import re
@@ -26,61 +26,61 @@ if TYPE_CHECKING:
     from activefail.execution.executor import Executor
 
 _PART = 500
-"""Designs of a set that are simulated and saved together."""
+"""Designs in one part of a set."""
 
 VALIDATION = "validation"
 
 
 def name_of_test_set(designs: int) -> str:
-    """Name of the test set of so many designs."""
+    """Name of a test set."""
     return f"test-{designs}"
 
 
 def name_of_static_set(designs: int, seed: int | None = None) -> str:
-    """Name of a static hypercube of so many designs; of a seed where several are compared."""
+    """Name of a static Latin hypercube; with its seed in a comparison over seeds."""
     return f"static-{designs}" if seed is None else f"static-{designs}-seed{seed}"
 
 
 def name_of_look(iteration: int, designs: int) -> str:
-    """Name of the set with the fresh simulations of a stop rule's look."""
+    """Name of the fresh simulations of a look of the stop rule."""
     return f"look-{iteration}-{designs}"
 
 
 def name_of_verification(iteration: int, designs: int) -> str:
-    """Name of the set with the fresh simulations that a user asked for; they are the same designs."""
+    """Name of the fresh simulations that a user requested; the same designs as a look's."""
     return f"verification-{iteration}-{designs}"
 
 
 def sizes_of_test_sets(store: Store) -> list[int]:
-    """Designs of the test sets that a store has a part of, the largest first."""
+    """Sizes of the test sets with at least one stored part, the largest first."""
     return _numbers(store, r"test-(\d+)")
 
 
 def verified_sizes(store: Store, iteration: int) -> list[int]:
-    """Designs of the sets that verify an iteration and have a part in a store, the largest first."""
+    """Sizes of the sets that verify an iteration and have at least one stored part, the largest first."""
     return _numbers(store, rf"(?:look|verification)-{iteration}-(\d+)")
 
 
 def looks_before(store: Store, iteration: int) -> int:
-    """How often a stop rule looked at iterations before this one."""
-    return sum(looked < iteration for looked in _numbers(store, r"look-(\d+)-\d+"))
+    """Number of the stop rule's looks before an iteration."""
+    return sum(earlier < iteration for earlier in _numbers(store, r"look-(\d+)-\d+"))
 
 
 def _numbers(store: Store, pattern: str) -> list[int]:
-    """Numbers in the names of a store's sets where the pattern has its group, the largest first."""
-    found = (re.fullmatch(rf"{pattern}-0", name) for name in store.set_names())
-    return sorted((int(name[1]) for name in found if name), reverse=True)
+    """The numbers that the pattern's group matches in the names of stored sets, the largest first."""
+    matches = (re.fullmatch(rf"{pattern}-0", name) for name in store.set_names())
+    return sorted((int(match[1]) for match in matches if match), reverse=True)
 
 
 def stored_outcomes(store: Store, name: str, X: Array) -> NDArray[np.int8] | None:
-    """Outcomes, (n,), of the designs of a set, (n, d), as they were simulated; None where not all of them were."""
+    """Stored outcomes, (n,), of the designs of a set, (n, d); None unless all of them are stored."""
     parts = [_same(store.read_set(f"{name}-{part}"), rows) for part, rows in enumerate(_parts(X))]
-    kept = [part[1].outcome for part in parts if part is not None]
-    return np.concatenate(kept) if len(kept) == len(parts) else None
+    outcomes = [part[1].outcome for part in parts if part is not None]
+    return np.concatenate(outcomes) if len(outcomes) == len(parts) else None
 
 
 def stored_set(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None:
-    """Designs of a set and their outcomes as far as its parts go, unanswered ones left out; None without any."""
+    """Designs and outcomes of the stored parts of a set, without numerical failures; None if there are none."""
     parts: list[tuple[Array, Results]] = []
     while (part := store.read_set(f"{name}-{len(parts)}")) is not None:
         parts.append(part)
@@ -104,20 +104,22 @@ def simulated_outcomes(
     stop: Callable[[], bool] = lambda: False,
     twin: str = "",
 ) -> NDArray[np.int8] | None:
-    """Outcomes, (n,), of the designs of a set, (n, d), simulated once and then read; -1 without an answer.
+    """Outcomes, (n,), of the designs of a set, (n, d); -1 for a numerical failure. None if stopped.
 
-    None when it was asked to stop.
+    Stored parts are read; the others are simulated and stored.
 
     Args:
-        campaign, store, executor: that the set belongs to, is kept in, and is simulated by.
+        campaign: the campaign of the set.
+        store: holds the set.
+        executor: runs the simulations.
         name: of the set.
         X: its designs.
         stop: whether to stop before the next part.
-        twin: name of a set that may hold the same designs; these are copied and not simulated again.
+        twin: name of a set that may hold the same designs; its parts are copied instead of simulated.
 
     Raises:
-        SimulationError: if none of a part's simulations gives an answer: a fault of the simulator's. The part is not
-            kept: it would stand for the set when the fault is mended.
+        SimulationError: if every simulation of a part fails, which is a fault of the simulator. That part is not
+            stored, so that it is simulated again once the simulator is fixed.
     """
     outcomes = [np.empty(0, dtype=np.int8)]
     for part, rows in enumerate(_parts(X)):
@@ -136,7 +138,7 @@ def simulated_outcomes(
                     else ""
                 )
                 raise SimulationError(
-                    f"None of the {len(rows)} simulations for {name} gave an answer; they are not kept.{fault}"
+                    f"None of the {len(rows)} simulations for {name} gave an outcome; they are not kept.{fault}"
                 )
             store.write_set(key, *saved)
         outcomes.append(saved[1].outcome)
@@ -144,7 +146,7 @@ def simulated_outcomes(
 
 
 def _same(saved: tuple[Array, Results] | None, X: Array) -> tuple[Array, Results] | None:
-    """A set if it holds just these designs."""
+    """The saved part if it holds exactly these designs, otherwise None."""
     return saved if saved is not None and np.array_equal(saved[0], X) else None
 
 
@@ -156,7 +158,7 @@ def simulated_set(
     X: Array,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[Array, NDArray[np.int8]] | None:
-    """Designs of a set and their outcomes, those without an answer left out; None when it was asked to stop."""
+    """Designs and outcomes of a set, without numerical failures; None if stopped."""
     outcome = simulated_outcomes(campaign, store, executor, name, X, stop)
     if outcome is None:
         return None

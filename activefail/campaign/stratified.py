@@ -1,4 +1,4 @@
-"""An interval for a share that was counted in parts of known volume, and what follows from having seen nothing."""
+"""Confidence bounds on a share estimated by stratified sampling, and on the probability of an unseen event."""
 
 from dataclasses import dataclass
 
@@ -9,26 +9,26 @@ from activefail.space import Array
 
 @dataclass(frozen=True)
 class StratifiedCount:
-    """Designs counted in parts of a design space, and how many of them were hits (misclassified, say).
+    """Designs sampled in parts of a design space, and how many of them were hits (for example, misclassified).
 
-    The share of hits is θ = Σ V_k p_k. `experiments/verification.py` measures how often its bounds hold, above
-    all where few hits or none were seen. Each bound is a quantile of the beta distribution with the mean and the
-    variance of Σ V_k B_k, where B_k follows a beta distribution:
+    The share of hits is θ = Σ V_k p_k. `experiments/verification.py` measures the coverage of its bounds, above all
+    for few hits or none. Each bound is a quantile of the beta distribution with the mean and the variance of
+    Σ V_k B_k, where B_k follows a beta distribution:
 
     - lower bound: B_k ~ Beta(x_k, n_k − x_k + 1), as in the bound of Clopper and Pearson (1934) for each part;
     - upper bound: B_j ~ Beta(x_j + 1, n_j − x_j), Clopper and Pearson's, for one part j, and Jeffreys' Beta(x_k + ½,
-      n_k − x_k + ½) for the others; of all parts the j with the largest quantile. One further hit in one part is what
-      Fay and Feuer (1997) assume for weighted counts. A part with hits alone has Clopper and Pearson's too, and so
-      have all parts for a confidence above 0.95, where Jeffreys' would hold too seldom.
+      n_k − x_k + ½) for the others; j is the part with the largest quantile. Fay and Feuer (1997) likewise assume one
+      further hit in one part. A part with only hits takes Clopper and Pearson's too, and so do all parts for a
+      confidence above 0.95, where Jeffreys' coverage is too low.
 
-    With a single part both are Clopper and Pearson's exact bounds. The lower bound can fall a little as a part gets its
-    first hit, since the beta distribution then spreads over the volume of one more part.
+    With a single part both are Clopper and Pearson's exact bounds. The lower bound can fall slightly when a part gets
+    its first hit, because the beta distribution then covers the volume of one more part.
 
     Attributes:
         volumes: V, (k,) of the parts, as shares of the space.
-        counted: n, (k,) designs counted in each part.
-        hits: x, (k,) of these.
-        pool: random designs by which the volumes were measured, whose uncertainty then counts; 0 if they are exact.
+        counted: n, (k,) designs sampled in each part.
+        hits: x, (k,) hits among them.
+        pool: number of random designs that estimated the volumes, for their uncertainty; 0 if the volumes are exact.
     """
 
     volumes: Array
@@ -38,29 +38,29 @@ class StratifiedCount:
 
     @property
     def unseen_volume(self) -> float:
-        """Volume of the parts in which nothing was counted: nothing is known of them."""
+        """Volume of the parts without a sampled design."""
         return float(self.volumes[self.counted == 0].sum())
 
     def estimate(self, expected: Array) -> float:
-        """Σ V_k x_k/n_k; a part in which nothing was counted has its expected share, (k,)."""
+        """Σ V_k x_k/n_k; a part without a sampled design takes its expected share, (k,)."""
         shares = np.divide(self.hits, self.counted, out=expected.astype(np.float64), where=self.counted > 0)
         return float(self.volumes @ shares)
 
     def lower(self, confidence: float) -> float:
-        """The share is at least this, with one-sided confidence."""
-        seen = self.hits > 0
-        if not seen.any():
+        """One-sided lower confidence bound on the share."""
+        hit = self.hits > 0
+        if not hit.any():
             return 0.0
-        x, n, V = self.hits[seen], self.counted[seen], self.volumes[seen]
+        x, n, V = self.hits[hit], self.counted[hit], self.volumes[hit]
         mean, variance = _beta_moments(x, n - x + 1.0)
         m, v = float(V @ mean), float(V**2 @ variance) + self._of_volumes(V, mean)
-        # Not above the volume of the parts with hits, of which alone this speaks.
+        # The bound covers only the parts with hits and cannot exceed their volume.
         return _quantile(m, v, float(V.sum()), 1.0 - confidence)
 
     def upper(self, confidence: float) -> float:
-        """The share is at most this, with one-sided confidence."""
-        known = self.counted > 0
-        x, n, V = self.hits[known], self.counted[known], self.volumes[known]
+        """One-sided upper confidence bound on the share."""
+        sampled = self.counted > 0
+        x, n, V = self.hits[sampled], self.counted[sampled], self.volumes[sampled]
         mean_further, variance_further = _beta_moments(x + 1.0, n - x)
         mean, variance = _beta_moments(x + 0.5, n - x + 0.5)
         further = (x == n) | (confidence > 0.95)
@@ -73,7 +73,7 @@ class StratifiedCount:
         return min(1.0, self.unseen_volume + max(bounds, default=0.0))
 
     def _of_volumes(self, volumes: Array, shares: Array) -> float:
-        """The variance that comes from volumes measured by a pool: that of a multinomial sample."""
+        """The variance due to volumes estimated from a pool, a multinomial sample."""
         return float(volumes @ shares**2 - (volumes @ shares) ** 2) / self.pool if self.pool else 0.0
 
 
@@ -84,11 +84,11 @@ def _beta_moments(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _quantile(mean: float, variance: float, scale: float, q: float) -> float:
-    """The quantile of `scale` times the beta variable that gives a product of this mean and variance."""
+    """The quantile of `scale` times a beta variable, whose product has this mean and variance."""
     mean, variance = mean / scale, variance / scale**2
     if variance <= 0.0 or mean >= 1.0:
         return scale * mean
-    # Here: `activefail status` counts without the libraries of the learning.
+    # Imported here to keep `activefail status` fast.
     from scipy.stats import beta
 
     total = mean * (1.0 - mean) / variance - 1.0
@@ -96,10 +96,10 @@ def _quantile(mean: float, variance: float, scale: float, q: float) -> float:
 
 
 def largest_unseen_share(n: int, confidence: float = 0.9, unanswered: int = 0) -> float:
-    """The largest probability of an event that n independent draws without it leave, with one-sided confidence.
+    """One-sided upper confidence bound on the probability of an event that n independent draws did not show.
 
-    1 − (1 − confidence)^(1/n), the exact bound; 1 where nothing was drawn. Draws without an answer count as if each
-    might have been the event: Clopper and Pearson's bound.
+    1 − (1 − confidence)^(1/n), the exact bound; 1 without draws. Unanswered draws count as possible events, with
+    Clopper and Pearson's bound.
     """
     if n == 0:
         return 1.0

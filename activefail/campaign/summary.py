@@ -1,7 +1,6 @@
-"""Where a campaign stands, from the outcomes of its record alone: a million of them are counted in a moment.
+"""A quick summary of a campaign, from the outcomes in its record alone.
 
-Opening a record means reading and checking every design, and putting a campaign together means loading the learning.
-Neither is needed to count.
+It avoids reading and checking every design, and importing the machine learning libraries.
 """
 
 import sys
@@ -31,16 +30,16 @@ from activefail.visible import visible
 
 @dataclass(frozen=True)
 class Plan:
-    """What a campaign's settings say in a few words, each of them visible text: a run folder may be a stranger's.
+    """A campaign's settings in brief. All text is made visible, since a run folder may come from a stranger.
 
     Attributes:
         simulator: its name, "module:function", or the command.
-        variables: how many there are.
+        variables: number of variables.
         initial: simulations of the initial design.
-        features: their name; or "variables", if among them, and "module:function" or the names of expressions.
-        own_code: whether simulator or features are code of the user's own.
-        stop_simulations: by which the error is verified where the campaign may end before its budget; None if not.
-        boundaries: the outcomes whose boundaries are sought, with their shares.
+        features: their name; or "variables", if included, with "module:function" or the names of expressions.
+        custom_code: whether the simulator or the features are user code.
+        stop_simulations: simulations of a look of the stop rule; None without a rule.
+        boundaries: share of each target boundary, by outcome.
     """
 
     description: str
@@ -53,15 +52,15 @@ class Plan:
     features: str
     criterion: str
     boundaries: dict[str, float]
-    own_code: bool = False
+    custom_code: bool = False
     stop_simulations: int | None = None
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """The plan in a frozen campaign.toml, where defaults are written out.
+        """The plan of a frozen campaign.toml, which contains all defaults.
 
         Raises:
-            ValueError: if this is no such text.
+            ValueError: if the text is not such a file.
         """
         check_dots(text)
         settings = tomllib.loads(text)
@@ -93,7 +92,7 @@ class Plan:
                     _stop_simulations(settings.get("stop")),
                 )
             case _:
-                raise ValueError("These are not the settings of a campaign, defaults written out.")
+                raise ValueError("These are not the settings of a campaign with all defaults.")
 
 
 def _stop_simulations(rule: object) -> int | None:
@@ -109,12 +108,12 @@ def _features_in_words(features: str | dict[str, Any]) -> str:
         return features
     match features:
         case {"python": str(reference)}:
-            own = [reference]
+            names = [reference]
         case {"expressions": dict(expressions)}:
-            own = list(expressions)
+            names = list(expressions)
         case _:
-            own = []
-    return ", ".join((["variables"] if features.get("variables", True) else []) + own)
+            names = []
+    return ", ".join((["variables"] if features.get("variables", True) else []) + names)
 
 
 def _is_boundary(boundary: str | dict[str, Any]) -> bool:
@@ -126,13 +125,13 @@ def _is_boundary(boundary: str | dict[str, Any]) -> bool:
 
 @dataclass(frozen=True)
 class Summary:
-    """Where a campaign stands.
+    """The state of a campaign in counts.
 
     Attributes:
-        plan: what its settings say.
-        outcomes: their names, visible text.
-        iteration: batches chosen by the learner so far.
-        initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and of the learner by
+        plan: its settings in brief.
+        outcomes: names of the outcomes, as visible text.
+        iteration: active batches so far.
+        initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and active ones, by
             outcome, numerical failures last.
     """
 
@@ -149,12 +148,12 @@ class Summary:
 
     @property
     def done(self) -> int:
-        """How many simulations are recorded."""
+        """Number of recorded simulations."""
         return int(self.counts.sum())
 
     @property
     def lines(self) -> list[tuple[str, str]]:
-        """Titles and texts of what `status` shows."""
+        """Titles and texts that `activefail status` prints."""
         plan = self.plan
         sought = " and ".join(
             f"the {name} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
@@ -162,7 +161,7 @@ class Summary:
         )
         done = f"{self.done} of {plan.budget} simulations"
         if self.done > plan.budget:
-            done = f"{self.done} simulations, {plan.budget} were planned"
+            done = f"{self.done} simulations, {plan.budget} planned"
         names = (*self.outcomes, "numerical failures")
         return [
             ("simulator", f"{plan.simulator}, {plan.variables} variables, seed {plan.seed}"),
@@ -176,7 +175,7 @@ class Summary:
 
     @property
     def unseen_warning(self) -> str:
-        """What the user must know where no simulation ended in some outcome; empty otherwise, and before any did."""
+        """The warning about outcomes without a simulation; empty if there are none, or no simulations yet."""
         if self.done == 0:
             return ""
         unseen = unseen_outcomes(self.outcomes, self.counts)
@@ -185,7 +184,7 @@ class Summary:
 
     @classmethod
     def of(cls, settings: str, outcomes: tuple[str, ...], batches: Sequence[Batch]) -> Self:
-        """The summary of batches of a campaign with these settings (TOML, defaults written out)."""
+        """The summary of a campaign's batches; `settings` is TOML with all defaults."""
         none = np.empty(0, dtype=np.int8)
         initial, chosen = (
             np.concatenate([none, *(one.results.outcome[one.origin == origin] for one in batches)])
@@ -197,20 +196,20 @@ class Summary:
 
 
 def is_verified(folder: Path, summary: Summary) -> bool:
-    """Whether a campaign was verified after its last batch as its rule asks: it may have ended by the rule there."""
+    """Whether the stop rule looked after the last batch, so that it may have ended the campaign."""
     simulations = summary.plan.stop_simulations
     if simulations is None:
         return False
-    # An older program called a rule's looks as it called what a user verified.
+    # Older versions stored looks as verifications.
     names = name_of_look(summary.iteration, simulations), name_of_verification(summary.iteration, simulations)
     return any((folder / "sets" / f"{name}-0.h5").is_file() for name in names)
 
 
 def read_summary(folder: Path) -> Summary | None:
-    """The summary of a run folder whose files are whole and all there; it is safe while a campaign runs.
+    """The summary of an intact run folder; safe while the campaign runs.
 
-    Every file's SHA-256 is checked, and that each one continues the one before. None where opening the record has more
-    to say: nothing is recorded yet, a file is damaged, missing or of another version, or a compaction was interrupted.
+    Checks every file's SHA-256 and the chain between files. Returns None if the record must be opened to say more:
+    nothing is recorded yet, a file is damaged, missing or of another version, or a compaction was interrupted.
 
     Raises:
         StoreError: if a file or folder of it is a symbolic link.
@@ -242,7 +241,7 @@ def _shown(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _is_chain(outlines: Sequence[Outline], settings: str) -> bool:
-    """Whether these are all segments of a campaign with these settings, one after the other."""
+    """Whether these are all segments of a campaign with these settings, without gaps."""
     first = outlines[0]
     return (
         (first.first, first.before) == (0, chain_start(settings, first.schema))

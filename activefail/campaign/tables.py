@@ -1,4 +1,4 @@
-"""Tables in and out: designs simulated, designs predicted, a campaign exported."""
+"""Simulate a CSV table, predict a CSV table, export a campaign as one."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ Advance = Callable[[int], None]
 
 
 def check_bearing(model: Model) -> Callable[[Array], str | None]:
-    """The rule that a design of Table 1's variables is a bearing that can be built, for `DesignTable.checked`."""
+    """A check for `DesignTable.checked` that a design of Table 1's variables is a feasible bearing."""
 
     def check(design: Array) -> str | None:
         for name, value in zip(TABLE_1.names, design.tolist(), strict=True):
@@ -32,9 +32,9 @@ def check_bearing(model: Model) -> Callable[[Array], str | None]:
         try:
             Bearing.from_row(design.tolist(), model.slider_diameter)
             Pulse.from_table(*design[7:].tolist())
-        except InputError as impossible:
-            # Whatever else can be wrong is the shape that these make together.
-            return f"columns {', '.join(TABLE_1.names[:5])}: {impossible}".rstrip(".")
+        except InputError as error:
+            # With every value in range, only the geometry can be infeasible; it depends on these columns.
+            return f"columns {', '.join(TABLE_1.names[:5])}: {error}".rstrip(".")
         return None
 
     return check
@@ -47,10 +47,17 @@ def simulate_table(
     tolerance: Tolerance,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,
 ) -> dict[str, int]:
-    """Simulate every design of a CSV file and write it back with outcome, cause and margins; counts by outcome.
+    """Simulate every design of a CSV file and write the table with outcome, cause and margins added.
 
     Args:
-        begin: called with the number of rows once they are checked; returns what is told of rows done.
+        source: table of designs.
+        target: table to write.
+        model: bearing model.
+        tolerance: of the integration.
+        begin: called with the number of rows once they are checked; returns a callback for finished rows.
+
+    Returns:
+        Counts by outcome.
 
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
@@ -61,15 +68,15 @@ def simulate_table(
     counts = dict.fromkeys(o.OUTCOME_NAMES, 0)
     with writing(target, [*table.header, *added]) as write:
         for texts, X in table.chunks():
-            answers = simulate(X, model, tolerance, progress=advance)
-            outcomes, causes = answers.outcome_name.tolist(), answers.cause_name.tolist()
+            results = simulate(X, model, tolerance, progress=advance)
+            outcomes, causes = results.outcome_name.tolist(), results.cause_name.tolist()
             for outcome in outcomes:
                 counts[outcome] += 1
             write(
                 [
                     [*text, outcome, cause, *("" if np.isnan(value) else repr(value) for value in values)]
                     for text, outcome, cause, values in zip(
-                        texts, outcomes, causes, answers.columns.tolist(), strict=True
+                        texts, outcomes, causes, results.columns.tolist(), strict=True
                     )
                 ]
             )
@@ -83,10 +90,10 @@ def predict_table(
     target: Path,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,
 ) -> int:
-    """Write every design of a CSV file back with its outcome probabilities and the sought boundary's latent.
+    """Write a CSV file of designs with outcome probabilities and the latent of the target boundary added.
 
     Returns:
-        How many designs lie outside the design space, where the classifier extrapolates.
+        Number of designs outside the design space, where the classifier extrapolates.
 
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
@@ -101,7 +108,7 @@ def predict_table(
         for parameter, value in zip(space.parameters, design.tolist(), strict=True):
             if parameter.low > 0.0 >= value:
                 return f"column {parameter.name}: `{parameter.name} > 0` must hold, got {value:g}"
-        return f"features: must be finite, which those of {design.tolist()} are not"
+        return f"features: must be finite; those of {design.tolist()} are not"
 
     table = DesignTable.checked(source, space.names, added, check)
     advance = begin(table.rows)
@@ -110,23 +117,23 @@ def predict_table(
         for texts, X in table.chunks():
             outside += int(np.count_nonzero(~space.contains(X)))
             latent = classifier.latent(boundary).moments(campaign.features(X))
-            answers = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
-            write([[*text, *map(repr, row)] for text, row in zip(texts, answers.tolist(), strict=True)])
+            predictions = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
+            write([[*text, *map(repr, row)] for text, row in zip(texts, predictions.tolist(), strict=True)])
             advance(len(X))
     return outside
 
 
 def export_table(campaign: Campaign, store: Store, target: Path) -> int:
-    """Write every simulation of a campaign as a row of a CSV file; how many there were."""
+    """Write every simulation of a campaign as a row of a CSV file; returns their number."""
     names = campaign.simulator.outcomes
     header = ["id", "iteration", "origin", *campaign.space.names, "outcome", "cause", *campaign.simulator.margins]
     number = 0
     with writing(target, [*header, "seconds"]) as write:
         for batch in store.batches:
-            answers = batch.results
+            results = batch.results
             for row in range(len(batch)):
-                outcome = int(answers.outcome[row])
-                margins = answers.margins[row].tolist()
+                outcome = int(results.outcome[row])
+                margins = results.margins[row].tolist()
                 write(
                     [
                         [
@@ -135,9 +142,9 @@ def export_table(campaign: Campaign, store: Store, target: Path) -> int:
                             "seed" if batch.origin[row] == SEED else "active",
                             *map(repr, batch.designs[row].tolist()),
                             "numerical_failure" if outcome == NUMERICAL_FAILURE else names[outcome],
-                            cause_name(campaign.simulator.causes, int(answers.cause[row])),
+                            cause_name(campaign.simulator.causes, int(results.cause[row])),
                             *("" if np.isnan(m) else repr(m) for m in margins),
-                            repr(float(answers.seconds[row])),
+                            repr(float(results.seconds[row])),
                         ]
                     ]
                 )

@@ -1,4 +1,4 @@
-"""What both loops are asked for, with and without batches, and how they judge where the campaign stands."""
+"""Parameters and checks that both loops share, with batches and asynchronous."""
 
 from dataclasses import dataclass, replace
 
@@ -17,12 +17,20 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 
 _LEAST_FOR_RATE = 20
-"""Simulations below which the share of numerical failures is not judged."""
+"""Fewest simulations for which the share of numerical failures is checked."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a loop was asked for, and the designs that it starts from."""
+    """Parameters of a loop and its fixed designs.
+
+    Attributes:
+        use_stop_rule: whether the stop rule may end the campaign.
+        resume_command: the command that continues the campaign, for messages.
+        validation: designs and outcomes of the validation set, if any.
+        initial: the initial design.
+        ignored_failures: numerical failures that do not count towards the limit.
+    """
 
     campaign: Campaign
     store: Store
@@ -30,49 +38,53 @@ class Task:
     budget: int
     observer: Observer
     failure_limit: float
-    good_enough: bool
-    again: str
+    use_stop_rule: bool
+    resume_command: str
     validation: tuple[Array, NDArray[np.int8]] | None
     initial: Array
-    forgiven: int  # failures that do not count to the limit
+    ignored_failures: int
 
     def check(self, progress: Progress) -> None:
-        """Stop where too many simulations have failed numerically, or all have and there is nothing to learn from."""
+        """Check that not all, and not too many, simulations failed numerically.
+
+        Raises:
+            SimulationError: if they did.
+        """
         size = self.campaign.settings.sampling.initial
         if progress.done >= min(len(self.initial), self.budget) and not progress.counts.any():
             first = cause_name(self.campaign.simulator.causes, int(self.store.batches[0].results.cause[0]))
             needed = (progress.done // size + 1) * size
             raise SimulationError(
-                f"None of the {progress.done} simulations gave an answer: there is nothing to learn from. They are "
-                f"recorded; the campaign stops here. The cause of the first is {first or 'not named'}. Once the "
-                f"simulator is mended, `{self.again}{f' --budget {needed}' if self.budget < needed else ''}` "
-                f"goes on with other initial designs." + _told(self.executor.first_fault)
+                f"None of the {progress.done} simulations gave an outcome, so there is nothing to learn from. They are "
+                f"recorded; the campaign stops here. The cause of the first is {first or 'unnamed'}. Fix the "
+                f"simulator, then `{self.resume_command}{f' --budget {needed}' if self.budget < needed else ''}` "
+                f"continues with other initial designs." + _first_fault_text(self.executor.first_fault)
             )
-        done, failures = progress.done - self.forgiven, progress.numerical_failures - self.forgiven
-        _check_numerical_failures(done, failures, self.failure_limit, self.executor.first_fault, self.again)
+        done, failures = progress.done - self.ignored_failures, progress.numerical_failures - self.ignored_failures
+        _check_numerical_failures(done, failures, self.failure_limit, self.executor.first_fault, self.resume_command)
 
     def judged(self, progress: Progress, classifier: Classifier, verify_now: bool) -> Progress:
-        """The progress with what is known of the classifier's accuracy."""
-        error, good_enough = None, False
-        # Without every outcome there is nothing that could be good enough, so that verifying would be in vain.
-        if self.good_enough and verify_now and not progress.unseen:
+        """The progress with the classifier's accuracy and verified error."""
+        error, stop_rule_met = None, False
+        # A campaign with an unseen outcome never meets its stop rule, so verifying it would waste simulations.
+        if self.use_stop_rule and verify_now and not progress.unseen:
             self.observer.stage("verifying")
-            error, good_enough = verify_by_rule(
+            error, stop_rule_met = verify_by_rule(
                 self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer.stop
             )
-        known = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
-        return replace(progress, accuracy=known, error=error, good_enough=good_enough)
+        share = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
+        return replace(progress, accuracy=share, error=error, stop_rule_met=stop_rule_met)
 
 
-def _check_numerical_failures(done: int, failures: int, limit: float, first_fault: str, again: str) -> None:
+def _check_numerical_failures(done: int, failures: int, limit: float, first_fault: str, resume_command: str) -> None:
     if done >= _LEAST_FOR_RATE and failures > limit * done:
         raise SimulationError(
             f"{failures} of {done} simulations failed numerically, more than the share of "
             f"{limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops here. "
-            f"`activefail export` shows their causes; `{again} --numerical-failures SHARE` allows more."
-            + _told(first_fault)
+            f"`activefail export` shows their causes; `{resume_command} --numerical-failures SHARE` allows more."
+            + _first_fault_text(first_fault)
         )
 
 
-def _told(first_fault: str) -> str:
+def _first_fault_text(first_fault: str) -> str:
     return f" Why the first abandoned simulation failed: {first_fault}" if first_fault else ""

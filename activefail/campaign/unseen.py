@@ -1,4 +1,4 @@
-"""Outcomes that no simulation of a campaign ended in: which ones, and what may be said of them all the same."""
+"""Outcomes without a simulation, and the bound on their probability."""
 
 from collections.abc import Sequence
 
@@ -9,36 +9,36 @@ from activefail.campaign.stratified import largest_unseen_share
 from activefail.shares import percent
 
 CONFIDENCE = 0.9
-"""Of the bound on an unseen outcome's probability, one-sided."""
+"""One-sided confidence of the bound on an unseen outcome's probability."""
 
 
 def unseen_outcomes(outcomes: Sequence[str], counts: NDArray[np.int64]) -> tuple[str, ...]:
-    """The outcomes, in order of severity, that were never counted.
+    """The outcomes without a simulation, in order of severity.
 
     Args:
-        outcomes: their names.
-        counts: (number of outcomes,) simulations that ended in each; more numbers are ignored.
+        outcomes: names of all outcomes.
+        counts: (number of outcomes,) simulations by outcome; further entries are ignored.
     """
     return tuple(name for name, count in zip(outcomes, counts, strict=False) if not count)
 
 
 def unseen_warning(unseen: Sequence[str], simulations: int, initial: int, unanswered: int = 0) -> str:
-    """What a user must know of a campaign that never saw some outcomes; empty where it saw all.
+    """The warning about outcomes without a simulation; empty if there are none.
 
     Args:
-        unseen: the names of the outcomes.
-        simulations: how many gave an answer.
-        initial: how many of these are of the initial design, which is a sample of the design space.
-        unanswered: how many more of the initial design gave no answer; each may hide an unseen outcome.
+        unseen: names of the outcomes.
+        simulations: number of simulations with an outcome.
+        initial: how many of these belong to the initial design, a sample of the design space.
+        unanswered: numerical failures in the initial design; each may hide an unseen outcome.
     """
     if not unseen:
         return ""
     names = " or ".join(unseen)
     bound = percent(largest_unseen_share(initial, CONFIDENCE, unanswered))
-    hidden = f" and {unanswered} without an answer" if unanswered else ""
-    what = "Its probability" if len(unseen) == 1 else "The probability of each"
+    hidden = f" and {unanswered} numerical failures" if unanswered else ""
+    subject = "Its probability" if len(unseen) == 1 else "The probability of each"
     return (
-        f"None of the campaign's {simulations} simulations ended in {names}. {what} over the design space may be as "
-        f"large as {bound}: {initial} initial designs without it{hidden} show no more, with {100 * CONFIDENCE:g} % "
-        f"confidence. The classifier cannot know where {names} begins."
+        f"None of the campaign's {simulations} simulations ended in {names}. {subject} over the design space may be "
+        f"as large as {bound} ({100 * CONFIDENCE:g} % confidence, from {initial} initial designs without "
+        f"it{hidden}). The classifier cannot know where {names} begins."
     )

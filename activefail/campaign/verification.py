@@ -1,9 +1,9 @@
-"""How good a classifier is, estimated without a truth set: the volume of the design space that it gets wrong.
+"""Estimate a classifier's error, the share of the design space that it gets wrong, from fresh simulations.
 
-Fresh designs are simulated where they say most: the design space is divided by the classifier's own probability of
-being wrong, each part gets simulations in proportion to its volume times its spread (Neyman 1934), and the answers are
-weighted back to the design measure (`StratifiedCount`). Only fresh simulations count: designs that the classifier has
-learned from say too little of what it has missed, even where each is left out in turn.
+The design space is stratified by the classifier's own probability of being wrong. Each part gets simulations in
+proportion to its volume times its standard deviation (Neyman 1934), and the results are weighted back to the design
+measure (`StratifiedCount`). Only fresh simulations count: training designs reveal too little of what the classifier
+has missed, even if each is left out in turn.
 """
 
 from collections.abc import Callable
@@ -37,22 +37,22 @@ EDGES = (0.005, 0.02, 0.08, 0.25)
 """Probabilities of being wrong that divide the design space into five parts."""
 
 POOL = 2**14
-"""Designs by which the parts' volumes are measured."""
+"""Random designs that estimate the parts' volumes."""
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """What is known of the misclassified volume.
+    """An estimate of the classifier's error with its interval.
 
     Attributes:
-        error: the share of the design space that was found misclassified.
-        low, high: interval of the error; each end holds with half of what the confidence leaves.
+        error: estimated share of the design space that is misclassified.
+        low, high: two-sided interval of the error, with equal tails.
         confidence: of the interval.
-        count: misclassified designs in the parts, those without an answer among them.
-        simulations: fresh ones behind it, which have an answer.
-        wrong: of these misclassified.
-        expected: error by the classifier's own probabilities alone.
-        asked: fresh simulations, with those without an answer.
+        count: misclassified designs by part; numerical failures count as misclassified.
+        simulations: fresh simulations with an outcome.
+        wrong: how many of these are misclassified.
+        expected: error that the classifier's own probabilities predict.
+        requested: all fresh simulations, including numerical failures.
     """
 
     error: float
@@ -63,24 +63,24 @@ class ErrorEstimate:
     simulations: int
     wrong: int
     expected: float
-    asked: int
+    requested: int
 
     @property
     def in_words(self) -> str:
-        """How many fresh simulations are behind it, and of how many where some gave no answer."""
-        some = "" if self.simulations == self.asked else f"answered of {self.asked} "
-        return f"{self.simulations} {some}fresh simulations"
+        """Number of fresh simulations with an outcome, and of all of them if some failed."""
+        total = "" if self.simulations == self.requested else f"of {self.requested} "
+        return f"{self.simulations} {total}fresh simulations"
 
     def is_at_most(self, level: float, confidence: float) -> bool:
-        """Whether the error is at most a level, with one-sided confidence."""
+        """Whether the error is at most `level`, with one-sided confidence."""
         return self.count.upper(confidence) <= level
 
 
 def confidence_of_look(confidence: float, look: int) -> float:
-    """The confidence that look number `look`, from 1 on, must have for all looks together to have `confidence`.
+    """The confidence of look number `look`, from 1 on, that gives all looks together `confidence`.
 
-    Each look may be wrong by chance, and a rule that looks often enough would end by luck. So look j may be wrong with
-    probability (1 − confidence)/(j (j + 1)) only, of which the sum over all looks is 1 − confidence.
+    Repeated looks would eventually end a campaign by chance. Look j may therefore err with probability
+    (1 − confidence)/(j (j + 1)) only, which sums to 1 − confidence over all looks.
     """
     return 1.0 - (1.0 - confidence) / (look * (look + 1))
 
@@ -91,15 +91,15 @@ def probability_wrong(moments: Moments) -> Array:
 
 
 def part_of(wrong: Array) -> NDArray[np.intp]:
-    """The part, 0 (surest) to 4, of designs with these probabilities of being wrong, (n,)."""
+    """The part, 0 (most certain) to 4, of designs with these probabilities of being wrong, (n,)."""
     return np.searchsorted(EDGES, wrong, side="right")
 
 
 def leave_one_out(trained: Fit) -> Moments:
-    """Latent moments at each training point without its own label, hyperparameters kept, (n,).
+    """Latent moments at each training point without its own label, with hyperparameters unchanged, (n,).
 
-    The posterior's site of the point is divided out: 1/v = 1/S_ii − W_ii (the cavity of Rasmussen and Williams 2006,
-    eq. 3.56). With inducing points a site is one of what they say of its point; the rest is added again.
+    Divides the point's site out of the posterior: 1/v = 1/S_ii − W_ii (the cavity of Rasmussen and Williams 2006,
+    eq. 3.56). With inducing points a site acts on the projected latent; the residual variance is added afterwards.
     """
     prior, state = trained.prior, trained.posterior
     rest = prior.rest if isinstance(prior, Projection) else torch.zeros_like(state.variance)
@@ -114,11 +114,11 @@ class Verification:
     """A plan of fresh simulations for one latent.
 
     Attributes:
-        designs: (n, d), part after part.
-        part: (n,) of each.
-        predicted: (n,) bool, beyond the boundary.
+        designs: (n, d), ordered by part.
+        part: (n,) part of each design.
+        predicted: (n,) bool, whether the classifier puts the design beyond the boundary.
         volumes: (5,) of the parts.
-        expected: (5,) the classifier's mean probability of being wrong in each.
+        expected: (5,) the classifier's mean probability of being wrong in each part.
     """
 
     designs: Array
@@ -131,7 +131,7 @@ class Verification:
 def plan_verification(
     latent: Latent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
 ) -> Verification:
-    """n fresh designs, uniform within each part."""
+    """Plan n fresh designs, random within each part."""
     pool = space.from_unit(rng.random((POOL, space.dimension)))
     moments = latent.moments(features(pool))
     wrong = probability_wrong(moments)
@@ -146,47 +146,47 @@ def plan_verification(
 
 
 def allotted(volumes: Array, expected: Array, n: int) -> NDArray[np.intp]:
-    """How many of n simulations each part gets, (5,): in proportion to its volume times its spread (Neyman 1934).
+    """Neyman allocation of n simulations to the parts, (5,): proportional to volume times standard deviation.
 
     Args:
         volumes: (5,) of the parts.
-        expected: (5,) the classifier's mean probability of being wrong in each.
+        expected: (5,) the classifier's mean probability of being wrong in each part.
         n: simulations in all.
     """
-    # The surest part as if one in a hundred were wrong there: the classifier alone may not say that none is.
+    # At least 1 % wrong in every part: the classifier's own certainty must not exempt a part from the test.
     share = np.maximum(expected, 0.01)
     weights = volumes * np.sqrt(share * (1.0 - share))
     return _whole(n * weights / weights.sum())
 
 
 def _whole(shares: Array) -> NDArray[np.intp]:
-    """Whole numbers with the sum of the shares, each next to its share (largest remainders)."""
+    """Round shares to integers of the same sum, by largest remainders."""
     whole = np.floor(shares).astype(np.intp)
-    missing = round(float(shares.sum())) - int(whole.sum())
-    whole[np.argsort(whole - shares, kind="stable")[:missing]] += 1
+    remainder = round(float(shares.sum())) - int(whole.sum())
+    whole[np.argsort(whole - shares, kind="stable")[:remainder]] += 1
     return whole
 
 
 def estimate_error(
     plan: Verification, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
 ) -> ErrorEstimate:
-    """The misclassified volume from the answers to a plan.
+    """Estimate the error from the outcomes of a plan.
 
-    A design without an answer may be misclassified, and where one has none is no chance: for the upper end of the
-    interval all of them are, for the lower end none.
+    Numerical failures are not random, and may be misclassified: the upper end of the interval counts all of them as
+    misclassified, the lower end none.
 
     Args:
-        plan: of the fresh simulations.
+        plan: the fresh simulations.
         beyond: (n,) whether each planned design is beyond the boundary.
-        answered: (n,) whether it has an answer at all.
+        answered: (n,) whether it has an outcome.
         confidence: of the interval.
     """
     parts = len(EDGES) + 1
     wrong = (plan.predicted != beyond) & answered
 
     def counted(designs: NDArray[np.bool_], hits: NDArray[np.bool_]) -> StratifiedCount:
-        seen, found = (np.bincount(plan.part[rows], minlength=parts).astype(np.float64) for rows in (designs, hits))
-        return StratifiedCount(plan.volumes, seen, found, POOL)
+        n, x = (np.bincount(plan.part[rows], minlength=parts).astype(np.float64) for rows in (designs, hits))
+        return StratifiedCount(plan.volumes, n, x, POOL)
 
     everything = np.ones(len(answered), dtype=bool)
     count = counted(everything, wrong | ~answered)
@@ -205,27 +205,27 @@ def estimate_error(
 
 
 def expected_error(campaign: Campaign, classifier: Classifier) -> float:
-    """The classifier's own mean probability of being wrong about the sought boundary, over the design space."""
+    """The error that the classifier expects: its mean probability of being wrong about the target boundary."""
     pool = campaign.space.sobol(POOL // 4, np.random.default_rng(0))
     latent = classifier.latents[campaign.severity - 1]
     return float(probability_wrong(latent.moments(campaign.features(pool))).mean())
 
 
 def planned(campaign: Campaign, classifier: Classifier, iteration: int, simulations: int) -> Verification:
-    """The plan of the fresh simulations that judge a campaign's classifier of an iteration."""
+    """The plan that verifies the classifier of an iteration."""
     rng = stream(campaign.settings.seed, "verification", iteration)
     latent = classifier.latents[campaign.severity - 1]
     return plan_verification(latent, campaign.features, campaign.space, simulations, rng)
 
 
 def could_show(plan: Verification, error: float, confidence: float) -> bool:
-    """Whether a plan would show an error of at most so much if half as many were wrong as the classifier expects."""
+    """Whether a plan would show an error of at most `error` if half as many are wrong as the classifier expects."""
     counted = np.bincount(plan.part, minlength=len(EDGES) + 1).astype(np.float64)
     return StratifiedCount(plan.volumes, counted, 0.5 * counted * plan.expected, POOL).upper(confidence) <= error
 
 
 def least_simulations(error: float, confidence: float) -> int:
-    """Simulations without a wrong one that show, at the first look, an error of at most so much."""
+    """Fewest simulations, all classified correctly, that show an error of at most `error` at the first look."""
     return int(np.ceil(np.log1p(-confidence_of_look(confidence, 1)) / np.log1p(-error)))
 
 
@@ -237,10 +237,10 @@ def verify_by_rule(
     iteration: int,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[ErrorEstimate | None, bool]:
-    """The misclassified volume where the campaign's stop rule has it verified now, and whether the rule is met.
+    """The verified error if the stop rule looks now, otherwise None, and whether the rule is met.
 
-    Nothing is simulated where the classifier itself expects a larger error than the rule allows, nor where the
-    rule's number of simulations could hardly show so small an error.
+    Simulates nothing if the classifier itself expects a larger error than the rule allows, or if the rule has too few
+    simulations to show so small an error.
     """
     rule = campaign.settings.stop
     if rule is None or expected_error(campaign, classifier) > rule.error:
@@ -266,22 +266,22 @@ def verify(
     simulations: int,
     confidence: float,
 ) -> ErrorEstimate:
-    """The misclassified volume of a campaign's classifier at an iteration, from fresh simulations kept beside it."""
+    """Estimate the error of the classifier of an iteration from fresh simulations, which are kept in the run folder."""
     plan = planned(campaign, classifier, iteration, simulations)
-    # What a stop rule has simulated is not simulated again.
+    # Reuse the simulations of a look.
     names = name_of_look(iteration, simulations), name_of_verification(iteration, simulations)
     name = next((name for name in names if store.read_set(f"{name}-0") is not None), names[-1])
     outcome = simulated_outcomes(campaign, store, executor, name, plan.designs)
-    assert outcome is not None  # it was not asked to stop
+    assert outcome is not None  # no stop was requested
     return _judged(campaign, plan, outcome, confidence)
 
 
 def verified(
     campaign: Campaign, store: Store, classifier: Classifier, iteration: int, confidence: float
 ) -> ErrorEstimate | None:
-    """The misclassified volume that a user or a stop rule had verified at an iteration; None where none had.
+    """The error verified at an iteration, by a user or the stop rule; None if there is none.
 
-    The largest set of fresh simulations counts; nothing is simulated.
+    It uses the largest stored set of fresh simulations and simulates nothing.
     """
     for simulations in verified_sizes(store, iteration):
         plan = planned(campaign, classifier, iteration, simulations)

@@ -1,4 +1,4 @@
-"""The application: its entry, and how a fault ends it."""
+"""The application: its entry point and its error handling."""
 
 import errno
 import io
@@ -21,14 +21,14 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    # Plain help: markup would take a unit in brackets for a style.
+    # Plain help: markup would read a unit in brackets as a style.
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
 def program() -> None:
-    """Run the command line as a process of its own, and end it."""
+    """Run the command line as the process's main program."""
     try:
         main()
     except SystemExit as end:
@@ -38,9 +38,9 @@ def program() -> None:
 
 
 def main() -> None:
-    """Run the command line; a user's mistake ends in one message and exit code 2, another fault in 1."""
+    """Run the command line; exit with one message and code 2 after a user error, code 1 after another error."""
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # A description or a folder's name may have letters that the terminal's encoding has not.
+        # The terminal's encoding may lack letters of a description or a folder name.
         sys.stdout.reconfigure(errors="backslashreplace")
     with visible_output():
         _main()
@@ -53,15 +53,13 @@ def _main() -> None:
     except ActivefailError as error:
         _end(str(error), 2 if isinstance(error, InputError) else 1)
     except ImportError as error:
-        _end(f"a library cannot be loaded: {error}. Is it installed, and is there memory enough for it?", 1)
+        _end(f"cannot load a library: {error}. Check that it is installed and that memory is sufficient.", 1)
     except MemoryError:
-        _end("out of memory; what was recorded is safe", 1)
+        _end("out of memory; recorded simulations are safe", 1)
     except BrokenPipeError:
-        # `| head`, say.
+        # For example, piped into `head`.
         _silence()
-        print(
-            "activefail: stopped, since the reader of its output went away; what was recorded is safe", file=sys.stderr
-        )
+        print("activefail: stopped: the output pipe was closed; recorded simulations are safe", file=sys.stderr)
         sys.exit(1)
     except OSError as error:
         if error.filename == OUTPUT:
@@ -70,17 +68,17 @@ def _main() -> None:
 
 
 def _end(message: str, code: int) -> NoReturn:
-    """End with a message. Its first line alone begins at the margin: what follows may quote a stranger's text."""
-    first, *more = f"activefail: {message}".split("\n")
-    print("\n".join([first, *(line if line.startswith("  ") else f"  {line}" for line in more)]), file=sys.stderr)
+    """Exit with a message. Later lines are indented: they may quote a stranger's text that imitates a message."""
+    first, *rest = f"activefail: {message}".split("\n")
+    print("\n".join([first, *(line if line.startswith("  ") else f"  {line}" for line in rest)]), file=sys.stderr)
     sys.exit(code)
 
 
 class Command(TyperCommand):
-    """A command whose option errors name the value that was given, too."""
+    """A command whose option errors include the invalid value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """The arguments that are left, as `TyperCommand` parses them."""
+        """Parse arguments as `TyperCommand` does."""
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as fault:
@@ -89,10 +87,10 @@ class Command(TyperCommand):
 
 
 def _with_value(fault: typer.BadParameter) -> str:
-    """What is said of an option's value: the rule, and the value."""
+    """The message for an invalid option: the rule and the value."""
     from pydantic import ValidationError
 
-    # Others name the value themselves.
+    # Other errors already contain the value.
     if not isinstance(fault.__cause__, ValidationError):
         return fault.message
     error = fault.__cause__.errors()[0]
@@ -104,37 +102,37 @@ def _with_value(fault: typer.BadParameter) -> str:
 
 
 def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:
-    """A command that a Ctrl-C ends in a message and exit code 130, where it has no more to say itself."""
+    """Wrap a command so that Ctrl-C, unless the command handles it, ends it with a message and exit code 130."""
 
     @wraps(command)
-    def ended(*arguments: Any, **options: Any) -> None:
+    def wrapper(*arguments: Any, **options: Any) -> None:
         try:
             command(*arguments, **options)
         except KeyboardInterrupt:
-            print("activefail: stopped; what was recorded is safe", file=sys.stderr)
+            print("activefail: stopped; recorded simulations are safe", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
 
-    return ended
+    return wrapper
 
 
 def _description_of(error: OSError) -> str:
-    """The file that the system refused, or where the program called the system, and the reason."""
+    """The file of a failed system call, or the place of the call, and the reason."""
     return f"{error.filename or f'a system call failed{place_of(error)}'}: {reason_of(error)}"
 
 
 _NO_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
-"""What the system says of a name that can be no file's: a mistake of who gave it."""
+"""Errors that mean an invalid file name, which is a user error."""
 
 
 def _silence() -> None:
-    """Send the rest of the output nowhere, so that closing it at exit does not fail again."""
-    # There may be none: closed (`>&-`), or replaced by what is no file.
+    """Discard further output, so that closing it at exit does not fail again."""
+    # Standard output may be closed (`>&-`) or replaced by an object that is not a file.
     with suppress(AttributeError, io.UnsupportedOperation):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         from activefail import __version__
 
         print(f"activefail {__version__}")

@@ -31,61 +31,59 @@ if TYPE_CHECKING:
 def run(
     campaign: Annotated[Path, typer.Argument(help="Campaign file.", metavar="CAMPAIGN.toml", show_default=False)],
     out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
-    seed: Annotated[int | None, typer.Option(help="Seed, instead of the file's.", show_default=False)] = None,
-    budget: Annotated[int | None, typer.Option(help="Simulations, instead of the file's.", show_default=False)] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed; overrides the file.", show_default=False)] = None,
+    budget: Annotated[int | None, typer.Option(help="Simulations; overrides the file.", show_default=False)] = None,
     workers: Workers = None,
     executor: ExecutorName = "local",
     scheduler: Scheduler = None,
 ) -> None:
-    """Start a campaign in a new run folder and take it to its budget."""
+    """Run a new campaign."""
     from activefail.campaign.opening import read_campaign
     from activefail.run import check_unused, create_run
 
     check_output("--out", out)
     assembled = read_campaign(campaign, seed, budget, code=campaign.absolute().parent, run=out)
     check_unused(out, assembled)
-    # The executor first: what keeps it from working leaves no folder behind.
-    with make_executor(assembled, workers, executor, scheduler) as working, create_run(out, assembled) as created:
-        _take(created, working, _Terms(options=_executor_options(executor, scheduler)))
+    # The executor first: if it fails to start, no folder is left behind.
+    with make_executor(assembled, workers, executor, scheduler) as pool, create_run(out, assembled) as created:
+        _take(created, pool, _Terms(options=_executor_options(executor, scheduler)))
 
 
 def resume(
     folder: RunFolder,
     budget: Annotated[
-        int | None, typer.Option(help="Simulations in all, instead of the campaign's.", show_default=False)
+        int | None, typer.Option(help="Simulations in all; overrides the campaign.", show_default=False)
     ] = None,
     workers: Workers = None,
     executor: ExecutorName = "local",
     scheduler: Scheduler = None,
     numerical_failures: Annotated[
         float | None,
-        typer.Option(
-            help="Share of them to stop above, instead of the campaign's.", min=0.0, max=1.0, show_default=False
-        ),
+        typer.Option(help="Largest accepted share; overrides the campaign.", min=0.0, max=1.0, show_default=False),
     ] = None,
     ignore_stop: Annotated[
         bool, typer.Option("--ignore-stop", help="Continue even if the stop rule is already met.")
     ] = False,
     code: Code = None,
 ) -> None:
-    """Continue a campaign that was interrupted, or beyond its budget."""
+    """Continue a campaign after an interruption or beyond its budget."""
     from activefail.run import open_run
 
     with open_run(folder, write=True, code=code) as opened:
         show_warnings(opened.store)
         opened.check_budget(budget)
-        with make_executor(opened.campaign, workers, executor, scheduler) as working:
+        with make_executor(opened.campaign, workers, executor, scheduler) as pool:
             options = _executor_options(executor, scheduler)
-            _take(opened, working, _Terms(budget, numerical_failures, ignore_stop, options))
+            _take(opened, pool, _Terms(budget, numerical_failures, ignore_stop, options))
 
 
 def _executor_options(executor: str, scheduler: str | None) -> str:
-    """The options that name the same cluster again."""
+    """The options that select the same cluster in a resume command."""
     return "" if scheduler is None else f" --executor {executor} --scheduler {shlex.quote(scheduler)}"
 
 
 class _Terms(NamedTuple):
-    """What a command line says of how a campaign is taken on (see `Run.take`)."""
+    """Options of a command line for `Run.take`."""
 
     budget: int | None = None
     failure_limit: float | None = None
@@ -94,53 +92,52 @@ class _Terms(NamedTuple):
 
 
 class _Stops(NamedTuple):
-    """What is said of a campaign that is asked to stop: then, after it has, and where it had to at once."""
+    """Messages for a stop: on request, after an orderly stop, and after an immediate one."""
 
     stopping: str
     in_order: str
     at_once: str
 
 
-_IN_BATCHES = _Stops("stopping after this batch", "after a whole batch", "batches that were recorded are safe")
-_WITHOUT_BATCHES = _Stops(
-    "stopping: no simulation is begun any more, those in flight are waited for and recorded",
+_IN_BATCHES = _Stops("stopping after this batch", "after a complete batch", "recorded batches are safe")
+_ASYNCHRONOUS = _Stops(
+    "stopping: waiting for the simulations in flight",
     "with nothing in flight",
-    "what was recorded is safe, what was in flight will be simulated again",
+    "recorded simulations are safe, those in flight will be simulated again",
 )
 
 
 def _take(run: "Run", executor: "AsynchronousExecutor", terms: _Terms) -> None:
-    """Take a campaign on, and say how that ends."""
+    """Run a campaign to its end and print how it ended."""
     show_warnings(run.store)
     if warning := run.stop_rule_warning:
         print(f"warning: {warning}", file=sys.stderr)
-    stops = _WITHOUT_BATCHES if run.settings.sampling.asynchronous else _IN_BATCHES
-    again = run.resume_command(*terms)
+    stops = _ASYNCHRONOUS if run.settings.sampling.asynchronous else _IN_BATCHES
+    command = run.resume_command(*terms)
     try:
         with stop_on_signals(stops.stopping) as stop, campaign_display(run.campaign, stop) as observer:
             taken = run.take(*terms[:3], executor, observer, terms.options)
     except KeyboardInterrupt:
-        print(f"stopped; {stops.at_once}. Continue with: {again}", file=sys.stderr)
+        print(f"stopped; {stops.at_once}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     show_warnings(run.store)
     if taken.first_fault:
-        print(f"warning: a simulation was abandoned; why the first failed: {taken.first_fault}", file=sys.stderr)
+        print(f"warning: simulations were abandoned; the first failed with: {taken.first_fault}", file=sys.stderr)
     if not taken.finished:
-        print(f"stopped {stops.in_order}. Continue with: {again}", file=sys.stderr)
+        print(f"stopped {stops.in_order}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
     rule = run.settings.stop
     if rule is not None and taken.progress.done < taken.progress.budget:
         print(
-            f"good       enough after {taken.progress.done} simulations: an error of at most {100 * rule.error:g} % at "
-            f"the {visible(run.boundary)} boundary is verified with {100 * rule.confidence:g} % confidence, over all "
-            f"looks"
+            f"stop rule  met after {taken.progress.done} simulations: the error at the {visible(run.boundary)} "
+            f"boundary is at most {100 * rule.error:g} %, with {100 * rule.confidence:g} % confidence over all looks"
         )
     show_unseen(run.summary)
     print(f"results    {visible(str(run.folder))}")
 
 
 def status(folder: RunFolder) -> None:
-    """Show where a campaign stands; safe while it runs."""
+    """Show the progress of a campaign; safe while it runs."""
     from activefail.campaign.summary import is_verified, read_summary
 
     summary = read_summary(folder)
@@ -155,16 +152,16 @@ def status(folder: RunFolder) -> None:
         print(f"{title:<10} {text}")
     show_unseen(summary)
     if summary.done < summary.plan.budget:
-        again = f"activefail resume {quoted(folder)}{' --code FOLDER' if summary.plan.own_code else ''}"
-        print(f"continue   {again}")
+        command = f"activefail resume {quoted(folder)}{' --code FOLDER' if summary.plan.custom_code else ''}"
+        print(f"continue   {command}")
         if is_verified(folder, summary):
-            print(f"           {again} --ignore-stop, where it ended by its stop rule")
+            print(f"           {command} --ignore-stop, if it ended by its stop rule")
 
 
 def predict(
     folder: RunFolder,
     csv: Annotated[Path, typer.Option(help="Table of designs.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="Where to write it with probabilities.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Table to write, with probabilities.", show_default=False)],
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs with a campaign's classifier."""
@@ -179,14 +176,16 @@ def predict(
             outside = opened.predict_table(csv, out, begin)
         show_unseen(opened.summary)
     if outside:
-        print(f"warning: outside the campaign's ranges, where it extrapolates: {outside} designs", file=sys.stderr)
+        print(f"warning: the classifier extrapolates: {outside} designs lie outside the design space", file=sys.stderr)
     print(f"written to {visible(str(out))}")
 
 
 def verify(
     folder: RunFolder,
-    simulations: Annotated[int, typer.Option(help="Fresh ones, outside the budget.", min=10, max=1_000_000)] = 200,
-    confidence: Annotated[float, typer.Option(help="Of the interval.", min=0.5, max=0.999)] = 0.9,
+    simulations: Annotated[
+        int, typer.Option(help="Fresh simulations, outside the budget.", min=10, max=1_000_000)
+    ] = 200,
+    confidence: Annotated[float, typer.Option(help="Confidence of the interval.", min=0.5, max=0.999)] = 0.9,
     code: Code = None,
 ) -> None:
     """Estimate how much of the design space a campaign's classifier gets wrong, with an interval."""
@@ -200,10 +199,10 @@ def verify(
     print(f"campaign   {summary.done} simulations, iteration {summary.iteration}")
     print(f"error      {error_text(error)} of the design space on the wrong side of {opened.boundary}")
     print(
-        f"           {100 * confidence:g} % interval: {error.in_words}, {error.wrong} of them "
-        "misclassified, in parts of unequal weight"
+        f"           {100 * confidence:g} % interval from {error.in_words}, {error.wrong} of them misclassified; "
+        "their weights differ"
     )
-    print(f"expected   {percent(error.expected, 2)} by the classifier's own probabilities, which have no interval")
+    print(f"expected   {percent(error.expected, 2)} by the classifier's own probabilities, without an interval")
     show_unseen(summary)
 
 

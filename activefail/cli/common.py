@@ -1,4 +1,4 @@
-"""What commands share: options, warnings, and how a full disk is met."""
+"""Options, executors and warnings shared by the commands."""
 
 import sys
 from pathlib import Path
@@ -20,61 +20,62 @@ RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", met
 Code = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of the campaign's own code, which is then run: where its simulator or features are one's own.",
+        help="Folder of the code of a custom simulator or custom features; this code is executed.",
         exists=True,
         file_okay=False,
         show_default=False,
     ),
 ]
 
-Workers = Annotated[int | None, typer.Option(help="Side by side; all cores by default.", min=1)]
+Workers = Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)]
 
 ExecutorName = Annotated[
     Literal["local", "dask"], typer.Option(help="Where simulations run: this machine, or a Dask cluster.")
 ]
 
 Scheduler = Annotated[
-    str | None, typer.Option(help="Of the Dask cluster, like tcp://head:8786.", metavar="ADDRESS", show_default=False)
+    str | None,
+    typer.Option(help="Address of the Dask cluster, like tcp://head:8786.", metavar="ADDRESS", show_default=False),
 ]
 
 
 def make_executor(
     campaign: "Campaign", workers: int | None, name: str, scheduler: str | None
 ) -> "AsynchronousExecutor":
-    """The executor that a command line asks for.
+    """Create the executor that the options select.
 
     Raises:
-        InputError: if the options do not go together, or the cluster cannot be reached.
+        InputError: if the options are inconsistent, or the cluster cannot be reached.
     """
     if name == "local":
         from activefail.execution.local import local_executor
 
         if scheduler is not None:
-            raise InputError("--scheduler: is for --executor dask.")
+            raise InputError("--scheduler: only for --executor dask.")
         return local_executor(campaign.simulator, workers, campaign.time_limit)
     from activefail.execution.dask import DaskExecutor
 
     if scheduler is None:
         raise InputError("--scheduler: required for --executor dask.")
     if workers is not None:
-        raise InputError("--workers: is for --executor local; a Dask cluster has the workers that it has.")
+        raise InputError("--workers: only for --executor local; the Dask cluster sets its own workers.")
     from activefail.campaign.provenance import simulation_versions
 
     return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)
 
 
 def show_stage(text: str) -> None:
-    """What is being done, on the error stream."""
+    """Print the current stage to the error stream."""
     print(text, file=sys.stderr, flush=True)
 
 
 def show_unseen(summary: "Summary") -> None:
-    """A warning on the error stream where a campaign never saw an outcome."""
+    """Print a warning to the error stream if an outcome has no simulation."""
     if warning := summary.unseen_warning:
         print(f"warning: {visible(warning)}", file=sys.stderr)
 
 
 def show_warnings(store: "FolderStore") -> None:
-    """Warnings of a record that were not shown yet, on the error stream."""
+    """Print a record's new warnings to the error stream."""
     for warning in store.new_warnings():
         print(f"warning: {visible(warning)}", file=sys.stderr)

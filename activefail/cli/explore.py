@@ -11,12 +11,12 @@ from activefail.cli.common import Code, RunFolder, show_stage, show_unseen, show
 def explore(
     folder: RunFolder,
     host: Annotated[
-        str, typer.Option(help="Address to serve on; other than this machine's own, a token is needed.")
+        str, typer.Option(help="Address to serve on; any other than this machine's requires a token.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; 0 for a free one.", min=0, max=65535)] = 8050,
     code: Code = None,
 ) -> None:
-    """Serve an interactive page of what a campaign has learned, on this machine alone by default."""
+    """Serve an interactive page of a campaign; by default only to this machine."""
     from activefail.explorer.answers import Answers
     from activefail.explorer.server import ExplorerServer
     from activefail.run import open_run
@@ -30,10 +30,10 @@ def explore(
             show_warnings(opened.store)
             show_unseen(opened.summary)
         server = ExplorerServer(host, port, Answers(findings))
-        print(f"explorer   {server.address}  (Ctrl-C ends it)", flush=True)
+        print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
         try:
             server.serve_forever()
         except KeyboardInterrupt:
-            print("ended", file=sys.stderr)
+            print("stopped", file=sys.stderr)
         finally:
             server.server_close()

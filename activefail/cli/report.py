@@ -1,4 +1,4 @@
-"""`activefail report`: a campaign as a page."""
+"""`activefail report`: a campaign as an HTML page."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ def report(
     ] = None,
     code: Code = None,
 ) -> None:
-    """Write what a campaign has found as one HTML file that needs nothing else."""
+    """Write a campaign's results to one self-contained HTML file."""
     from activefail.record.layout import REPORT
     from activefail.run import open_run
 
@@ -31,6 +31,6 @@ def report(
         show_warnings(opened.store)
         with writing_to(target):
             evidence = opened.report(target, show_stage)
-    for missing in evidence.missing.values():
-        print(f"missing    {visible(missing)}")
+    for reason in evidence.missing.values():
+        print(f"missing    {visible(reason)}")
     print(f"report     {visible(str(target))}")

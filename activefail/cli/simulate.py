@@ -1,4 +1,4 @@
-"""`activefail simulate`: one bearing, or a table of them."""
+"""`activefail simulate`: one bearing or a table."""
 
 import sys
 import time
@@ -35,22 +35,24 @@ def simulate(
         Path | None,
         typer.Option(help="Table of designs: T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p.", show_default=False),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Where to write the table's answers.", show_default=False)] = None,
+    out: Annotated[Path | None, typer.Option(help="Table to write, with --csv.", show_default=False)] = None,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw the response (.png, .svg or .pdf).", show_default=False)
+        Path | None, typer.Option(help="Plot the response (.png, .svg or .pdf).", show_default=False)
     ] = None,
-    animate: Annotated[Path | None, typer.Option(help="Film the bearing (.gif or .mp4).", show_default=False)] = None,
+    animate: Annotated[
+        Path | None, typer.Option(help="Animate the bearing (.gif or .mp4).", show_default=False)
+    ] = None,
     slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
     restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of a rim impact.")] = 0.65,
     slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m3].")] = 7850.0,
     loss_of_confinement: Annotated[
-        bool, typer.Option(help="Whether a slider that no rim holds any more has failed.")
+        bool, typer.Option(help="Count a slider that no rim restrains any more as failed.")
     ] = True,
-    restitution: Annotated[str, typer.Option(help="Mass in the damper: pairwise or assembly.")] = "pairwise",
+    restitution: Annotated[str, typer.Option(help="Mass in the contact damper: pairwise or assembly.")] = "pairwise",
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
     tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
 ) -> None:
-    """Simulate one bearing under one pulse, or a table of them."""
+    """Simulate one bearing under one pulse, or a table of designs."""
     from activefail.bearing.design import TABLE_1, Model, Tolerance
 
     for option, path in {"--out": out, "--plot": plot, "--animate": animate}.items():
@@ -67,20 +69,18 @@ def simulate(
         loss_of_confinement=loss_of_confinement,
     )
     integration = Tolerance(relative=tolerance)
-    given = [option for option, value in design.items() if value is not None]
+    design_options = [option for option, value in design.items() if value is not None]
     if csv is not None:
-        if given or plot or animate:
-            single = [*given, "--plot" if plot else "--animate"][0]
+        if design_options or plot or animate:
+            single = [*design_options, "--plot" if plot else "--animate"][0]
             raise InputError(f"--csv simulates a table; {single} belongs to one design.")
         if out is None:
-            raise InputError("--csv needs --out FILE, where the answers are written.")
+            raise InputError("--csv needs --out FILE for the results.")
         _simulate_table(csv, out, model, integration)
         return
     missing = [option for option, value in design.items() if value is None]
     if missing:
-        raise InputError(
-            f"A design needs all nine variables; missing: {', '.join(missing)}. (Or give --csv and --out.)"
-        )
+        raise InputError(f"A design needs all nine variables; missing: {', '.join(missing)}. (Or use --csv and --out.)")
     if out is not None:
         raise InputError("--out goes with --csv; use --plot or --animate for one design.")
     _simulate_one([value for value in design.values() if value is not None], model, integration, plot, animate)
@@ -96,7 +96,7 @@ def _simulate_one(
     check_file(plot, "a plot", (".png", ".svg", ".pdf"))
     check_file(animate, "a film", (".gif", ".mp4"))
     bearing, pulse = Bearing.from_row(design, model.slider_diameter), Pulse.from_table(*design[7:])
-    # One bearing is looked at: its motion is wanted beyond the moment that settles its outcome.
+    # The plots show the motion beyond the moment that decides the outcome.
     response = simulate_one(bearing, pulse, model, tolerance, to_the_end=True)
     print("\n".join(response_lines(response)))
     for note in outside_table_1(design):
@@ -121,12 +121,12 @@ def _simulate_one(
 def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:
     from activefail.campaign.tables import simulate_table
 
-    began = time.monotonic()
+    start = time.monotonic()
     with progress_bar("simulating") as begin:
         counts = simulate_table(source, target, model, tolerance, begin)
     total = sum(counts.values())
     print(
-        f"{total} designs in {time.monotonic() - began:.1f} s: "
+        f"{total} designs in {time.monotonic() - start:.1f} s: "
         + ", ".join(f"{n} {name}" for name, n in counts.items())
     )
     print(f"written to {visible(str(target))}")

@@ -1,4 +1,4 @@
-"""Commands that compare: samplings with each other, and our results with the paper's."""
+"""Commands that compare samplings with each other, and our results with the paper's."""
 
 import math
 import os
@@ -23,50 +23,48 @@ def compare(
     ],
     budgets: Annotated[
         str | None,
-        typer.Option(help="Of a run folder: numbers of simulations, like 250,500; six by default.", show_default=False),
+        typer.Option(help="Run folder: numbers of simulations, like 250,500; six by default.", show_default=False),
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(help="Of a campaign file: how many seeds; 5 by default.", min=1, max=100)
+        int | None, typer.Option(help="Campaign file: number of seeds; 5 by default.", min=1, max=100)
     ] = None,
     criteria: Annotated[
-        str | None, typer.Option(help="Of a campaign file: criteria, like entropy,bald; its own by default.")
+        str | None, typer.Option(help="Campaign file: criteria, like entropy,bald; by default the file's.")
     ] = None,
     features: Annotated[
-        str | None, typer.Option(help="Of a campaign file: features, like paper,sliding; its own by default.")
+        str | None, typer.Option(help="Campaign file: features, like paper,sliding; by default the file's.")
     ] = None,
     static: Annotated[
         str | None,
-        typer.Option(help="Of a campaign file: sizes of static hypercubes; its initial and budget by default."),
+        typer.Option(help="Campaign file: sizes of static designs; by default the file's initial and budget."),
     ] = None,
     test: Annotated[
         int | None,
-        typer.Option(help="Fresh designs to judge by; 2000 for a folder, 5000 for a file.", min=10, max=1_000_000),
+        typer.Option(help="Fresh test designs; 2000 for a run folder, 5000 for a file.", min=10, max=1_000_000),
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(help="Of a campaign file: arms side by side; all cores by default.", min=1)
-    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Campaign file: parallel arms; all cores by default.", min=1)] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Of a campaign file: folder of the comparison.", show_default=False)
+        Path | None, typer.Option(help="Campaign file: folder of the comparison.", show_default=False)
     ] = None,
     code: Code = None,
 ) -> None:
-    """Judge active sampling and static Latin hypercubes on the same fresh designs.
+    """Compare active sampling with static designs on the same fresh designs.
 
-    Of a run folder: this campaign, against static designs of the same sizes. Of a campaign file: campaigns and static
-    designs over several seeds, criteria and features; it can be interrupted and goes on when given again.
+    For a run folder: compares the campaign with static designs of the same sizes. For a campaign file: compares
+    campaigns and static designs over seeds, criteria and features; after an interruption, the same command continues.
     """
     if source.is_dir():
         names = ("seeds", "criteria", "features", "static", "jobs", "out")
         for name, value in zip(names, (seeds, criteria, features, static, jobs, out), strict=True):
             if value is not None:
-                raise InputError(f"--{name}: is for the comparison of a campaign file, and {source} is a run folder.")
+                raise InputError(f"--{name}: only for the comparison of a campaign file; {source} is a run folder.")
         _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000, code)
         return
     if source.suffix != ".toml":
-        raise InputError(f"{source}: is not a run folder, nor a campaign file (.toml).")
+        raise InputError(f"{source}: is neither a run folder nor a campaign file (.toml).")
     for name, value in {"budgets": budgets, "code": code}.items():
         if value is not None:
-            raise InputError(f"--{name}: is for the comparison of a run folder, and {source} is none.")
+            raise InputError(f"--{name}: only for the comparison of a run folder; {source} is a campaign file.")
     if out is None:
         raise InputError("--out: required for the comparison of a campaign file.")
     _compare_seeds(source, seeds or 5, criteria, features, static, test or 5000, jobs, out)
@@ -98,7 +96,7 @@ def _compare_seeds(
     out: Path,
 ) -> None:
     from activefail.campaign.settings import read_settings
-    from activefail.comparison.seeds import OWN, Plan, compare_seeds
+    from activefail.comparison.seeds import CUSTOM, Plan, compare_seeds
     from activefail.report.comparison import comparison_lines, write_comparison
 
     check_output("--out", out)
@@ -106,12 +104,12 @@ def _compare_seeds(
     sizes = [] if static is None else _parse_sizes("--static", static)
     if any(size < 2 for size in sizes):
         raise InputError(f"--static: must be at least 2, got {sizes[0]}.")
-    sampling, own = settings.sampling, settings.classifier.features
+    sampling, default_features = settings.sampling, settings.classifier.features
     plan = Plan(
         settings,
         seeds,
         _parse_names(criteria) or (settings.acquisition.criterion,),
-        _parse_names(features) or (own if isinstance(own, str) else OWN,),
+        _parse_names(features) or (default_features if isinstance(default_features, str) else CUSTOM,),
         tuple(sizes or sorted({sampling.initial, sampling.budget})),
         test,
         file.absolute().parent,
@@ -124,14 +122,14 @@ def _compare_seeds(
                 out,
                 jobs or os.cpu_count() or 1,
                 show_stage,
-                lambda done, all_: show_stage(f"{done} of {all_} arms scored"),
+                lambda done, total: show_stage(f"{done} of {total} arms scored"),
                 stop,
             )
             page = None if scores is None else write_comparison(plan, scores, out)
     except KeyboardInterrupt:
         scores = page = None
     if scores is None or page is None:
-        print(f"stopped; what was scored is kept in {visible(str(out))}. The same command goes on.", file=sys.stderr)
+        print(f"stopped; scores are kept in {visible(str(out))}. The same command continues.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
     print("\n".join(comparison_lines(scores)))
     print(f"page       {visible(str(page))}")
@@ -143,11 +141,11 @@ def _parse_names(text: str | None) -> tuple[str, ...]:
 
 def paper(
     draws: Annotated[int, typer.Option(help="Independent samples of 250 simulations.", min=4, max=1000)] = 20,
-    fresh: Annotated[int, typer.Option(help="Fresh designs to judge by.", min=100, max=1_000_000)] = 4000,
-    seed: Annotated[int, typer.Option(help="Seed of everything.", min=0)] = 1,
+    fresh: Annotated[int, typer.Option(help="Fresh test designs.", min=100, max=1_000_000)] = 4000,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
     out: Annotated[Path, typer.Option(help="Folder for reproduction.md and its figures.")] = Path("runs/reproduction"),
 ) -> None:
-    """Reproduce the paper: its tables and figures beside ours, with intervals."""
+    """Reproduce the paper's tables and figures, with intervals."""
     from activefail.paper.claims import claims
     from activefail.paper.study import run_study
     from activefail.report.reproduction import write_reproduction
@@ -155,14 +153,14 @@ def paper(
     check_output("--out", out)
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
-    begun = time.monotonic()
+    start = time.monotonic()
     try:
         study = run_study(draws, fresh, seed, show_stage)
     except KeyboardInterrupt:
-        print("stopped; nothing is kept of it. The same command begins anew.", file=sys.stderr)
+        print("stopped; nothing was saved. The same command starts over.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     command = {"draws": draws, "fresh": fresh, "seed": seed, "cores": os.cpu_count() or 1}
-    command["minutes"] = math.ceil((time.monotonic() - begun) / 60.0)
+    command["minutes"] = math.ceil((time.monotonic() - start) / 60.0)
     with writing_to(out):
         page = write_reproduction(study, out, command, show_stage)
     for line in claims(study):
@@ -175,4 +173,4 @@ def _parse_sizes(option: str, text: str) -> list[int]:
     try:
         return sorted({int(part) for part in text.split(",")})
     except ValueError:
-        raise InputError(f"{option}: must be whole numbers with commas between them, got {text!r}.") from None
+        raise InputError(f"{option}: must be whole numbers separated by commas, got {text!r}.") from None

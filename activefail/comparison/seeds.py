@@ -1,7 +1,7 @@
-"""Samplings compared over seeds: campaigns by criterion and features, and static Latin hypercubes, on one test set.
+"""Compare samplings over seeds: campaigns by criterion and features, and static designs, on one test set.
 
-A comparison lives in a folder. Each arm, one campaign or one static design, is scored once and its scores are kept: a
-comparison that was interrupted goes on where it stopped.
+A comparison has a folder. Each arm, a campaign or a static design, is scored once and its scores are saved there, so
+that an interrupted comparison continues where it stopped.
 """
 
 import json
@@ -39,19 +39,19 @@ from activefail.surrogate.threads import one_thread
 STATIC = "static"
 """The sampling of an arm that is a Latin hypercube."""
 
-OWN = "own"
-"""Features of an arm that are the campaign file's, a function of the user's."""
+CUSTOM = "own"
+"""Name of the campaign file's custom features in arms and tables."""
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One way to spend simulations, with one seed.
+    """A campaign or a static design, with one seed.
 
     Attributes:
-        features: what the classifier sees.
-        sampling: a criterion's name, or "static".
-        size: simulations.
-        seed: of the campaign, or of the Latin hypercube.
+        features: name of the classifier's features.
+        sampling: name of a criterion, or "static".
+        size: number of simulations.
+        seed: of the campaign or the Latin hypercube.
     """
 
     features: str
@@ -61,21 +61,21 @@ class Arm:
 
     @property
     def name(self) -> str:
-        """Unique in a comparison, fit for a file."""
+        """Unique name in a comparison, usable as a file name."""
         return f"{self.features}-{self.sampling}-{self.size}-seed{self.seed}"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is compared.
+    """The definition of a comparison.
 
     Attributes:
-        settings: of the campaign; its seed is the first of the seeds, its budget that of every campaign.
-        seeds: how many.
-        criteria, features: of the campaigns; every pair is one.
-        static: sizes of the static Latin hypercubes, one of its own for each.
-        test: fresh designs to judge by.
-        code: folder of the user's own code, which is run (see `Campaign.of`).
+        settings: of the campaign; its seed is the first seed, its budget that of every campaign.
+        seeds: number of seeds.
+        criteria, features: each combination is a campaign.
+        static: sizes of the static designs.
+        test: number of test designs.
+        code: folder of the user's code, which is executed (see `Campaign.of`).
     """
 
     settings: CampaignSettings
@@ -87,7 +87,7 @@ class Plan:
     code: Path | None = None
 
     def arms(self) -> list[Arm]:
-        """All arms, seed after seed."""
+        """All arms, ordered by seed."""
         first, budget = self.settings.seed, self.settings.sampling.budget
         return [
             Arm(features, sampling, size, seed)
@@ -100,20 +100,20 @@ class Plan:
         ]
 
     def settings_of(self, arm: Arm) -> CampaignSettings:
-        """Settings of an arm's campaign, or of the one whose static design it is.
+        """The settings of an arm.
 
         Raises:
-            InputError: if one of them breaks a rule.
+            InputError: if one breaks a rule.
         """
         changes: dict[str, Any] = {"seed": arm.seed, "validation.size": 0}
-        if arm.features != OWN:
+        if arm.features != CUSTOM:
             changes["classifier.features"] = arm.features
         if arm.sampling != STATIC:
             changes["acquisition.criterion"] = arm.sampling
         return self.settings.changed(changes)
 
     def checkpoints(self) -> list[int]:
-        """Numbers of simulations at which a campaign is scored: initial, five steps, a fifth of the first."""
+        """Numbers of simulations at which a campaign is scored: initial, a fifth of a step, and five steps."""
         initial, budget = self.settings.sampling.initial, self.settings.sampling.budget
         step = (budget - initial) / 5
         return sorted({initial, *(round(initial + step * part) for part in (0.2, 1, 2, 3, 4, 5))})
@@ -121,7 +121,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Score:
-    """An arm's measures after some of its simulations."""
+    """The measures of an arm after a number of simulations."""
 
     arm: Arm
     simulations: int
@@ -130,7 +130,7 @@ class Score:
 
 @dataclass(frozen=True)
 class _Job:
-    """What a worker process is told of one arm."""
+    """One arm, as sent to a worker process."""
 
     arm: Arm
     settings: str
@@ -142,7 +142,7 @@ class _Job:
 
 
 def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, NDArray[np.int8]]]:
-    """Take an arm's campaign to its budget; what it had at each checkpoint. Nothing when asked to stop."""
+    """Run an arm's campaign to its budget; yields size, designs and outcomes at each checkpoint. Nothing if stopped."""
     folder = job.folder / "runs" / job.arm.name
     if not (folder / "campaign.toml").exists():
         create_folder(folder, campaign).close()
@@ -159,7 +159,7 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
 
 
 def _score_arm(job: _Job) -> list[Score] | None:
-    """The scores of an arm, in a worker process; None when it was asked to stop before."""
+    """Score an arm in a worker process; None if stopped."""
     campaign = Campaign.of(parse_settings(job.settings, job.arm.name), job.code)
     with one_thread():
         if job.static is None:
@@ -178,13 +178,13 @@ def _score_arm(job: _Job) -> list[Score] | None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Under its final name only once it is whole."""
+    """Write a file that appears under its name only when complete."""
     with replacing(path) as file:
         file.write(text)
 
 
 def _saved(path: Path) -> list[Score] | None:
-    # A file that cannot be read is scored again.
+    # An arm with an unreadable file is scored again.
     with suppress(OSError, ValueError, TypeError, KeyError):
         rows = json.loads(path.read_text(encoding="utf-8"))
         return [
@@ -199,7 +199,7 @@ def _saved(path: Path) -> list[Score] | None:
 
 
 def _text(scores: list[Score]) -> str:
-    """Scores as JSON, which has no number for what is not defined."""
+    """Scores as JSON, with null for NaN."""
     rows = [asdict(score) for score in scores]
     for row in rows:
         row["measures"] = {name: None if np.isnan(value) else value for name, value in row["measures"].items()}
@@ -207,10 +207,10 @@ def _text(scores: list[Score]) -> str:
 
 
 def prepare(folder: Path, plan: Plan) -> None:
-    """Make the folder of a comparison, or check that it is one of the same campaign and test set.
+    """Create the folder of a comparison, or check that it holds the same comparison.
 
     Raises:
-        InputError: if it holds another comparison, or anything else.
+        InputError: if it holds another comparison or other files.
         StoreError: if a file or folder of it is a symbolic link.
     """
     frozen = plan.settings.text() + f"\n# fresh designs to judge by: {plan.test}\n"
@@ -218,7 +218,7 @@ def prepare(folder: Path, plan: Plan) -> None:
     refuse_links(folder, ("comparison.toml", "scores", "runs", "designs"))
     if path.exists():
         if path.read_text(encoding="utf-8") != frozen:
-            raise InputError(f"{folder}: holds the comparison of another campaign or test set; give another folder.")
+            raise InputError(f"{folder}: holds a comparison of another campaign or test set; choose another folder.")
     else:
         check_empty(folder, "comparison", "Choose another one.")
         folder.mkdir(parents=True, exist_ok=True)
@@ -228,7 +228,7 @@ def prepare(folder: Path, plan: Plan) -> None:
 
 
 def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, Any]]:
-    """The test set and the static designs with their outcomes, simulated once and kept in the folder `designs`."""
+    """The test set and the static designs with their outcomes, stored in the folder `designs`."""
     campaign = Campaign.of(plan.settings.changed({"validation.size": 0}), plan.code, folder)
     space, first = campaign.space, plan.settings.seed
     designs = folder / "designs"
@@ -240,15 +240,15 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
     ):
 
         def outcomes(name: str, X: Array) -> NDArray[np.int8]:
-            found = simulated_outcomes(campaign, store, executor, name, X)
-            assert found is not None  # it was not asked to stop
-            return found
+            outcome = simulated_outcomes(campaign, store, executor, name, X)
+            assert outcome is not None  # no stop was requested
+            return outcome
 
         stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
         X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
         outcome = outcomes(name_of_test_set(plan.test), X)
-        moved = displaced(X, space, stream(first, "test", 1))
-        around = outcomes(f"around-{plan.test}", moved).reshape(len(X), -1)
+        neighbours = displaced(X, space, stream(first, "test", 1))
+        around = outcomes(f"around-{plan.test}", neighbours).reshape(len(X), -1)
         answered = outcome != NUMERICAL_FAILURE
         test = FreshSet(X[answered], outcome[answered], around[answered])
         static = {}
@@ -256,8 +256,9 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
             for size in plan.static:
                 stage(f"simulating a static design of {size}, seed {seed}")
                 hypercube = space.latin_hypercube(size, stream(seed, "static", size))
-                found = outcomes(name_of_static_set(size, seed), hypercube)
-                static[seed, size] = hypercube[found != NUMERICAL_FAILURE], found[found != NUMERICAL_FAILURE]
+                outcome = outcomes(name_of_static_set(size, seed), hypercube)
+                answered = outcome != NUMERICAL_FAILURE
+                static[seed, size] = hypercube[answered], outcome[answered]
     arms = [arm for arm in plan.arms() if arm.sampling == STATIC]
     return test, {arm: static[arm.seed, arm.size] for arm in arms}
 
@@ -267,73 +268,71 @@ def compare_seeds(
     folder: Path,
     jobs: int,
     stage: Callable[[str], None] = lambda _: None,
-    done: Callable[[int, int], None] = lambda _done, _all: None,
+    done: Callable[[int, int], None] = lambda _done, _total: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> list[Score] | None:
-    """Scores of all arms, `jobs` side by side; None when it was asked to stop, what was scored is kept.
+    """Score all arms, `jobs` in parallel; None if stopped, with the scores so far saved.
 
     Raises:
-        InputError: if the folder holds another comparison, or settings and features do not fit each other.
+        InputError: if the folder holds another comparison, or settings and features are inconsistent.
         SimulationError: if a worker process dies.
     """
     arms = plan.arms()
     settings = {arm: plan.settings_of(arm) for arm in arms}
     for arm in {(arm.features, arm.sampling): arm for arm in arms}.values():
-        Campaign.of(settings[arm], plan.code)  # before anything is written: do the pieces fit?
+        Campaign.of(settings[arm], plan.code)  # reject inconsistent settings before writing anything
     prepare(folder, plan)
     scores = {arm: _saved(folder / "scores" / f"{arm.name}.json") for arm in arms}
-    left = [arm for arm in arms if scores[arm] is None]
-    if left:
+    unscored = [arm for arm in arms if scores[arm] is None]
+    if unscored:
         test, static = _simulated(plan, folder, stage)
         stage("campaigns and classifiers")
         checkpoints = tuple(plan.checkpoints())
-        with ProcessPool(jobs, "what was scored is kept") as pool:
+        with ProcessPool(jobs, "scores are kept") as pool:
             futures = {}
-            for arm in left:
+            for arm in unscored:
                 job = _Job(arm, settings[arm].text(), checkpoints, folder, test, static.get(arm), plan.code)
                 futures[pool.submit(_score_arm, job)] = arm
-            pending, asked = set(futures), False
-            while pending and not asked:
+            pending, stop_requested = set(futures), False
+            while pending and not stop_requested:
                 finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
                 for future in finished:
-                    arm, found = futures[future], future.result()
-                    if found is not None:
-                        _write(folder / "scores" / f"{arm.name}.json", _text(found))
-                        scores[arm] = found
+                    arm, arm_scores = futures[future], future.result()
+                    if arm_scores is not None:
+                        _write(folder / "scores" / f"{arm.name}.json", _text(arm_scores))
+                        scores[arm] = arm_scores
                         done(sum(saved is not None for saved in scores.values()), len(arms))
-                asked = stop()
+                stop_requested = stop()
             pool.ask_to_stop()
-    if any(found is None for found in scores.values()):
+    if any(arm_scores is None for arm_scores in scores.values()):
         return None
     return [score for arm in arms for score in scores[arm] or []]
 
 
 @dataclass(frozen=True)
 class Point:
-    """A measure of one sampling after some simulations, over the seeds."""
+    """A measure of one sampling after a number of simulations, over the seeds."""
 
     simulations: int
     values: Array  # (seeds,)
 
     @property
     def estimate(self) -> Estimate | None:
-        """Mean and intervals; None of a single seed."""
+        """Mean and intervals; None for a single seed."""
         return Estimate.over(self.values) if len(self.values) > 1 else None
 
 
 def curves(scores: list[Score], measure: str) -> dict[tuple[str, str], list[Point]]:
-    """Points in the order of simulations, by features and sampling."""
-    found: dict[tuple[str, str], dict[int, list[float]]] = {}
+    """Points by features and sampling, ordered by simulations."""
+    values: dict[tuple[str, str], dict[int, list[float]]] = {}
     for score in scores:
-        by_size = found.setdefault((score.arm.features, score.arm.sampling), {})
+        by_size = values.setdefault((score.arm.features, score.arm.sampling), {})
         by_size.setdefault(score.simulations, []).append(score.measures[measure])
-    return {
-        key: [Point(n, np.array(values)) for n, values in sorted(by_size.items())] for key, by_size in found.items()
-    }
+    return {key: [Point(n, np.array(one)) for n, one in sorted(by_size.items())] for key, by_size in values.items()}
 
 
 def simulations_to_reach(points: list[Point], level: float) -> float | None:
-    """Simulations at which a curve of medians first reaches a level, interpolated in their logarithm; None if never."""
+    """Simulations at which a curve of medians first reaches a level, interpolated in log n; None if never."""
     n = np.array([point.simulations for point in points], dtype=float)
     medians = np.array([np.median(point.values) for point in points])
     reached = np.nonzero(medians >= level)[0]

@@ -1,4 +1,4 @@
-"""A campaign against a static Latin hypercube of the same size, both judged on the same fresh designs."""
+"""Compare a campaign with static designs of the same size on the same fresh designs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -27,11 +27,11 @@ TEST_SIZE = 2000
 
 @dataclass(frozen=True)
 class Recall:
-    """Of the test designs that end in an outcome, how many the classifier predicts to end in it.
+    """The recall of an outcome on a test set.
 
     Attributes:
-        found: predicted so.
-        of: designs with that outcome.
+        found: designs with the outcome that are predicted to have it.
+        of: designs with the outcome.
     """
 
     found: int
@@ -39,20 +39,20 @@ class Recall:
 
     @property
     def share(self) -> float:
-        """found/of; NaN where the test set has no such design."""
+        """found/of; NaN if the test set has no such design."""
         return self.found / self.of if self.of else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Clopper and Pearson's 95 % interval, which holds for few designs too; 0 to 1 without any."""
+        """Clopper and Pearson's exact 95 % interval; 0 to 1 without designs."""
         if not self.of:
             return 0.0, 1.0
-        found = binomtest(self.found, self.of).proportion_ci(method="exact")
-        return float(found.low), float(found.high)
+        interval = binomtest(self.found, self.of).proportion_ci(method="exact")
+        return float(interval.low), float(interval.high)
 
     @property
     def in_words(self) -> str:
-        """Like "96.0 % (48 of 50; 86.3 to 99.5 %)"."""
+        """For example "96.0 % (48 of 50; 86.3 to 99.5 %)"."""
         if not self.of:
             return "– (none in the test set)"
         return f"{percent(self.share)} ({self.found} of {self.of}; {interval_percent(*self.interval, digits=1)})"
@@ -60,16 +60,16 @@ class Recall:
 
 @dataclass(frozen=True)
 class Score:
-    """How good a classifier trained on `simulations` is on the test set.
+    """Measures on the test set of a classifier trained on `simulations`.
 
     Attributes:
         sampling: "active" or "static".
-        accuracy: share of designs on the right side of the sought boundary.
-        low, high: Wilson's 95 % interval of it over test sets of this size; the two samplings share one test set.
+        accuracy: share of designs on the right side of the target boundary.
+        low, high: Wilson's 95 % interval of the accuracy over test sets of this size; both samplings share one set.
         outcome_accuracy: share of designs whose most probable outcome is the true one.
         log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
-        test_designs: that it is judged on: those of the test set that have an answer.
-        recall: by outcome; empty in a table of an older program.
+        test_designs: size of the test set, without numerical failures.
+        recall: by outcome; empty in a table written by an older version.
     """
 
     sampling: str
@@ -84,16 +84,16 @@ class Score:
 
     @classmethod
     def columns(cls) -> list[str]:
-        """Names of the fields that are one number each, for tables."""
+        """Names of the fields for a table, without recall."""
         return [one.name for one in fields(cls) if one.name != "recall"]
 
     @staticmethod
     def recall_columns(outcomes: Sequence[str]) -> list[str]:
-        """Names of the columns that hold the recall of each outcome."""
+        """Names of the columns for the recall of each outcome."""
         return [f"{part}_{name}" for name in outcomes for part in ("recalled", "test")]
 
     def row(self) -> list[str | int | float]:
-        """The values of `columns` and then of `recall_columns`."""
+        """The values of `columns`, then of `recall_columns`."""
         counts = [number for one in self.recall.values() for number in (one.found, one.of)]
         return [*(getattr(self, name) for name in self.columns()), *counts]
 
@@ -101,7 +101,7 @@ class Score:
 def score(
     sampling: str, classifier: Classifier, severity: int, simulations: int, X: Array, outcome: NDArray[np.int8]
 ) -> Score:
-    """The score of a classifier on designs, (n, d), with known outcomes, (n,)."""
+    """Score a classifier on designs, (n, d), with known outcomes, (n,)."""
     probabilities = classifier.probabilities(X)
     latent = classifier.latents[severity - 1].moments(classifier.features(X))
     beyond = outcome >= severity
@@ -130,17 +130,17 @@ def recalls(outcomes: Sequence[str], predicted: NDArray[np.intp], outcome: NDArr
 
 
 def default_budgets(initial: int, done: int) -> list[int]:
-    """Six numbers of simulations from the initial design to what has been done."""
+    """Six numbers of simulations, from the initial design to all."""
     steps = np.linspace(initial, done, 6 if done > initial else 1)
     return sorted({round(float(step)) for step in steps})
 
 
-def _answers(
+def _simulated(
     campaign: Campaign, store: Store, executor: Executor, name: str, X: Array
 ) -> tuple[Array, NDArray[np.int8]]:
-    answers = simulated_set(campaign, store, executor, name, X)
-    assert answers is not None  # it was not asked to stop
-    return answers
+    designs_and_outcomes = simulated_set(campaign, store, executor, name, X)
+    assert designs_and_outcomes is not None  # no stop was requested
+    return designs_and_outcomes
 
 
 def compare(
@@ -151,13 +151,12 @@ def compare(
     test_size: int = TEST_SIZE,
     stage: Callable[[str], None] = lambda _: None,
 ) -> list[Score]:
-    """Scores of the campaign's first n simulations and of n static ones, for each n.
+    """Score the campaign's first n simulations and a static design of size n, for each budget n.
 
-    Both samplings are trained alike; each static hypercube is one of its own size. Test set and hypercubes are
-    simulated once and kept in the run folder.
+    Both samplings train the same classifier. Test set and static designs are simulated once and kept in the run folder.
 
     Raises:
-        InputError: if a budget is below 2 or more than the campaign has done, or the campaign has done nothing yet.
+        InputError: if a budget is below 2 or above the campaign's simulations, or the campaign has none.
     """
     seed = campaign.settings.seed
     history = History.of(store.batches)
@@ -168,16 +167,16 @@ def compare(
     budgets = budgets or default_budgets(min(initial, done), done)
     for n in budgets:
         if not 2 <= n <= done:
-            raise InputError(f"budgets: must lie between 2 and the {done} simulations done, got {n}.")
+            raise InputError(f"budgets: must be between 2 and the {done} recorded simulations, got {n}.")
     kernel, severity = campaign.settings.classifier.kernel, campaign.severity
     outcomes, features = campaign.simulator.outcomes, campaign.features
 
     with one_thread():
         stage(f"simulating {test_size} test designs")
         test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
-        X_test, outcome_test = _answers(campaign, store, executor, name_of_test_set(test_size), test)
+        X_test, outcome_test = _simulated(campaign, store, executor, name_of_test_set(test_size), test)
         if unanswered := test_size - len(X_test):
-            stage(f"{unanswered} of {test_size} test designs gave no answer: judging by the other {len(X_test)}")
+            stage(f"{unanswered} of {test_size} test designs failed numerically; using the other {len(X_test)}")
         scores = []
         for n in budgets:
             stage(f"learning from {n} active simulations")
@@ -185,16 +184,16 @@ def compare(
             classifier = train(known.designs, known.outcome, outcomes, features, kernel)
             scores.append(score("active", classifier, severity, n, X_test, outcome_test))
         for n in budgets:
-            stage(f"simulating and learning from {n} static ones")
+            stage(f"simulating and learning from {n} static simulations")
             hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
-            X, outcome = _answers(campaign, store, executor, name_of_static_set(n), hypercube)
+            X, outcome = _simulated(campaign, store, executor, name_of_static_set(n), hypercube)
             classifier = train(X, outcome, outcomes, features, kernel)
             scores.append(score("static", classifier, severity, n, X_test, outcome_test))
     return scores
 
 
 def score_lines(scores: Sequence[Score], boundary: str) -> list[str]:
-    """Scores as a table for a terminal, and below it the recall of each outcome."""
+    """Scores as a table for a terminal, followed by the recall of each outcome."""
     rows = sorted(scores, key=lambda score: (score.simulations, score.sampling))
     lines = [
         f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
@@ -206,7 +205,7 @@ def score_lines(scores: Sequence[Score], boundary: str) -> list[str]:
         for row in rows
     ]
     lines.append(
-        "recall of each outcome: share of the test designs with it that are predicted so, with a 95 % interval"
+        "recall: share of the test designs with an outcome that are predicted to have it, with a 95 % interval"
     )
     for row in rows:
         recall = ", ".join(f"{name} {one.in_words}" for name, one in row.recall.items())
@@ -215,7 +214,7 @@ def score_lines(scores: Sequence[Score], boundary: str) -> list[str]:
 
 
 def write_scores(scores: Sequence[Score], outcomes: Sequence[str], test_designs: int, path: Path) -> None:
-    """Write scores to a CSV file, with how many of the test designs gave no answer."""
+    """Write scores to a CSV file, with the number of numerical failures in the test set."""
     columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered"]
     with writing(path, columns) as write:
         write([[*score.row(), test_designs - score.test_designs] for score in scores])

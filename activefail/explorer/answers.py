@@ -1,4 +1,4 @@
-"""What the explorer's page asks for: predictions, a plane, a fragility curve, a simulation, as JSON's values."""
+"""Answers to the explorer's requests: predictions, planes, fragility curves and simulations, as JSON values."""
 
 import math
 import shlex
@@ -41,20 +41,20 @@ if TYPE_CHECKING:
 _GRID, _CURVE, _FRAMES = 36, 81, 240
 
 _AT_ONCE = 128
-"""Designs of a plane or a curve that are predicted in one go: a prediction that comes meanwhile waits no longer."""
+"""Designs predicted in one go, which limits how long another request waits."""
 
 Answer = dict[str, Any]
 
 
 def _listed(values: Array, digits: int) -> list[Any]:
-    """Numbers for JSON, rounded; None where they are not finite."""
+    """Rounded numbers for JSON; None if not finite."""
     rounded = np.round(values, digits)
     listed: list[Any] = np.where(np.isfinite(rounded), rounded.astype(object), np.array(None)).tolist()
     return listed
 
 
 class Answers:
-    """Answers about one campaign; safe to ask from several threads."""
+    """Answers about one campaign; thread-safe."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
@@ -62,70 +62,70 @@ class Answers:
         self.space = findings.campaign.space
         self.outcomes = findings.campaign.simulator.outcomes
         self._quantities = quantities.variables(findings.campaign)
-        # The classifier and matplotlib's settings are one for all threads; a prediction need not wait for a drawing.
+        # All threads share the classifier and matplotlib's settings; separate locks, as predictions need no drawing.
         self._next, self._learning, self._drawing = threading.Lock(), threading.Lock(), threading.Lock()
         middle = (0.5 * (self.space.low + self.space.high)).tolist()
-        # Whatever is compiled or loaded at its first use is so before the first visitor waits for it.
+        # Compile and load everything before the first request.
         self.predict(middle)
         if self.simulates:
             self.simulate(middle)
 
     @property
     def simulates(self) -> bool:
-        """Whether the campaign's simulator is one whose motion can be shown."""
+        """Whether the simulator's motion can be shown."""
         return isinstance(self.campaign.simulator, DfpSimulator)
 
-    def point(self, given: Any) -> list[float]:
-        """A design of the space from what a page sent.
+    def point(self, values: Any) -> list[float]:
+        """Check a design in a request.
 
         Raises:
             InputError: naming the variable, the rule and the value.
         """
-        if not isinstance(given, list) or len(given) != self.space.dimension:
-            raise InputError(f"point: must be a list of {self.space.dimension} numbers, got {given!r}.")
-        for parameter, value in zip(self.space.parameters, given, strict=True):
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            # Compared as it came: NaN lies between nothing, and an integer may be too large for a float.
-            if not (number and parameter.low <= value <= parameter.high):
+        if not isinstance(values, list) or len(values) != self.space.dimension:
+            raise InputError(f"point: must be a list of {self.space.dimension} numbers, got {values!r}.")
+        for parameter, value in zip(self.space.parameters, values, strict=True):
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            # Compare before converting: this rejects NaN, and an integer may be too large for a float.
+            if not (is_number and parameter.low <= value <= parameter.high):
                 raise InputError(
                     f"{parameter.name}: must lie between {parameter.low:g} and {parameter.high:g}, got {value!r}."
                 )
-        return [float(value) for value in given]
+        return [float(value) for value in values]
 
-    def variable(self, given: Any) -> int:
-        """The column of a variable from what a page sent.
+    def variable(self, name: Any) -> int:
+        """The column of a variable in a request.
 
         Raises:
-            InputError: if it is no variable of the space.
+            InputError: if it is not a variable of the space.
         """
-        if not isinstance(given, str) or given not in self.space.names:
-            raise InputError(f"variable: must be one of {', '.join(self.space.names)}, got {given!r}.")
-        return self.space.names.index(given)
+        if not isinstance(name, str) or name not in self.space.names:
+            raise InputError(f"variable: must be one of {', '.join(self.space.names)}, got {name!r}.")
+        return self.space.names.index(name)
 
     def about(self) -> Answer:
-        """What the page must know before it asks for anything."""
+        """The data that the page contains from the start."""
         settings, findings = self.campaign.settings, self._findings
         influence = findings.influence
         presets = [("the middle of the space", 0.5 * (self.space.low + self.space.high))]
         for row, _ in at_the_boundary(findings):
-            text = f"{words(self.outcomes[findings.outcome[row]])}, a close call: simulation {row}"
+            text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {row}"
             presets.append((text, findings.X[row]))
         names = self.space.names
-        first = np.argsort(-influence, kind="stable").tolist()
-        plane = [names[column] for column in first[:2]]
+        ranking = np.argsort(-influence, kind="stable").tolist()
+        plane = [names[column] for column in ranking[:2]]
         return {
             "title": visible(settings.description or findings.folder.name),
             "simulations": len(findings.X),
             "variables": [
                 {
                     "name": parameter.name,
-                    "text": told.text,
-                    "unit": told.unit,
-                    "meaning": told.meaning,
+                    "text": quantity.text,
+                    "unit": quantity.unit,
+                    "meaning": quantity.meaning,
                     "low": parameter.low,
                     "high": parameter.high,
                 }
-                for parameter, told in zip(self.space.parameters, self._quantities, strict=True)
+                for parameter, quantity in zip(self.space.parameters, self._quantities, strict=True)
             ],
             "outcomes": [
                 {"name": name, "text": words(name), "colour": outcome_colour(self.outcomes, index)}
@@ -134,13 +134,13 @@ class Answers:
             "beyond": findings.beyond,
             "presets": [{"text": text, "point": X.tolist()} for text, X in presets],
             "plane": plane,
-            "along": "A_p" if "A_p" in names else names[first[0]],
+            "along": "A_p" if "A_p" in names else names[ranking[0]],
             "simulates": self.simulates,
         }
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        """The classifier, for one thread at a time and in turn: who waits for it is before who has just had it."""
+        """Exclusive use of the classifier; a waiting thread comes before one that has just had it."""
         with self._next:
             self._learning.acquire()
         try:
@@ -149,7 +149,7 @@ class Answers:
             self._learning.release()
 
     def _predict(self, rows: Array) -> Prediction:
-        """What the classifier says of many designs, (n, d), in turn with others who ask it."""
+        """Predict many designs, (n, d), in parts, between which other threads get their turn."""
         parts = []
         for part in np.array_split(rows, math.ceil(len(rows) / _AT_ONCE)):
             with self._turn():
@@ -164,13 +164,13 @@ class Answers:
             moments = [latent.moments(F) for latent in classifier.latents]
             probabilities = classifier.weighed(moments)[0]
         boundaries = []
-        for name, found in zip(self.outcomes[1:], moments, strict=True):
-            low, high = (float(end[0]) for end in interval(found))
+        for name, latent_moments in zip(self.outcomes[1:], moments, strict=True):
+            low, high = (float(end[0]) for end in interval(latent_moments))
             worst = name == self.outcomes[-1]
             boundaries.append(
                 {
                     "text": words(name) if worst else f"{words(name)} or worse",
-                    "probability": float(found.probability[0]),
+                    "probability": float(latent_moments.probability[0]),
                     "low": low,
                     "high": high,
                 }
@@ -178,26 +178,30 @@ class Answers:
         return {"probabilities": probabilities.tolist(), "boundaries": boundaries}
 
     def plane(self, point: Sequence[float], x: int, y: int, shown: str) -> Answer:
-        """A plane of two variables through a point, as a figure, and where in it its axes are.
+        """A figure of the plane of two variables through a point, with the position of its axes.
 
         Args:
-            shown: an outcome but the least severe, or "uncertainty".
+            point: a design.
+            x, y: columns of the variables.
+            shown: an outcome other than the least severe, or "uncertainty".
 
         Raises:
-            InputError: if both variables are one, or `shown` is neither.
+            InputError: if both variables are the same, or `shown` is invalid.
         """
         if x == y:
             raise InputError(f"A plane needs two variables, got {self.space.names[x]} twice.")
         if shown not in (*self.outcomes[1:], "uncertainty"):
-            raise InputError(f"shown: must be an outcome beyond the first, or uncertainty, got {shown!r}.")
+            raise InputError(f"shown: must be an outcome other than the first, or uncertainty, got {shown!r}.")
         low, high = self.space.low, self.space.high
         along_x, along_y = np.linspace(low[x], high[x], _GRID), np.linspace(low[y], high[y], _GRID)
         grid_x, grid_y = np.meshgrid(along_x, along_y)
         rows = np.tile(np.array(point), (grid_x.size, 1))
         rows[:, x], rows[:, y] = grid_x.ravel(), grid_y.ravel()
-        found = self._predict(rows)
+        prediction = self._predict(rows)
         uncertain = shown == "uncertainty"
-        values = found.high - found.low if uncertain else found.probabilities[:, self.outcomes.index(shown)]
+        values = (
+            prediction.high - prediction.low if uncertain else prediction.probabilities[:, self.outcomes.index(shown)]
+        )
         title = f"P({plain(words(shown))})" if not uncertain else f"uncertainty of P({plain(self._findings.beyond)})"
         with self._drawing:
             axes_of = self._quantities[x], self._quantities[y]
@@ -206,21 +210,27 @@ class Answers:
         return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
 
     def fragility(self, point: Sequence[float], along: int) -> Answer:
-        """The probability of what is beyond the sought boundary against a variable, as a figure."""
+        """A figure of the probability of lying beyond the target boundary against a variable."""
         values = np.linspace(self.space.low[along], self.space.high[along], _CURVE)
         rows = np.tile(np.array(point), (len(values), 1))
         rows[:, along] = values
-        found = self._predict(rows)
+        prediction = self._predict(rows)
         with self._drawing:
-            told = self._quantities[along]
-            colour = outcome_colour(self.outcomes, self.campaign.severity)
-            name = plain(self._findings.beyond)
-            figure = plot_fragility(values, found.beyond, found.low, found.high, told, name, point[along], colour)
+            figure = plot_fragility(
+                values,
+                prediction.beyond,
+                prediction.low,
+                prediction.high,
+                self._quantities[along],
+                plain(self._findings.beyond),
+                point[along],
+                outcome_colour(self.outcomes, self.campaign.severity),
+            )
             svg = inline(figure, "fragility", f"P({self._findings.beyond}) against {self.space.names[along]}")
         return {"svg": str(svg)}
 
     def simulate(self, point: Sequence[float]) -> Answer:
-        """The motion of the bearing: outlines, frames of the motion, and what happened.
+        """Simulate a bearing: its outcome, outlines and frames of its motion.
 
         Raises:
             InputError: if the campaign's simulator has no bearing to show.
@@ -228,7 +238,7 @@ class Answers:
         simulator, response = self._simulated(point)
         answer: Answer = {
             "outcome": response.outcome_name,
-            "said": describe_outcome(response),
+            "description": describe_outcome(response),
             "command": _command(simulator, self.space.names, point),
         }
         try:
@@ -255,13 +265,14 @@ class Answers:
         }
 
     def histories(self, point: Sequence[float], narrow: bool) -> Answer:
-        """The same motion over time as a figure, where in it its axes are, and the time [s] at their two ends.
+        """A figure of the motion over time, with the position of its axes and the times [s] at their ends.
 
         Args:
-            narrow: for a narrow page, where a wide figure's letters would be too small to read.
+            point: a design.
+            narrow: whether the page is narrow; a narrower figure keeps its text legible.
 
         Raises:
-            InputError: if the campaign's simulator has no bearing to show, or the bearing no motion.
+            InputError: if the campaign's simulator has no bearing to show, or the response holds no motion.
         """
         _, response = self._simulated(point)
         with self._drawing:
@@ -277,22 +288,22 @@ class Answers:
 
 
 def _place(upper: "Axes", lower: "Axes") -> dict[str, float]:
-    """Where axes are within their figure, as shares of its width from the left and of its height from above."""
+    """Position of axes in their figure, as shares of its width from the left and of its height from the top."""
     top, bottom = upper.get_position(), lower.get_position()
     return {"left": top.x0, "right": top.x1, "top": 1.0 - top.y1, "bottom": 1.0 - bottom.y0}
 
 
 def _command(simulator: DfpSimulator, names: Sequence[str], point: Sequence[float]) -> str:
-    """The command line that simulates this very bearing by itself: no digit less, and whatever is not the default."""
-    given = dict(zip(names, point, strict=True))
-    usual = asdict(Model()) | {"tolerance": Tolerance().relative}
-    own = asdict(simulator.model) | {"tolerance": simulator.tolerance.relative}
-    words = ["activefail", "simulate"]
-    for name, value in (given | {name: value for name, value in own.items() if value != usual[name]}).items():
+    """The command that simulates this bearing: the design with all digits, and settings that are not the default."""
+    design = dict(zip(names, point, strict=True))
+    defaults = asdict(Model()) | {"tolerance": Tolerance().relative}
+    settings = asdict(simulator.model) | {"tolerance": simulator.tolerance.relative}
+    arguments = ["activefail", "simulate"]
+    for name, value in (design | {name: one for name, one in settings.items() if one != defaults[name]}).items():
         option = name.lower().replace("_", "-")
         if isinstance(value, bool):
-            words.append(f"--{'' if value else 'no-'}{option}")
+            arguments.append(f"--{'' if value else 'no-'}{option}")
         else:
             text = value if isinstance(value, str) else np.format_float_positional(value, trim="-")
-            words += [f"--{option}", text]
-    return shlex.join(words)
+            arguments += [f"--{option}", text]
+    return shlex.join(arguments)

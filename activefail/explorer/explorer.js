@@ -1,5 +1,5 @@
 "use strict";
-// The page of `activefail explore`: sends the design to the server and shows what it answers.
+// The page of `activefail explore`: sends the design to the server and shows its answers.
 
 const about = JSON.parse(document.getElementById("about").textContent);
 const find = (id) => document.getElementById(id);
@@ -7,7 +7,7 @@ const variables = about.variables;
 const STEPS = 1000;
 let point = about.presets[0].point.slice();
 
-// --- words and numbers ---------------------------------------------------------------------------------------------
+// --- text and numbers ----------------------------------------------------------------------------------------------
 
 function withSubscripts(text) {
   const span = document.createElement("span");
@@ -31,7 +31,7 @@ function number(value) {
   return (size === 0 ? "0" : Number(value.toPrecision(3)).toString()).replace(/^-/, "−");
 }
 
-// As it may be typed again.
+// In a form that can be typed in again.
 function plain(value) {
   const size = Math.abs(value);
   const short = Number(value.toPrecision(6));
@@ -40,49 +40,49 @@ function plain(value) {
 
 const share = (p) => (p < 0.005 ? "< 0.01" : p > 0.995 ? "> 0.99" : p.toFixed(2));
 
-// --- asking --------------------------------------------------------------------------------------------------------
+// --- requests ------------------------------------------------------------------------------------------------------
 
-async function ask(question, what) {
-  const began = performance.now();
+async function ask(question, data) {
+  const start = performance.now();
   const response = await fetch(`/api/${question}`, {
     method: "POST",
     headers: { "Content-Type": "application/json" },
-    body: JSON.stringify(what),
+    body: JSON.stringify(data),
   });
   if (response.status === 503) {
-    // The server has many to answer, and says when to ask again.
+    // The server is busy and says when to retry.
     const seconds = Number(response.headers.get("Retry-After")) || 1;
-    await new Promise((asked) => setTimeout(asked, 1000 * seconds));
-    return ask(question, what);
+    await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+    return ask(question, data);
   }
   const answer = await response.json();
   if (!response.ok) throw new Error(answer.error || response.statusText);
-  document.body.dataset[`${question}Ms`] = (performance.now() - began).toFixed(1);
+  document.body.dataset[`${question}Ms`] = (performance.now() - start).toFixed(1);
   return answer;
 }
 
-function complain(error) {
+function showError(error) {
   find("status").textContent = `No answer: ${error.message}`;
 }
 
-// One question of a kind at a time; of those that come meanwhile only the last is asked.
+// Runs one request at a time; of those made meanwhile only the last runs.
 function latest(run) {
   let busy = false;
-  let again = false;
+  let pending = false;
   return async function start() {
     if (busy) {
-      again = true;
+      pending = true;
       return;
     }
     busy = true;
     try {
       do {
-        again = false;
+        pending = false;
         await run();
-      } while (again);
+      } while (pending);
       if (find("status").textContent.startsWith("No answer")) find("status").textContent = "";
     } catch (error) {
-      complain(error);
+      showError(error);
     } finally {
       busy = false;
     }
@@ -105,12 +105,12 @@ function showPoint() {
 }
 
 function moved(changed) {
-  // Of a design that was moved no preset is told, so that each can be chosen again.
+  // A changed design is not a preset: deselect it, so that it can be selected again.
   if (changed) find("preset").value = "";
   if (about.simulates) find("earlier").hidden = find("outcome").textContent === "";
   showPoint();
   predict();
-  // A plane holds for all values of its own two variables, a curve for all of its one.
+  // The plane does not depend on its own two variables.
   if (!changed || changed.some((i) => !planeColumns().includes(i))) plane();
   fragility();
 }
@@ -143,10 +143,10 @@ function bar(text, value, interval) {
   const track = document.createElement("span");
   track.className = "track";
   track.setAttribute("aria-hidden", "true");
-  const said = document.createElement("span");
-  said.className = "value";
-  said.textContent = value;
-  row.append(name, track, said);
+  const number = document.createElement("span");
+  number.className = "value";
+  number.textContent = value;
+  row.append(name, track, number);
   return { row, track };
 }
 
@@ -185,7 +185,7 @@ const hasPlane = find("plane") !== null;
 let axes = null;
 const planeColumns = () => (hasPlane ? [column(find("plane-x").value), column(find("plane-y").value)] : []);
 
-// The server's SVG: parsed, not written into the page as text, and known to hold no script by the page's policy.
+// Parses the server's SVG instead of writing it into the page; the page's policy blocks scripts in it.
 function showDrawing(place, svg) {
   const parsed = new DOMParser().parseFromString(svg, "image/svg+xml").documentElement;
   place.replaceChildren(document.importNode(parsed, true));
@@ -241,11 +241,11 @@ const fragility = latest(async () => {
 
 const SVG = "http://www.w3.org/2000/svg";
 function element(name, attributes, parent, text) {
-  const made = document.createElementNS(SVG, name);
-  Object.entries(attributes).forEach(([key, value]) => made.setAttribute(key, value));
-  if (text !== undefined) made.textContent = text;
-  if (parent) parent.append(made);
-  return made;
+  const node = document.createElementNS(SVG, name);
+  Object.entries(attributes).forEach(([key, value]) => node.setAttribute(key, value));
+  if (text !== undefined) node.textContent = text;
+  if (parent) parent.append(node);
+  return node;
 }
 const outline = (rows) => rows.map((row) => row.join(",")).join(" ");
 const MARKS = [
@@ -282,7 +282,7 @@ function buildStage(answer) {
   const arrow = element("path", { fill: "none", stroke: "#cc79a7", "stroke-width": 3 * line }, world);
   const size = 0.022 * (right - left);
   element("text", { x: 0, y: -(low + 0.6 * size), "font-size": 1.25 * size, "text-anchor": "middle", fill: "#8f3f6a" }, stage, "ground acceleration");
-  // A length to compare with, on the side with more room: the drawing has no axes.
+  // A scale bar, since the drawing has no axes, on the side with more room.
   const ruler = [0.5, 0.2, 0.1].find((length) => length < 0.15 * (right - left)) || 0.05;
   const x0 = -left > right ? left + size : right - 5 * size - ruler;
   const foot = -(low + size);
@@ -300,9 +300,9 @@ function markPath(shape, [x, z], r) {
 
 const histories = latest(async () => {
   const shown = film;
-  // On a phone a narrower figure, so that the letters stay large enough to read.
+  // A narrower figure keeps its text legible on a phone.
   const answer = await ask("histories", { point: shown.point, narrow: window.innerWidth < 740 });
-  // Of a film that was replaced meanwhile the next one asks.
+  // If the film was replaced meanwhile, the new one makes its own request.
   if (film !== shown) return;
   showDrawing(find("histories").querySelector(".drawing"), answer.svg);
   film.histories = answer;
@@ -350,12 +350,12 @@ function play() {
   const { t } = film.answer.frames;
   const last = t.length - 1;
   const from = Number(find("time").value) >= last ? 0 : Number(find("time").value);
-  const began = performance.now();
+  const start = performance.now();
   find("play").textContent = "Pause";
   const tick = (now) => {
-    // In real time, and within ten seconds where the motion is longer.
+    // In real time; a motion of more than ten seconds is sped up to ten.
     const speed = Math.max(1, (t[last] - t[0]) / 10);
-    const time = t[from] + (Math.max(0, now - began) / 1000) * speed;
+    const time = t[from] + (Math.max(0, now - start) / 1000) * speed;
     const k = Math.min(last, Math.round((last * (time - t[0])) / (t[last] - t[0])));
     showFrame(k);
     if (k >= last) stop();
@@ -365,16 +365,16 @@ function play() {
 }
 
 const simulate = latest(async () => {
-  const asked = point.slice();
-  const answer = await ask("simulate", { point: asked });
+  const design = point.slice();
+  const answer = await ask("simulate", { point: design });
   stop();
-  find("outcome").textContent = answer.said;
+  find("outcome").textContent = answer.description;
   find("outcome").dataset.outcome = answer.outcome;
   find("earlier").hidden = true;
   find("command").textContent = answer.command;
   find("film").hidden = !answer.frames;
   if (!answer.frames) return;
-  film = { answer, point: asked, stage: buildStage(answer), histories: null };
+  film = { answer, point: design, stage: buildStage(answer), histories: null };
   find("histories").querySelector(".drawing").replaceChildren();
   find("time").max = answer.frames.t.length - 1;
   showFrame(0);
@@ -383,7 +383,7 @@ const simulate = latest(async () => {
   if (!window.matchMedia("(prefers-reduced-motion: reduce)").matches) play();
 });
 
-// --- beginning -----------------------------------------------------------------------------------------------------
+// --- start ---------------------------------------------------------------------------------------------------------
 
 document.querySelectorAll("[data-subscript]").forEach((place) => place.replaceChildren(withSubscripts(place.textContent)));
 variables.forEach((v, i) => {
@@ -403,17 +403,17 @@ if (hasPlane) {
   find("plane-y").value = about.plane[1];
   find("plane").addEventListener("click", clickPlane);
   find("plane").addEventListener("keydown", keyOnPlane);
-  ["plane-x", "plane-y"].forEach((id, place) => {
-    let before = find(id).value;
+  ["plane-x", "plane-y"].forEach((id, axis) => {
+    let previous = find(id).value;
     find(id).addEventListener("change", () => {
-      const other = find(["plane-y", "plane-x"][place]);
-      // Both the same is no plane: they change places.
-      if (other.value === find(id).value) other.value = before;
-      other.dispatchEvent(new Event("taken"));
-      before = find(id).value;
+      const other = find(["plane-y", "plane-x"][axis]);
+      // A plane needs two variables: if both are the same, swap them.
+      if (other.value === find(id).value) other.value = previous;
+      other.dispatchEvent(new Event("swapped"));
+      previous = find(id).value;
       plane();
     });
-    find(id).addEventListener("taken", () => (before = find(id).value));
+    find(id).addEventListener("swapped", () => (previous = find(id).value));
   });
   find("plane-shown").addEventListener("change", plane);
 }

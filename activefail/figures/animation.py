@@ -1,4 +1,4 @@
-"""A moving picture of one simulated bearing, as GIF or MP4."""
+"""Animation of one simulated bearing, as GIF or MP4."""
 
 import importlib.util
 import math
@@ -32,36 +32,36 @@ from activefail.figures.motion import (
 Frame = NDArray[np.uint8]
 
 FORMATS = (".gif", ".mp4")
-"""Allowed endings of a file's name."""
+"""Supported suffixes."""
 
 MOST_FRAMES = 750
-"""A longer film gets fewer frames per second; a GIF of so many stays under 6 MB and is written within 30 s."""
+"""Longer animations get fewer frames per second; a GIF of this length is under 6 MB and takes less than 30 s."""
 
 PALETTE = ("white", style.BLACK, style.VERMILION, style.ORANGE, style.YELLOW, style.PURPLE, style.BLUE)
-"""Colours that a GIF keeps even where few dots have them."""
+"""Colours that a GIF keeps even if few pixels have them."""
 
 HOLD = 1.0
-"""How long the last frame stands [s]."""
+"""Duration of the last frame [s]."""
 
 WIDTH = 8.0
-"""Width of a frame at 100 dots per inch [inch]."""
+"""Width of a frame [inch], at 100 pixels per inch."""
 
 
 def save_animation(response: Response, path: str | Path, fps: float = 25.0, slow_motion: float | None = None) -> Path:
-    """Write a film of the bearing from a little before it moves to its failure or the end of the run.
+    """Write an animation of the bearing, from just before it moves to its failure or the end of the simulation.
 
     Args:
-        response: of `activefail.bearing.simulate_one`.
-        path: ends in .gif or .mp4; MP4 needs ffmpeg.
-        fps: frames per second; fewer where there would be more than `MOST_FRAMES`.
-        slow_motion: seconds of film for a second of motion; chosen for a film of about ten seconds when None.
+        response: from `activefail.bearing.simulate_one`.
+        path: file to write, .gif or .mp4; MP4 needs ffmpeg.
+        fps: frames per second; fewer if there would be more than `MOST_FRAMES`.
+        slow_motion: seconds of animation per second of motion; if None, for about ten seconds of animation.
 
     Returns:
         The path.
 
     Raises:
-        InputError: if the ending of the path is another or its folder is missing, ffmpeg is not there for an MP4,
-            fps or slow_motion is not positive and finite, or the response holds no motion.
+        InputError: if the path has another suffix or its folder is missing, ffmpeg is missing for an MP4, fps or
+            slow_motion is not positive and finite, or the response holds no motion.
         ActivefailError: if ffmpeg fails.
     """
     path = Path(path)
@@ -91,36 +91,36 @@ def save_animation(response: Response, path: str | Path, fps: float = 25.0, slow
 
 
 def default_slow_motion(duration: float) -> float:
-    """The slowest of a few round factors that keeps the film of so many seconds of motion within 12 s, 1 at least."""
+    """The largest of a few round factors that keeps the animation of a motion [s] within 12 s; at least 1."""
     return next((factor for factor in (10.0, 5.0, 2.0) if duration * factor <= 12.0), 1.0)
 
 
 def find_ffmpeg() -> str:
-    """The ffmpeg of the package imageio-ffmpeg, or the one on PATH.
+    """The path of ffmpeg, from the package imageio-ffmpeg or on PATH.
 
     Raises:
-        InputError: if there is neither.
+        InputError: if neither has it.
     """
     if importlib.util.find_spec("imageio_ffmpeg") is not None:
         try:
             return str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
-        except RuntimeError:  # the package without its program
+        except RuntimeError:  # the package lacks the program
             pass
-    found = shutil.which("ffmpeg")
-    if found is None:
+    path = shutil.which("ffmpeg")
+    if path is None:
         raise InputError(
-            "An MP4 needs ffmpeg, which was not found: `pip install activefail[video]` brings it, or install ffmpeg "
-            "so that it is on PATH. A name that ends in .gif needs nothing more."
+            "MP4 needs ffmpeg, which was not found. Install it with `pip install activefail[video]` or put ffmpeg on "
+            "PATH. GIF needs no further program."
         )
-    return found
+    return path
 
 
 def render(motion: Motion, times: NDArray[np.float64], slow_motion: float) -> Iterator[Frame]:
-    """Frames at these times, (height, width, 3) each, height and width even."""
+    """Render frames at these times, (height, width, 3) each, with even height and width."""
     response = motion.response
     low, high = extent(motion)
     stage_height = np.clip(0.93 * WIDTH * (high[1] - low[1]) / (high[0] - low[0]), 1.5, 5.0)
-    # An even number of dots, which MP4's usual colour format needs.
+    # MP4's usual pixel format needs an even number of pixels.
     height = round((stage_height + 3.25) * 50.0) / 50.0
     with style.styled():
         figure = titled_figure(response, WIDTH, height)
@@ -140,7 +140,7 @@ def render(motion: Motion, times: NDArray[np.float64], slow_motion: float) -> It
         moving: list[Artist] = [*drawing.moving, *cursors, clock, state]
         for artist in moving:
             artist.set_animated(True)
-        canvas: Any = figure.canvas  # Agg's, as `titled_figure` makes it; its methods are not typed
+        canvas: Any = figure.canvas  # Agg's, from `titled_figure`; its methods are not typed
         canvas.draw()
         background = canvas.copy_from_bbox(figure.bbox)
     moving.sort(key=lambda artist: artist.get_zorder())
@@ -158,7 +158,7 @@ def render(motion: Motion, times: NDArray[np.float64], slow_motion: float) -> It
 
 
 def _plot_strips(strips: Sequence[Axes], motion: Motion) -> None:
-    """Ground acceleration, displacement and uplift over time, small."""
+    """Small plots of ground acceleration, displacement and uplift over time."""
     ground, shift, uplift = strips
     response = motion.response
     t = motion.fine_times()
@@ -190,17 +190,17 @@ def _speed(slow_motion: float) -> str:
 
 
 def _state(response: Response, time: float) -> tuple[str, str]:
-    """What has happened until now, in words and colour."""
+    """The state at a time, as text and colour."""
     touch, failure = response.margins.first_touch_time, response.margins.failure_time
     if time >= failure:
         return f"FAILURE: {response.cause_name.replace('_', ' ')}", style.VERMILION
     if time >= touch:
-        return "rim was touched", style.PURPLE
+        return "rim touched", style.PURPLE
     return "no impact", style.BLACK
 
 
 def _palette(frame: Image.Image) -> Image.Image:
-    """An image with the colours of a frame and of the style, of which a frame may show a few dots or none yet."""
+    """An image with the colours of a frame and of `PALETTE`, which a frame may lack."""
     sample = frame.copy()
     for column, colour in enumerate(PALETTE):
         sample.paste(colour, (60 * column, 0, 60 * column + 60, 60))
@@ -208,13 +208,13 @@ def _palette(frame: Image.Image) -> Image.Image:
 
 
 def _write_gif(path: Path, frames: Iterator[Frame], count: int, interval: float) -> None:
-    # A GIF's clock ticks in hundredths of a second; rounding the sum keeps the speed.
+    # GIF durations are in hundredths of a second; rounding their sum keeps the speed.
     ticks = np.diff(np.round(np.arange(count + 1) * interval * 100.0).astype(int))
-    durations = np.maximum(ticks, 2) * 10  # [ms]; browsers slow down what is shorter
+    durations = np.maximum(ticks, 2) * 10  # [ms]; browsers slow down shorter frames
     durations[-1] = 1000.0 * HOLD
     first = Image.fromarray(next(frames))
     palette = _palette(first)
-    # One palette and no dithering, so that what stands still costs nothing.
+    # One palette and no dithering, so that unchanged pixels cost nothing.
     images = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     first.quantize(palette=palette, dither=Image.Dither.NONE).save(
         path, format="GIF", save_all=True, append_images=images, duration=durations.tolist(), loop=0, disposal=1
@@ -238,7 +238,7 @@ def _write_mp4(path: Path, frames: Iterator[Frame], interval: float, ffmpeg: str
                 process.stdin.write(frame.tobytes())
             process.stdin.close()
         except BrokenPipeError:
-            pass  # ffmpeg gave up; it says why
-        complaint = process.stderr.read().decode(errors="replace").strip()
+            pass  # ffmpeg failed; its error output gives the reason
+        message = process.stderr.read().decode(errors="replace").strip()
     if process.returncode != 0:
-        raise ActivefailError(f"ffmpeg could not write {str(path)!r}: {complaint or 'it gave no reason'}.")
+        raise ActivefailError(f"ffmpeg could not write {str(path)!r}: {message or 'no reason given'}.")

@@ -1,4 +1,4 @@
-"""What a campaign's classifier says in planes: the paper's, where a campaign has its variables, else of variables."""
+"""Predictions of a campaign's classifier in planes: the paper's planes if it has their variables, else of variables."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,22 +27,22 @@ GRID = 44
 
 PROBABILITY_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
 _PROBABILITY, _UNCERTAINTY = ("cividis", 0.6), ("Purples", 0.9)
-"""Colours and opacity: marks must stand out from the one, and what is a little uncertain from what is not."""
+"""Colour map and opacity; pale enough for marks on probabilities, strong enough to show a small uncertainty."""
 
 _NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
-"""How it looks where there is no design; white is where nothing is uncertain."""
+"""Hatching where there is no design; plain white means no uncertainty."""
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """What the axes of planes are, and what the classifier says at points of them.
+    """Coordinates of planes, and predictions at points in them.
 
     Attributes:
-        quantities: one a column.
-        F: (n, m) of the simulated designs.
-        middle: (m,) where a coordinate is held that a plane does not vary.
-        predict: coordinates, (rows, m) -> prediction, and which rows are a design of the space at all, (rows,).
-        planes: those worth a look.
+        quantities: (m,) of the coordinates.
+        F: (n, m) coordinates of the simulated designs.
+        middle: (m,) values of the coordinates that a plane does not vary.
+        predict: maps coordinates, (rows, m), to predictions and to whether the space has such a design, (rows,).
+        planes: the planes to draw.
         widths: half-widths of the slices at the values of a plane's third coordinate.
     """
 
@@ -55,7 +55,7 @@ class Coordinates:
 
 
 LOGARITHMIC = (0, 1, 2, 5, 6, 7, 8)
-"""Columns of Table 1 in whose logarithms the paper's ratios are linear: T_b, mu, D_tot, p, k, T_p, A_p."""
+"""Columns of Table 1 in whose logarithms the log ratios of the paper are linear: T_b, mu, D_tot, p, k, T_p, A_p."""
 
 _RATIOS = (0, 1, 2, 5)
 EXPONENTS = np.array(
@@ -66,17 +66,17 @@ EXPONENTS = np.array(
         [0.0, 0.0, 0.0, -1.0, 1.0, -1.0, -0.5],
     ]
 )
-"""Of these in the ratios: a row for D_ratio, T_b/T_p, mu/A_p and k_norm."""
+"""Exponents of these columns in the ratios D_ratio, T_b/T_p, mu/A_p and k_norm, one row each."""
 
 _PULSE = np.log(GRAVITY / (2.0 * np.pi) ** 2)
 _CONSTANTS = np.array([_PULSE, 0.0, 0.0, -np.log(1e6) - 0.5 * _PULSE])
 
 
 def designs_with(F: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Designs with given paper features, (n, 6) -> (n, 9), near the middle of a box, and where it has one, (n,).
+    """Designs with given paper features, (n, 6) -> (n, 9), near the middle of a box, and whether the box has one, (n,).
 
-    Six features leave three of nine variables free. In logarithms the four ratios are linear: alternating projections
-    between them and the box, from its middle, end in both where they meet.
+    Six features leave three of nine variables free. The four ratios are linear in logarithms, so alternating
+    projections between them and the box, from its middle, converge to a common point if there is one.
 
     Args:
         F: the features, all positive.
@@ -85,7 +85,7 @@ def designs_with(F: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.b
     columns = list(LOGARITHMIC)
     lower, upper = np.log(low[columns]), np.log(high[columns])
     half = 0.5 * (upper - lower)
-    # In units of the ranges, so that no variable gives way more than another.
+    # In units of the ranges, so that all variables move alike.
     A = EXPONENTS * half
     inverse = np.linalg.pinv(A)
     b = np.log(F[:, list(_RATIOS)]) - _CONSTANTS - EXPONENTS @ (0.5 * (lower + upper))
@@ -94,17 +94,17 @@ def designs_with(F: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.b
         z = np.clip(z, -1.0, 1.0)
         z += (b - z @ A.T) @ inverse.T
     z = np.clip(z, -1.0, 1.0)
-    missed = np.abs(b - z @ A.T).max(axis=1)
+    residual = np.abs(b - z @ A.T).max(axis=1)
     X = np.empty((len(F), TABLE_1.dimension))
     X[:, columns] = np.exp(0.5 * (lower + upper) + half * z)
     X[:, 3], X[:, 4] = F[:, 3], F[:, 4]
     inside = np.all((F[:, 3:5] >= low[3:5]) & (F[:, 3:5] <= high[3:5]), axis=1)
-    # A logarithm and back can leave the box by one rounding.
-    return np.clip(X, low, high), inside & (missed < 0.02)
+    # Rounding of logarithm and exponential can leave the box.
+    return np.clip(X, low, high), inside & (residual < 0.02)
 
 
 def coordinates(findings: Findings) -> Coordinates:
-    """The paper's planes for a campaign over its nine variables, else planes of the variables that matter most."""
+    """The paper's planes for a campaign over its nine variables, else planes of the most influential variables."""
     space = findings.campaign.space
     if set(TABLE_1.names) <= set(space.names) and np.all(space.low > 0.0) and space.dimension == TABLE_1.dimension:
         return _paper_coordinates(findings)
@@ -118,10 +118,10 @@ def _paper_coordinates(findings: Findings) -> Coordinates:
     F = paper_features(findings.X[:, columns])
 
     def at(rows: Array) -> tuple[Prediction, NDArray[np.bool_]]:
-        table, reached = designs_with(rows, space.low[columns], space.high[columns])
+        table, feasible = designs_with(rows, space.low[columns], space.high[columns])
         X = np.empty_like(table)
         X[:, columns] = table
-        return predict(campaign, findings.classifier, X), reached
+        return predict(campaign, findings.classifier, X), feasible
 
     return Coordinates(
         [quantity(name) for name in PAPER_FEATURES],
@@ -136,8 +136,8 @@ def _paper_coordinates(findings: Findings) -> Coordinates:
 def _variable_coordinates(findings: Findings) -> Coordinates:
     campaign = findings.campaign
     space = campaign.space
-    # The shortest length scales where the classifier sees the variables themselves; of other features no value can be
-    # set alone, so that planes are of the variables on which the prediction hangs most.
+    # By length scale if the features are the variables; other features cannot be varied alone, so then by the
+    # variables' influence on the prediction.
     if campaign.features.names == space.names:
         latent = findings.classifier.latents[campaign.severity - 1]
         order = np.argsort(latent.trained.hyperparameters.log_lengthscale.numpy())
@@ -169,11 +169,11 @@ def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool 
     """Shades and lines of a probability, or shades of an uncertainty, both between 0 and 1; blank where NaN."""
     colours, opacity = _UNCERTAINTY if uncertainty else _PROBABILITY
     Z = np.ma.masked_invalid(Z)
-    # The shades as a picture: their outlines would be most of a page.
+    # Rasterised: as outlines the shades would be most of a page.
     shades = axes.contourf(x, y, Z, levels=np.linspace(0.0, 1.0, 11), cmap=colours, alpha=opacity)
     shades.set_rasterized(True)
     if Z.mask.any():
-        # From the last points that are designs on: the two touch.
+        # Start at the last points that are designs, so that hatching and shades touch.
         nowhere = axes.contourf(x, y, np.ma.getmaskarray(Z).astype(float), levels=[1e-6, 2.0], colors="none")
         nowhere.set(**_NOWHERE, linewidth=0.0)
     if not uncertainty and Z.count() and Z.min() < max(PROBABILITY_LEVELS) and Z.max() > min(PROBABILITY_LEVELS):
@@ -184,7 +184,7 @@ def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool 
 def bar_of_contours(
     figure: Figure, axes: Axes | Sequence[Axes], shades: ScalarMappable, title: str, uncertainty: bool = False
 ) -> None:
-    """The bar beside filled contours of what the title says."""
+    """Add a colour bar to filled contours."""
     opacity = (_UNCERTAINTY if uncertainty else _PROBABILITY)[1]
     bar = figure.colorbar(shades, ax=axes, ticks=np.linspace(0.0, 1.0, 6), pad=0.01, alpha=opacity)
     bar.set_label("width of the 95 % interval [–]" if uncertainty else f"{title} [–]")
@@ -201,10 +201,10 @@ def plot_variable_plane(
 
     Args:
         quantities: of the two axes.
-        along: (n,) and (m,) values on them.
+        along: (n,) and (m,) values on the axes.
         values: (m, n) between 0 and 1.
-        title: what the values are.
-        uncertainty: whether they are an uncertainty.
+        title: of the values.
+        uncertainty: whether the values are an uncertainty.
     """
     x, y = along
     with styled():
@@ -218,13 +218,13 @@ def plot_variable_plane(
 
 
 def _limits(column: Array, whole: bool) -> tuple[float, float]:
-    """A column's range, or where nine tenths of it are: the ratios' long tails would leave the boundary in a corner."""
+    """A column's range, or that of nine tenths of it: over the ratios' long tails the boundary would be tiny."""
     low, high = np.quantile(column, [0.0, 1.0 if whole else 0.9])
     return float(low), float(high) if high > low else float(low) + 1.0
 
 
 def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Figure:
-    """Probabilities of all outcomes but the least severe, and the uncertainty, at values of a third feature."""
+    """Probabilities of all outcomes except the least severe, and the uncertainty, at values of a third feature."""
     campaign = findings.campaign
     outcomes = campaign.simulator.outcomes
     F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
@@ -246,13 +246,13 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
             if plane.third >= 0:
                 rows[:, plane.third] = third
                 shown = inside & (np.abs(F[:, plane.third] - third) <= c.widths(plane, third))
-            found, there = c.predict(rows)
-            blank = blank or not there.all()
-            layers = [*found.probabilities.T[1:], found.high - found.low]
+            prediction, exists = c.predict(rows)
+            blank = blank or not exists.all()
+            layers = [*prediction.probabilities.T[1:], prediction.high - prediction.low]
             for row, layer in enumerate(layers):
                 panel = grid[row, column]
                 last = row == len(layers) - 1
-                Z = np.where(there, layer, np.nan).reshape(x.shape)
+                Z = np.where(exists, layer, np.nan).reshape(x.shape)
                 shades = filled_contours(panel, x, y, Z, uncertainty=last)
                 scatter_outcomes(panel, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 14.0)
                 panel.set(xlim=x_limits, ylim=y_limits)
@@ -268,6 +268,6 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
         handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
         handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
         if blank:
-            handles.append(Patch(facecolor="white", **_NOWHERE, linewidth=0.6, label="no such design in the space"))
+            handles.append(Patch(facecolor="white", **_NOWHERE, linewidth=0.6, label="no design in the space"))
         figure.legend(handles=handles, loc="outside upper center", ncols=len(handles) if len(values) > 1 else 2)
     return figure

@@ -1,4 +1,4 @@
-"""Learning curves: accuracy against simulations, active beside static."""
+"""Learning curves of active and static sampling, and fragility curves."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from activefail.space import Array
 
 
 def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int) -> Figure:
-    """Accuracy with its 95 % interval against the number of simulations, one line for each sampling there is."""
+    """Accuracy with its 95 % interval against the number of simulations, one line for each sampling."""
     with styled():
         figure = Figure(figsize=(7.0, 4.6), layout="constrained")
         axes = figure.add_subplot()
@@ -29,7 +29,7 @@ def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int)
             axes.plot(n, 100.0 * mean, color=colour, marker=marker, linestyle=line, label=names[sampling])
         axes.set_xlabel("simulations trained on")
         axes.set_ylabel(f"accuracy for {boundary} on fresh designs [%]")
-        shared = "one set, shared by both" if len({score.sampling for score in scores}) > 1 else "one set"
+        shared = "one set for both" if len({score.sampling for score in scores}) > 1 else "one set"
         axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs ({shared})", fontsize=9)
         figure.legend(loc="outside lower center", ncols=2)
     return figure
@@ -43,9 +43,9 @@ def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str,
     """A measure against simulations over seeds, one line for each pair of features and sampling.
 
     Args:
-        curves: of `activefail.comparison.seeds.curves`; campaigns are solid lines, static designs dashed ones.
+        curves: from `activefail.comparison.seeds.curves`; campaigns are solid lines, static designs dashed.
         label: of the measure, with its unit.
-        title: says what the bands and lines are.
+        title: describes lines and bands.
     """
     with styled():
         figure = Figure(figsize=(7.6, 5.0), layout="constrained")
@@ -63,7 +63,7 @@ def plot_sampling_curves(curves: dict[tuple[str, str], list[Point]], label: str,
             axes.plot(n, np.median(values, axis=1), color=colour, marker=marker, linestyle=line, label=name)
         axes.set_xscale("log")
         static = {point.simulations for key, points in curves.items() if key[1] == STATIC for point in points}
-        ends = {points[place].simulations for points in curves.values() for place in (0, -1)}
+        ends = {points[index].simulations for points in curves.values() for index in (0, -1)}
         ticks = sorted(static | ends)
         axes.set_xticks(ticks, [str(tick) for tick in ticks], rotation=45)
         axes.minorticks_off()
@@ -84,11 +84,13 @@ def plot_fragility(
     current: float,
     colour: str,
 ) -> Figure:
-    """A probability with its interval against one variable, (n,) each, all others kept, and where the current point is.
+    """A probability with its interval against one variable, (n,) each, with all others fixed.
 
     Args:
+        values: of the variable.
+        probability, low, high: the probability and its interval.
         along: the variable.
-        beyond: what the probability is of, as mathtext.
+        beyond: the event of the probability, as mathtext.
         current: the point's value of the variable.
         colour: of the curve.
     """

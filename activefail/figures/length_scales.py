@@ -1,4 +1,4 @@
-"""Length scales of a classifier: over what change of a feature its answer may turn."""
+"""Length scales of a classifier."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ def length_scales(classifier: Classifier) -> Array:
 
 
 def plot_length_scales(scales: Array, quantities: Sequence[Quantity], outcomes: Sequence[str]) -> Figure:
-    """Length scale of each feature, (boundaries, m), a marker for each boundary, the shortest of the last on top."""
+    """Plot length scales, (boundaries, m), with a marker for each boundary, sorted by those of the last boundary."""
     order = np.argsort(scales[-1])
     with styled():
         figure = Figure(figsize=(7.6, 1.3 + 0.3 * len(quantities)), layout="constrained")
@@ -38,9 +38,9 @@ def plot_length_scales(scales: Array, quantities: Sequence[Quantity], outcomes: 
                 markersize=7,
                 label=f"{plain(words(outcomes[severity]))} boundary",
             )
-        for place, column in enumerate(order):
+        for row, column in enumerate(order):
             axes.plot(
-                [scales[:, column].min(), scales[:, column].max()], [place, place], color=GREY, linewidth=0.8, zorder=1
+                [scales[:, column].min(), scales[:, column].max()], [row, row], color=GREY, linewidth=0.8, zorder=1
             )
         axes.set_yticks(range(len(order)), [quantities[column].symbol for column in order])
         axes.set_xscale("log")

@@ -1,4 +1,4 @@
-"""How outcomes look in every figure of a campaign: a colour and a marker each, so that neither has to be told alone."""
+"""Colours and markers of outcomes in all figures. Both differ, so that no reader depends on colour alone."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ _MOST_MARKS = 500
 
 
 def outcome_colour(outcomes: Sequence[str], index: int) -> str:
-    """The colour of an outcome: the project's for the bearing's, else the palette's in the order of severity."""
+    """The colour of an outcome: fixed for the bearing's outcomes, otherwise from the palette by severity."""
     if set(outcomes) <= OUTCOME_COLOURS.keys():
         return OUTCOME_COLOURS[outcomes[index]]
     if len(outcomes) == 2:
@@ -26,14 +26,14 @@ def outcome_colour(outcomes: Sequence[str], index: int) -> str:
 
 
 def outcome_marker(outcomes: Sequence[str], index: int) -> str:
-    """The marker of an outcome; of two the more severe has the last one of three."""
+    """The marker of an outcome; the more severe of two outcomes takes the third marker."""
     return _MARKERS[(2 * index if len(outcomes) == 2 else index) % len(_MARKERS)]
 
 
 def scatter_outcomes(
     axes: Axes, x: Array, y: Array, outcome: NDArray[np.int8], outcomes: Sequence[str], size: float
 ) -> None:
-    """Designs at (x, y), (n,) each, by outcome, the more severe on top; many of them as a picture inside the figure."""
+    """Scatter designs at (x, y), (n,) each, by outcome, the more severe on top; rasterised if there are many."""
     for index in range(len(outcomes)):
         rows = outcome == index
         axes.scatter(
@@ -49,8 +49,8 @@ def scatter_outcomes(
         )
 
 
-def outcome_handles(outcomes: Sequence[str], more: str = "") -> list[Line2D]:
-    """Entries of a legend, one an outcome."""
+def outcome_handles(outcomes: Sequence[str], suffix: str = "") -> list[Line2D]:
+    """Legend entries, one per outcome."""
     return [
         Line2D(
             [],
@@ -58,7 +58,7 @@ def outcome_handles(outcomes: Sequence[str], more: str = "") -> list[Line2D]:
             linestyle="",
             color=outcome_colour(outcomes, index),
             marker=outcome_marker(outcomes, index),
-            label=f"{plain(words(name))}{more}",
+            label=f"{plain(words(name))}{suffix}",
         )
         for index, name in enumerate(outcomes)
     ]

@@ -1,7 +1,7 @@
-"""Pictures of one simulated bearing: its response over time, and the bodies themselves, to scale, at an instant.
+"""Figures of one simulated bearing: its response over time, and its bodies to scale at an instant.
 
 All lengths are in the frame of the bottom plate, as in `activefail.bearing`; forces and gaps come from its kernels.
-Importing this module imports matplotlib; figures are free of pyplot, so nothing stays behind and any thread may draw.
+Importing this module imports matplotlib, but not pyplot, so that any thread can draw.
 """
 
 import math
@@ -26,16 +26,13 @@ from activefail.figures import style
 from activefail.space import Array
 
 ARC_POINTS = 41
-"""Points of the polygon along a spherical surface; the chords are within 0.1 mm of the arc."""
+"""Points of a polygon along a spherical surface; the chords are within 0.1 mm of the arc."""
 
 PLATE_THICKNESS = 0.15
-"""Thickness of the drawn plates under their apex / D_sl; the model's plates have none."""
+"""Drawn thickness of the plates below their apex / D_sl; the model's plates have none."""
 
 RIM_WIDTH = 0.12
-"""Width of the drawn rims / D_sl; the model's rims are walls."""
-
-
-# ---------------------------------------------------------------------------------------------------- words
+"""Drawn width of the rims / D_sl; the model's rims are walls."""
 
 
 # ---------------------------------------------------------------------------------------------------- over time
@@ -70,9 +67,9 @@ def plot_response(response: Response) -> Figure:
 
 
 def plot_histories(response: Response, width: float = 5.2) -> Figure:
-    """Displacement, ground acceleration, uplift and tilt from when anything moves, one above the other.
+    """Displacement, ground acceleration, uplift and tilt from the start of the motion, one above the other.
 
-    Its four axes have the same axis of time and the same place from left to right.
+    The four axes share the time axis and their horizontal position.
 
     Args:
         response: with its motion.
@@ -94,7 +91,7 @@ def plot_histories(response: Response, width: float = 5.2) -> Figure:
         labels = ("Displacement [m]", "Ground [g]", "Gap [mm]", "Tilt [°]")
         for panel, label in zip(panels, labels, strict=True):
             mark_events(panel, response)
-            # Short words on the axes say what is drawn: a narrow figure has no room beside the legend.
+            # A narrow figure has no room for titles beside the legend.
             panel.set(title="", ylabel=label)
         _legend_above(ground)
         tilt.set_xlim(motion.stirs, motion.end + 0.01 * (motion.end - motion.stirs))
@@ -107,14 +104,14 @@ PLATE_LINES: tuple[dict[str, Any], ...] = (
     {"label": "bottom plate", "color": style.BLUE, "linestyle": "-"},
     {"label": "top plate", "color": style.ORANGE, "linestyle": (0, (4, 1.5))},
 )
-"""How a curve that belongs to a plate looks."""
+"""Line styles of curves for the two plates."""
 
 LIMIT_LINE: dict[str, Any] = {"color": style.GREY, "linestyle": "--", "linewidth": 1.0}
-"""How a limit looks."""
+"""Line style of limits."""
 
 
 def titled_figure(response: Response, width: float, height: float) -> Figure:
-    """An empty figure of this size [inch] under the outcome and a line on the design."""
+    """An empty figure of this size [inch] with the outcome and the design as title."""
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, 1.0 - 0.58 / height)))
     FigureCanvasAgg(figure)
     colour = {"failure": style.VERMILION, "numerical_failure": style.GREY}.get(response.outcome_name, style.BLACK)
@@ -129,7 +126,7 @@ def titled_figure(response: Response, width: float, height: float) -> Figure:
 
 
 def mark_events(axes: Axes, response: Response) -> None:
-    """Lines at the first rim touch and at the failure, where the response has them, on axes over time."""
+    """Mark the first rim touch and the failure, if any, on a time axis."""
     touch, failure = response.margins.first_touch_time, response.margins.failure_time
     if math.isfinite(touch):
         axes.axvline(touch, color=style.PURPLE, linestyle=":", linewidth=1.5, label="first rim touch")
@@ -138,17 +135,17 @@ def mark_events(axes: Axes, response: Response) -> None:
 
 
 def _zoom_on_failure(response: Response, panels: Sequence[Axes]) -> None:
-    """Show the last moments only, where a failure follows its first rim touch quickly, and say so."""
-    lasted = response.margins.failure_time - response.margins.first_touch_time
-    if not lasted < 0.2 * (response.t[-1] - response.t[0]):
+    """Limit the time axis to the last moments if the failure soon follows the first rim touch; add this to titles."""
+    duration = response.margins.failure_time - response.margins.first_touch_time
+    if not duration < 0.2 * (response.t[-1] - response.t[0]):
         return
     for panel in panels:
-        panel.set_xlim(response.margins.first_touch_time - 0.5 * lasted, response.t[-1] + 0.02 * lasted)
-        panel.set_title(f"{panel.get_title(loc='left')} (last {1.5 * lasted:.2f} s)")
+        panel.set_xlim(response.margins.first_touch_time - 0.5 * duration, response.t[-1] + 0.02 * duration)
+        panel.set_title(f"{panel.get_title(loc='left')} (last {1.5 * duration:.2f} s)")
 
 
 def _legend_above(axes: Axes) -> None:
-    """A legend beside the panel's title, where it hides no curve."""
+    """Put the legend beside the panel's title, where it hides no curve."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.98), ncols=4, columnspacing=1.0, handlelength=1.8)
 
@@ -192,12 +189,12 @@ def _plot_rim_force(axes: Axes, t: Array, ratios: Array) -> None:
     axes.set(title="Force on the rim", ylabel="Rim force / $Mg$ [-]")
     axes.set_ylim(0.0, max(1.08 * float(ratios.max()), 0.1))
     if not ratios.any():
-        axes.text(0.5, 0.5, "no rim was touched", transform=axes.transAxes, ha="center", color=style.GREY)
+        axes.text(0.5, 0.5, "no rim contact", transform=axes.transAxes, ha="center", color=style.GREY)
     _legend_above(axes)
 
 
 def _plot_loop(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
-    """The force that the bearing opposes to its displacement, hence the minus: a loop rises to the right."""
+    """Plot the hysteresis loop: the resisting force, hence the minus, which rises with the displacement."""
     response = motion.response
     force = -motion.force_ratio(t)
     axes.plot(q[:, 3], force, color=style.BLUE, linewidth=1.0)
@@ -206,7 +203,7 @@ def _plot_loop(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
     axes.axvline(-capacity, **LIMIT_LINE)
     axes.set(title="Hysteresis loop", xlabel="Displacement of the top plate $x_t$ [m]")
     axes.set_ylabel(r"Force $-M(\ddot{x}_t + \ddot{u}_g)/Mg$ [-]")
-    # Impacts are many times what sliding transfers; the axis is the loop's.
+    # Impact forces are many times those of sliding; the axis is scaled to the loop.
     touch = response.margins.first_touch_time
     shown = 2.0 * float(np.abs(force[t < touch]).max()) if math.isfinite(touch) else math.inf
     peak = float(force[np.abs(force).argmax()])
@@ -220,10 +217,10 @@ def _plot_loop(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
 
 
 def slider_outline(bearing: Bearing) -> Array:
-    """Outline of the slider about its centre, shape (2 ARC_POINTS, 2) [m].
+    """Outline of the slider relative to its centre, shape (2 ARC_POINTS, 2) [m].
 
-    Bottom arc from left to right, then top arc from right to left: rows 0, ARC_POINTS − 1, ARC_POINTS and −1 are its
-    vertices at the bottom left, bottom right, top right and top left; the ends are spheres of radius R through them.
+    Bottom arc from left to right, then top arc from right to left, both of radius R. Rows 0, ARC_POINTS − 1, ARC_POINTS
+    and −1 are the vertices at the bottom left, bottom right, top right and top left.
     """
     half_width, half_height = bearing.slider_diameter / 2.0, bearing.slider_height / 2.0
     x = np.linspace(-half_width, half_width, ARC_POINTS)
@@ -233,7 +230,7 @@ def slider_outline(bearing: Bearing) -> Array:
 
 
 def plate_outline(bearing: Bearing) -> Array:
-    """Outline of a plate, shape (ARC_POINTS + 6, 2): u from its dish's axis, w from its apex towards the slider [m]."""
+    """Outline of a plate, shape (ARC_POINTS + 6, 2): u from the dish's axis, w from its apex towards the slider [m]."""
     half_dish = bearing.dish_diameter / 2.0
     u = np.linspace(-half_dish, half_dish, ARC_POINTS)
     w = bearing.radius - np.sqrt(bearing.radius**2 - u**2)
@@ -254,14 +251,14 @@ def rim_outlines(bearing: Bearing) -> tuple[Array, Array]:
 
 
 def on_slider(outline: Array, q: Array) -> Array:
-    """An outline about the slider's centre, shape (n, 2), in the frame of the bottom plate."""
+    """Transform an outline from the slider's centre, shape (n, 2), to the frame of the bottom plate."""
     cosine, sine = math.cos(q[2]), math.sin(q[2])
-    turned: Array = outline @ np.array(((cosine, sine), (-sine, cosine)))
-    return turned + q[:2]
+    rotated: Array = outline @ np.array(((cosine, sine), (-sine, cosine)))
+    return rotated + q[:2]
 
 
 def on_top_plate(outline: Array, q: Array) -> Array:
-    """An outline in a plate's coordinates, shape (n, 2), as the top plate's in the frame of the bottom plate."""
+    """Transform an outline from the top plate's coordinates, shape (n, 2), to the frame of the bottom plate."""
     return outline * (1.0, -1.0) + q[3:]
 
 
@@ -271,7 +268,7 @@ def slider_vertices(motion: Motion, q: Array) -> Array:
 
 
 BEARS, ON_RIM, OVER_RIM, LIFTED = range(4)
-"""What a vertex does: bear on the dish alone, press against the rim, have escaped over it, or be off both."""
+"""States of a vertex: bears on the dish alone, presses on the rim, has escaped over the rim, or touches neither."""
 
 VERTEX_MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markeredgecolor": style.BLACK, "zorder": 5}
 VERTEX_MARKS: tuple[dict[str, Any], ...] = (
@@ -283,7 +280,7 @@ VERTEX_MARKS: tuple[dict[str, Any], ...] = (
 
 
 def vertex_states(motion: Motion, q: Array) -> list[int]:
-    """What each of the four vertices does: `BEARS`, `ON_RIM`, `OVER_RIM` or `LIFTED`."""
+    """The state of each of the four vertices: `BEARS`, `ON_RIM`, `OVER_RIM` or `LIFTED`."""
     states = []
     for vertex in range(4):
         plate = motion.system.bottom if vertex < 2 else motion.system.top
@@ -298,7 +295,7 @@ def vertex_states(motion: Motion, q: Array) -> list[int]:
 
 
 def plates_overlap(motion: Motion, q: Array) -> bool:
-    """Whether the drawn plates run into each other, which the model, that knows only slider and plates, lets them."""
+    """Whether the drawn plates overlap; the model has no contact between plates."""
     bearing = motion.response.bearing
     lower = plate_outline(bearing)[1:-1]
     upper = on_top_plate(lower, q)
@@ -310,28 +307,28 @@ def plates_overlap(motion: Motion, q: Array) -> bool:
 
 
 def extent(motion: Motion) -> tuple[Array, Array]:
-    """Lower left and upper right corner of what a drawing shows of a whole motion, with a margin, shape (2,) each."""
+    """Lower left and upper right corner of a drawing of the whole motion, with a margin, shape (2,) each."""
     bearing = motion.response.bearing
     plate, body = plate_outline(bearing), slider_outline(bearing)
     q = motion.position(motion.fine_times())
     bodies = [plate]
-    # Where a coordinate is outermost, so are the polygons, closely enough for the margin to cover the rest.
-    for row in {int(pick) for column in q.T for pick in (column.argmin(), column.argmax())}:
+    # The polygons are outermost near the extremes of the coordinates; the margin covers the difference.
+    for row in {int(extreme) for column in q.T for extreme in (column.argmin(), column.argmax())}:
         bodies += [on_top_plate(plate, q[row]), on_slider(body, q[row])]
     points = np.vstack(bodies)
     margin = 0.12 * bearing.slider_diameter
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-    # Room for the arrow of the ground's acceleration and its name.
+    # Room for the arrow of the ground acceleration and its label.
     low[1] -= 0.45 * bearing.slider_diameter
     return low, high
 
 
 class BearingDrawing:
-    """The bodies of one bearing on matplotlib axes, to scale, in the frame of the bottom plate; movable in time.
+    """A drawing of a bearing's bodies on matplotlib axes, to scale, in the frame of the bottom plate.
 
     Attributes:
         slider: the slider's polygon, its vertices in the order of `slider_outline`.
-        moving: every artist that `move_to` changes.
+        moving: the artists that `move_to` changes.
     """
 
     def __init__(self, axes: Axes, motion: Motion) -> None:
@@ -343,7 +340,7 @@ class BearingDrawing:
         axes.add_patch(Polygon(self._plate, **steel, zorder=2))
         for outline in self._rims:
             axes.add_patch(Polygon(outline, **ring, zorder=2.1))
-        # The upper bodies let the lower ones shine through where springs are compressed.
+        # Upper bodies are translucent: bodies overlap where contact springs are compressed.
         self._top = Polygon(self._plate, **steel, alpha=0.8, zorder=3)
         self._top_rims = [Polygon(outline, **ring, alpha=0.8, zorder=3.1) for outline in self._rims]
         self.slider = Polygon(
@@ -367,7 +364,7 @@ class BearingDrawing:
         return -(PLATE_THICKNESS + 0.2) * self.motion.response.bearing.slider_diameter
 
     def move_to(self, time: float) -> None:
-        """Show the state at this time [s]; before the motion its start, after it its end."""
+        """Show the state at a time [s], clipped to the simulated motion."""
         q = self.motion.position(time)
         self._top.set_xy(on_top_plate(self._plate, q))
         for patch, outline in zip(self._top_rims, self._rims, strict=True):
@@ -381,7 +378,7 @@ class BearingDrawing:
         self._arrow.set_xy(self._arrow_outline(time))
 
     def _arrow_outline(self, time: float) -> Array:
-        """An arrow under the bottom plate along the ground acceleration, its length in proportion, shape (7, 2)."""
+        """An arrow below the bottom plate, proportional to the ground acceleration, shape (7, 2)."""
         bearing, pulse = self.motion.response.bearing, self.motion.response.pulse
         share = float(self.motion.ground(np.array([time]))[0]) / max(abs(pulse.amplitude), 1e-12)
         length, half = 0.4 * bearing.dish_diameter * share, 0.03 * bearing.slider_diameter
@@ -392,7 +389,7 @@ class BearingDrawing:
 
 
 def draw_bearing(axes: Axes, response: Response, time: float) -> BearingDrawing:
-    """Draw the bearing to scale at a time [s] of its motion; the answer's `move_to` shows another.
+    """Draw the bearing to scale at a time [s]; `move_to` of the result changes the time.
 
     Raises:
         InputError: if the response holds no motion.
@@ -403,10 +400,10 @@ def draw_bearing(axes: Axes, response: Response, time: float) -> BearingDrawing:
 
 
 def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, float] | None = None) -> Figure:
-    """The bearing at a few instants [s], which may be named; those of `instants` when None.
+    """Draw the bearing at a few instants [s], with optional names; by default those of `instants`.
 
     Raises:
-        InputError: if the response holds no motion, or no time or one that is not finite is given.
+        InputError: if the response holds no motion, or times are empty or not finite.
     """
     chosen: Sequence[tuple[str, float]]
     if times is None:
@@ -416,7 +413,7 @@ def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, flo
     else:
         chosen = [("", time) for time in times]
     if not chosen or not all(math.isfinite(time) for _, time in chosen):
-        raise InputError(f"Snapshots need one finite time or more, got {[time for _, time in chosen]}.")
+        raise InputError(f"Snapshots need at least one time, all finite, got {[time for _, time in chosen]}.")
     motion = Motion(response)
     columns = min(len(chosen), 2)
     rows = math.ceil(len(chosen) / columns)
@@ -437,7 +434,7 @@ def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, flo
 
 
 def figure_legend(figure: Figure, axes: Axes, motion: Motion) -> None:
-    """The marks of the vertices on these axes, explained at the foot of the figure under a note on the drawing."""
+    """Add a legend of the vertex marks, with the note on the drawing, at the foot of the figure."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="outside lower center", ncols=len(labels), title=footnote(motion), title_fontsize=8
@@ -445,8 +442,8 @@ def figure_legend(figure: Figure, axes: Axes, motion: Motion) -> None:
 
 
 def footnote(motion: Motion) -> str:
-    """What a reader of the drawn bodies should know."""
+    """The note on the drawn bodies."""
     text = "To scale, in the frame of the bottom plate; bodies overlap where a contact spring is compressed"
     if any(plates_overlap(motion, q) for q in motion.position(motion.fine_times()[::10])):
-        text += ",\nand plate overlaps plate because the model lets only slider and plate meet"
+        text += ",\nand plates overlap because the model has no contact between them"
     return text

@@ -22,18 +22,18 @@ _GRID = 120
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 SLICE = 0.02 / 0.11
-"""Half-width of a slice over its value: the paper's only stated one is μ/A_p = 0.09 to 0.13 about 0.11."""
+"""Half-width of a slice over its value, from the only one that the paper states: μ/A_p = 0.11 ± 0.02."""
 
 
 @dataclass(frozen=True)
 class Plane:
-    """One of the paper's figures: axes, the third feature with its three values, and where the lines are.
+    """One of the paper's figures.
 
     Attributes:
         name: of the figure.
         x, y, third: columns of the features.
-        values: of the third feature, one an upper panel.
-        lines: of x, in the middle upper panel: the lower panels run along y there, at the middle value.
+        values: of the third feature, one for each upper panel.
+        lines: values of x of the lower panels, which run along y at the middle value of the third feature.
     """
 
     name: str
@@ -49,11 +49,11 @@ PLANES = (
     Plane("figure4", x=2, y=0, third=1, values=(1.0, 1.5, 2.5), lines=(0.11, 0.16, 0.25)),
     Plane("figure5", x=2, y=1, third=0, values=(0.5, 1.0, 2.0), lines=(0.11, 0.16, 0.25)),
 )
-"""The paper's three; μ/A_p = 0.11 is its own, the other values are round ones where Table 1 has many designs."""
+"""The paper's figures; it states μ/A_p = 0.11, the other values are round numbers where Table 1 has many designs."""
 
 
 def _limits(column: Array) -> tuple[float, float]:
-    """Where nine tenths of the training points are: the ratios' long tails would leave the boundary in a corner."""
+    """The range of nine tenths of the training points; over the ratios' long tails the boundary would be tiny."""
     low, high = np.quantile(column, [0.0, 0.9])
     return float(low), float(high)
 
@@ -65,12 +65,12 @@ def _points(axes: Axes, x: Array, y: Array, failed: NDArray[np.bool_]) -> None:
 
 
 def _beyond(outside: int) -> str:
-    """Says in a title how many points of a slice the axes leave out."""
+    """Text for a title: how many points of a slice are beyond the axes."""
     return f"  ({outside} beyond)" if outside else ""
 
 
 def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
-    """Three panels of contours of P(failure), and below each the label's prediction along its dotted line."""
+    """Three panels of contours of P(failure), and below them predictions along the dotted lines."""
     F, failed = process.F, process.failed
     medians = np.median(F, axis=0)
     x_low, x_high = _limits(F[:, plane.x])
@@ -145,14 +145,14 @@ def plot_reliability(
     bins: int = 10,
     labels: tuple[str, str] = ("share of failures among fresh designs", "predicted P(failure)"),
 ) -> Figure:
-    """Observed share of failures against predicted probability, and how many designs are behind each point.
+    """Observed share of failures against predicted probability, with the number of designs at each point.
 
     Args:
-        probabilities: (n,) of failure, by the method's title; four at most.
+        probabilities: (n,) of failure, by the method's title; at most four.
         failed: (n,) bool.
-        samples: that were pooled, each judged on the same designs: a band takes one sample's number of designs.
-        bins: of equal width.
-        labels: of the axes, the observed share and the predicted probability.
+        samples: number of pooled samples on the same designs; bands are for the designs of one sample.
+        bins: number of bins of equal width.
+        labels: of the axes, observed share and predicted probability.
     """
     with styled():
         figure = Figure(figsize=(6.4, 7.0), layout="constrained")
@@ -161,11 +161,11 @@ def plot_reliability(
         for (title, p), colour, marker in zip(
             probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=False
         ):
-            place = np.clip((p * bins).astype(int), 0, bins - 1)
-            counts = np.bincount(place, minlength=bins)
+            bin_index = np.clip((p * bins).astype(int), 0, bins - 1)
+            counts = np.bincount(bin_index, minlength=bins)
             shown = counts > 0
-            predicted = np.bincount(place, weights=p, minlength=bins)[shown] / counts[shown]
-            failures = np.bincount(place, weights=failed, minlength=bins)[shown]
+            predicted = np.bincount(bin_index, weights=p, minlength=bins)[shown] / counts[shown]
+            failures = np.bincount(bin_index, weights=failed, minlength=bins)[shown]
             axes.plot(predicted, failures / counts[shown], color=colour, marker=marker, label=title)
             low, high = proportion_confint(failures / samples, counts[shown] / samples, method="wilson")
             axes.fill_between(predicted, low, high, color=colour, alpha=0.12, linewidth=0.0)

@@ -1,4 +1,4 @@
-"""Where a campaign's simulations went: counts of outcomes, and its designs in pairs of features."""
+"""A campaign's simulations: counts of outcomes, and designs in pairs of features."""
 
 from collections.abc import Sequence
 
@@ -16,28 +16,28 @@ from activefail.figures.style import BLACK, GREY, styled
 from activefail.space import Array
 
 MOST_SHOWN = 500
-"""Designs of a kind in a panel of pairs at the most: more would hide each other, and no page could carry them."""
+"""Most designs of a group in a panel: more would hide each other and make the page too large."""
 
 _HATCHES = ("", "//", "xx", "..", "\\\\", "oo", "++")
 
 
 def plot_counts(counts: dict[str, NDArray[np.int64]], outcomes: Sequence[str]) -> Figure:
-    """Shares of the outcomes in groups of simulations, as bars with their numbers.
+    """Shares of the outcomes in groups of simulations, as bars with their counts.
 
     Args:
-        counts: (number of outcomes,) by the group's title; groups without a simulation are left out.
+        counts: (number of outcomes,) by the group's title; empty groups are omitted.
         outcomes: names, least severe first.
     """
     shown = {title: numbers for title, numbers in counts.items() if numbers.sum()}
     with styled():
         figure = Figure(figsize=(7.6, 1.1 + 0.5 * len(shown)), layout="constrained")
         axes = figure.add_subplot()
-        for place, numbers in enumerate(shown.values()):
+        for bar, numbers in enumerate(shown.values()):
             left = 0.0
             for index in range(len(outcomes)):
                 share = 100.0 * numbers[index] / numbers.sum()
                 axes.barh(
-                    place,
+                    bar,
                     share,
                     left=left,
                     color=outcome_colour(outcomes, index),
@@ -46,7 +46,7 @@ def plot_counts(counts: dict[str, NDArray[np.int64]], outcomes: Sequence[str]) -
                 )
                 if share > 4.0:
                     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.2}
-                    axes.text(left + share / 2, place, str(numbers[index]), ha="center", va="center", bbox=box)
+                    axes.text(left + share / 2, bar, str(numbers[index]), ha="center", va="center", bbox=box)
                 left += share
         axes.set_yticks(range(len(shown)), [f"{title} ({counts[title].sum()})" for title in shown])
         axes.set(xlabel="share of the simulations [%]", xlim=(0, 100))
@@ -73,16 +73,16 @@ def plot_pairs(
     logarithmic: Sequence[bool],
     outcomes: Sequence[str],
 ) -> Figure:
-    """Designs in every pair of features: the seed design below the diagonal, the chosen designs above it.
+    """Designs in every pair of features: the initial design below the diagonal, active designs above it.
 
-    Of more than `MOST_SHOWN` of a kind as many are shown, evenly picked; what is on the diagonal is of all.
+    Each group is thinned evenly to `MOST_SHOWN` designs, except on the diagonal.
 
     Args:
-        F: (n, m) features before scaling, one quantity a column.
+        F: (n, m) features before scaling.
         outcome: (n,) index into the outcomes.
-        chosen: (n,) by the learner.
+        chosen: (n,) whether a design is active.
         quantities: (m,) of the columns.
-        logarithmic: (m,) whether an axis is.
+        logarithmic: (m,) whether an axis is logarithmic.
         outcomes: names, least severe first.
     """
     m = len(quantities)
@@ -103,7 +103,7 @@ def plot_pairs(
                     axes.set_ylim(*_limits(F[:, row], logarithmic[row]))
                 axes.set_xscale("log" if logarithmic[column] else "linear")
                 axes.set_xlim(*_limits(F[:, column], logarithmic[column]))
-                # Over less than a decade matplotlib would name the ticks between, too.
+                # Over less than a decade matplotlib would label minor ticks too.
                 for axis, is_log in (
                     (axes.xaxis, logarithmic[column]),
                     (axes.yaxis, row != column and logarithmic[row]),
@@ -116,7 +116,7 @@ def plot_pairs(
                 else:
                     axes.tick_params(labelbottom=False)
                 if row == 0 and column == m - 1 and m > 1:
-                    # The first panel of this row has another scale: how many designs.
+                    # The first panel of this row is a histogram with another scale.
                     axes.yaxis.set_label_position("right")
                     axes.tick_params(labelleft=False, labelright=True)
                     axes.set_ylabel(quantities[row].axis)
@@ -129,8 +129,8 @@ def plot_pairs(
                     axes.grid(axis="y", visible=False)
                     axes.set_title("share of designs", fontsize=8)
         diagonal = [
-            Line2D([], [], color=GREY, linestyle="--", label="seed (below the diagonal)"),
-            Line2D([], [], color=BLACK, label="chosen (above)"),
+            Line2D([], [], color=GREY, linestyle="--", label="initial (below the diagonal)"),
+            Line2D([], [], color=BLACK, label="active (above)"),
         ]
         figure.legend(
             handles=[*outcome_handles(outcomes), *diagonal], loc="outside upper center", ncols=3 if m < 3 else 6
@@ -139,7 +139,7 @@ def plot_pairs(
 
 
 def _picked(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """At most `MOST_SHOWN` of these rows, evenly spaced."""
+    """These rows, thinned evenly to `MOST_SHOWN`."""
     return rows[np.linspace(0, len(rows) - 1, MOST_SHOWN).astype(np.int64)] if len(rows) > MOST_SHOWN else rows
 
 
@@ -153,7 +153,7 @@ def _limits(column: Array, logarithmic: bool) -> tuple[float, float]:
 
 
 def _histogram(axes: Axes, column: Array, chosen: NDArray[np.bool_], logarithmic: bool) -> None:
-    """Densities of one feature over the seed and the chosen designs, as steps."""
+    """Histograms of one feature over the initial and the active designs."""
     low, high = _limits(column, logarithmic)
     edges = np.geomspace(low, high, 15) if logarithmic else np.linspace(low, high, 15)
     for rows, colour, line in ((~chosen, GREY, "--"), (chosen, BLACK, "-")):

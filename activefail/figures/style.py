@@ -1,6 +1,6 @@
-"""How the project's pictures look and are saved: colours that colour-blind readers tell apart, one set of settings.
+"""The style of all figures: a palette for colour-blind readers, matplotlib settings, and saving.
 
-Naming a colour does not import matplotlib; `styled` does when it is entered.
+Importing this module does not import matplotlib; entering `styled` does.
 """
 
 from collections.abc import Iterator, Mapping
@@ -27,7 +27,7 @@ GREY = "#6B7280"
 LIGHT_GREY = "#D5DAE1"
 
 OUTCOME_COLOURS = {"no_impact": BLUE, "impact": ORANGE, "failure": VERMILION, "numerical_failure": GREY}
-"""One colour for each outcome, in every picture."""
+"""One colour for each outcome, in all figures."""
 
 RC: dict[Any, Any] = {
     "figure.dpi": 100,
@@ -53,15 +53,15 @@ RC: dict[Any, Any] = {
     "xtick.labelsize": 8,
     "ytick.labelsize": 8,
     "axes.unicode_minus": True,
-    # Element names of an SVG from its content: the same figure gives the same bytes.
+    # Derive the ids of an SVG from its content, so that the same figure gives the same bytes.
     "svg.hashsalt": "activefail",
 }
-"""matplotlib's settings for all pictures of the project."""
+"""matplotlib's settings for all figures."""
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """The project's settings for what is drawn inside; the user's own are untouched afterwards."""
+    """Apply the style within a block, and restore the user's settings afterwards."""
     import matplotlib
 
     with matplotlib.rc_context(RC):
@@ -69,7 +69,7 @@ def styled() -> Iterator[None]:
 
 
 def save_figure(figure: "Figure", path: Path, metadata: Mapping[str, Any] | None = None) -> None:
-    """Write a figure in the format of a path's suffix; the file takes its name only once it is whole.
+    """Write a figure in the format of the path's suffix; the file appears under its name only when complete.
 
     Raises:
         OSError: if it cannot be written.

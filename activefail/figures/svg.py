@@ -1,4 +1,4 @@
-"""Figures as SVG inside a page: no reference off it, no name that another figure of the page has, and small."""
+"""Figures as inline SVG: self-contained, with ids that are unique on the page, and small."""
 
 import io
 import re
@@ -19,7 +19,7 @@ def _shorter(number: re.Match[str]) -> str:
 
 
 def _as_markers(text: str, name: str) -> str:
-    """Runs of marks that look alike as one path with a marker at each vertex: a tenth of the bytes."""
+    """Replace runs of identical marks by one path with a marker at each vertex: a tenth of the bytes."""
     markers: dict[tuple[str, str], str] = {}
 
     def path(run: re.Match[str]) -> str:
@@ -28,27 +28,27 @@ def _as_markers(text: str, name: str) -> str:
         if len(looks) != 1 or len(marks) != run[0].count("<use "):
             return run[0]
         look = looks.pop()
-        found = ""
+        definition = ""
         if look not in markers:
             markers[look] = f"{name}-mark{len(markers)}"
-            found = (
+            definition = (
                 f'<marker id="{markers[look]}" overflow="visible" markerUnits="userSpaceOnUse">'
                 f'<use href="{look[0]}" {look[1]}/></marker>'
             )
-        places = "L".join(f"{x} {y}" for _, x, y, _ in marks)
-        at = " ".join(f'marker-{where}="url(#{markers[look]})"' for where in ("start", "mid", "end"))
-        return f'{found}<path d="M{places}" fill="none" {at}/>\n'
+        vertices = "L".join(f"{x} {y}" for _, x, y, _ in marks)
+        references = " ".join(f'marker-{part}="url(#{markers[look]})"' for part in ("start", "mid", "end"))
+        return f'{definition}<path d="M{vertices}" fill="none" {references}/>\n'
 
     return _MARKS.sub(path, text)
 
 
 def inline(figure: Figure, name: str, alternative: str) -> Markup:
-    """A figure as an `<svg>` element that scales to its place.
+    """A figure as an `<svg>` element that scales to its container.
 
     Args:
         figure: to draw.
-        name: goes before every id in it, which must be the page's only ones; letters, digits and hyphens.
-        alternative: what someone hears who does not see it.
+        name: prefix of its ids, unique on the page; letters, digits and hyphens.
+        alternative: text for screen readers.
     """
     buffer = io.StringIO()
     with styled():
@@ -57,20 +57,20 @@ def inline(figure: Figure, name: str, alternative: str) -> Markup:
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    # matplotlib's rule for all elements would reach out of the figure; the page states it for its figures alone.
+    # matplotlib's rule for all elements would apply to the whole page; the page restricts it to figures.
     text = re.sub(r'<style type="text/css">\*\{[^}]*\}</style>\s*', "", text)
     text = text.replace("xlink:href", "href")
     ids = dict.fromkeys(re.findall(r'\bid="([^"]*)"', text))
     short = {old: f"{name}-{number:x}" for number, old in enumerate(ids)}
-    seen: set[str] = set()
+    defined: set[str] = set()
 
     def renamed(match: re.Match[str]) -> str:
-        place, old = match.groups()
-        if place != 'id="' or old not in seen:
-            seen.update([old] if place == 'id="' else [])
-            return f"{place}{short[old]}"
-        # matplotlib names by content: what is there twice is the same, and one of the two is enough to refer to.
-        return f"{place}{short[old]}-{match.start():x}"
+        attribute, old = match.groups()
+        if attribute != 'id="' or old not in defined:
+            defined.update([old] if attribute == 'id="' else [])
+            return f"{attribute}{short[old]}"
+        # matplotlib derives ids from content: elements with the same id are equal, and references need only one.
+        return f"{attribute}{short[old]}-{match.start():x}"
 
     text = re.sub(r'(\bid="|href="#|url\(#)([^")]*)', renamed, text)
     text = re.sub(r'\b(?:d|x|y)="[^"]*"', lambda match: _LONG_NUMBER.sub(_shorter, match[0]), text)

@@ -1,4 +1,4 @@
-"""What the paper concludes, judged by the study: each claim beside ours with its intervals, and a verdict."""
+"""The paper's claims beside our results: intervals and a verdict for each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ from activefail.space import Array
 REPRODUCED, BY_CHANCE, NOT_REPRODUCED = "reproduced", "within one sample's spread", "**not reproduced**"
 
 PERCENT = 0.005
-"""What rounding to whole per cents may hide."""
+"""Largest error of a share rounded to whole per cents."""
 
 NOTICEABLE = 0.5
-"""Points of accuracy below which two methods count as alike: a third of one of the paper's held-out designs."""
+"""Difference [points of accuracy] below which two methods count as the same: a third of one held-out design."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def logistic(draws: list[Draw], boundary: str, name: str) -> Array:
 
 
 def process(draws: list[Draw], method: str, name: str) -> Array:
-    """A statistic of the processes of a method, (draws, ...)."""
+    """A statistic of the Gaussian processes of a method, (draws, ...)."""
     return np.array([getattr(draw.processes[method], name) for draw in draws])
 
 
@@ -49,12 +49,12 @@ def held_out(draws: list[Draw]) -> Array:
 
 
 def fresh_gain(draws: list[Draw], method: str = "laplace") -> Array:
-    """Fresh accuracy of a process over that of logistic regression, both trained on the same points, (draws,)."""
+    """Fresh accuracy of a process minus that of logistic regression, trained on the same points, (draws,)."""
     return np.asarray(process(draws, method, "fresh") - np.array([draw.three_quarters for draw in draws]))
 
 
 def papers_gain(draws: list[Draw]) -> Array:
-    """The paper's comparison: held-out accuracy over logistic regression's in-sample one, (draws, splits)."""
+    """The paper's comparison: held-out accuracy minus logistic regression's in-sample accuracy, (draws, splits)."""
     return np.asarray(held_out(draws) - logistic(draws, "failure", "in_sample")[:, None])
 
 
@@ -72,7 +72,7 @@ def significant(p_values: Array) -> list[int]:
 
 
 def papers_significant(boundary: str) -> list[int]:
-    """Columns that the paper finds significant."""
+    """Columns that are significant in the paper."""
     return significant(np.array(published.P_VALUES[boundary]))
 
 
@@ -82,18 +82,18 @@ def majority(draws: list[Draw], boundary: str) -> list[int]:
 
 
 def medians_outside(study: Study) -> list[int]:
-    """Features whose median in the paper is not within one sample's spread of ours, in the paper's units."""
+    """Features whose median in the paper lies outside the prediction interval of one of our samples."""
     rows = published.table_2(study.data.X)
     return [
         i
         for i, (row, (_, theirs)) in enumerate(zip(rows, published.TABLE_2, strict=True))
-        # The paper prints two decimals.
+        # Half a unit of the two decimals in the paper.
         if not contains(Estimate.over(row.median).of_one, theirs, 0.005)
     ]
 
 
 def percent_of(share: float, n: int) -> str:
-    """A share of n samples with its 95 % interval by Wilson."""
+    """A share of n samples with its Wilson 95 % interval."""
     low, high = proportion_confint(share * n, n, method="wilson")
     return f"{100 * share:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
@@ -104,14 +104,14 @@ def named(columns: list[int]) -> str:
 
 
 def named_with_shares(draws: list[Draw], boundary: str) -> str:
-    """Features significant in most draws, each with the share of draws and its interval."""
+    """Features significant in most draws, with the share of draws and its interval."""
     shares = significant_share(draws, boundary)
     columns = majority(draws, boundary)
     return "; ".join(f"{PAPER_FEATURES[i]} {percent_of(shares[i], len(draws))}" for i in columns) or "none"
 
 
 def span(interval: Interval, digits: int = 3, share: bool = False) -> str:
-    """An interval in print; that of a share ends at 0 and 1."""
+    """An interval as text; that of a share is clipped to 0 and 1."""
     low, high = interval
     if share:
         low, high = max(low, 0.0), min(high, 1.0)
@@ -164,7 +164,7 @@ def _significance(draws: list[Draw], boundary: str) -> Claim:
 
 
 def claims(study: Study) -> list[Claim]:
-    """Every claim of the paper, ours, by what rule it is judged, and whether it is reproduced."""
+    """Every claim of the paper with our result, the rule and the verdict."""
     draws = study.draws
     fresh = process(draws, "laplace", "fresh")
     difference = 100.0 * (process(draws, "ep", "fresh") - fresh)
@@ -173,7 +173,7 @@ def claims(study: Study) -> list[Claim]:
     return [
         *(
             _share(
-                f"logistic regression, {boundary}, accuracy in sample", theirs, logistic(draws, boundary, "in_sample")
+                f"logistic regression, {boundary}, in-sample accuracy", theirs, logistic(draws, boundary, "in_sample")
             )
             for boundary, theirs in published.LOGISTIC.items()
         ),
@@ -187,8 +187,8 @@ def claims(study: Study) -> list[Claim]:
             "",
             "not in the paper",
         ),
-        _gain("gain over logistic regression, as the paper compares", papers_gain(draws)),
-        _gain("the same, both trained alike and judged on fresh designs", fresh_gain(draws)),
+        _gain("gain over logistic regression, compared as in the paper", papers_gain(draws)),
+        _gain("the same, with equal training data and fresh designs", fresh_gain(draws)),
         Claim(
             "expectation propagation against Laplace, fresh accuracy",
             "the same",
@@ -230,4 +230,4 @@ CONCLUSIONS: dict[str, Callable[[list[Draw]], bool]] = {
     ),
     "process ahead on fresh designs": lambda draws: Estimate.over(fresh_gain(draws)).of_mean[0] > 0.0,
 }
-"""The paper's conclusions, each as what must hold of a study's draws."""
+"""The paper's conclusions, each as a condition on a study's draws."""

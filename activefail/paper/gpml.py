@@ -1,8 +1,8 @@
 """Gaussian process classification as in [RasmussenWilliams2006]: Laplace's method and expectation propagation.
 
-Both end in a Gaussian posterior of the latent f ~ GP(m, k) with one Gaussian factor for each point, proportional to
-N(f | m, K) ∏ exp(νᵢfᵢ − τᵢfᵢ²/2). So they share its algebra, its predictions and the gradient of the evidence. Nothing
-inverts K: only B = I + T^½ K T^½, T = diag(τ), is factorised; its eigenvalues are 1 or more. "R&W" is that book.
+Both give a Gaussian posterior of the latent f ~ GP(m, k) with one Gaussian factor for each point, proportional to
+N(f | m, K) ∏ exp(νᵢfᵢ − τᵢfᵢ²/2). They share its algebra, predictions and evidence gradient. K is never inverted: only
+B = I + T^½ K T^½, T = diag(τ), with eigenvalues of 1 or more, is factorised. "R&W" is that book.
 """
 
 import math
@@ -17,14 +17,14 @@ from scipy.special import erfcx, expit, log_expit, log_ndtr
 from activefail.space import Array
 
 _NEWTON_TOLERANCE, _NEWTON_STEPS, _HALVINGS = 1e-12, 100, 40
-"""Of Laplace's method: gain that one more step promises [nats] at which it stops, and limits of the two loops."""
+"""Laplace's method stops once a further step promises less gain than this [nat]; limits of its two loops."""
 
 _EP_TOLERANCE, _EP_SWEEPS, _LEAST_SHARE = 1e-6, 400, 0.05
-"""Of expectation propagation: change of a site, in marginal standard deviations, at which it stops; limits."""
+"""Expectation propagation stops once sites change less than this, in marginal standard deviations; limits."""
 
 
 class Hyperparameters(NamedTuple):
-    """Of a constant mean and a squared-exponential ARD covariance."""
+    """Hyperparameters of a constant mean and a squared-exponential ARD covariance."""
 
     mean: float
     signal_variance: float
@@ -32,7 +32,7 @@ class Hyperparameters(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """log p(y | f) and its derivatives by f, point by point, each shape (n,)."""
+    """log p(y | f) and its derivatives with respect to f at each point, (n,) each."""
 
     value: Array
     slope: Array
@@ -41,7 +41,7 @@ class Terms(NamedTuple):
 
 
 Likelihood = Callable[[Array, Array], Terms]
-"""From labels, (n,) of -1 and 1, and latents, (n,), to the terms of the log likelihood."""
+"""Maps labels, (n,) of -1 and 1, and latents, (n,), to the terms of the log likelihood."""
 
 
 class Sites(NamedTuple):
@@ -52,7 +52,7 @@ class Sites(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """A Gaussian approximation of the posterior at n training points, and what predictions and gradients need of it."""
+    """A Gaussian approximation of the posterior at n training points, with terms for predictions and gradients."""
 
     sites: Sites
     alpha: Array  # (n,) K⁻¹ (posterior mean − m)
@@ -70,7 +70,7 @@ def covariance(F: Array, G: Array, hyperparameters: Hyperparameters) -> Array:
 
 
 def normal_ratio(z: Array) -> Array:
-    """φ(z)/Φ(z), shape of z, to rounding in both tails."""
+    """φ(z)/Φ(z), shape of z, accurate in both tails."""
     return np.asarray(math.sqrt(2.0 / math.pi) / erfcx(-z / math.sqrt(2.0)))
 
 
@@ -97,14 +97,14 @@ def _factor(K: Array, sites: Sites) -> tuple[Array, Array]:
 
 
 def _shrunk(x: Array, K: Array, root: Array, L: Array) -> Array:
-    """(I + T K)⁻¹ x, (n,): as T^½ B⁻¹ T^-½ x, and as x − T^½ B⁻¹ T^½ K x where a precision is next to nothing.
+    """(I + T K)⁻¹ x, (n,): T^½ B⁻¹ T^-½ x, or x − T^½ B⁻¹ T^½ K x for tiny precisions.
 
-    The book has the latter all through (Algorithm 3.1, line 6). Its K x, times B's smallest eigenvalue of 1, loses half
-    of all digits where the prior is wide and its mean far from the labels.
+    The book always uses the latter (Algorithm 3.1, line 6), which loses half of all digits if the prior is wide and its
+    mean far from the labels.
     """
-    some = root > 1e-6
-    rest = np.where(some, 0.0, x)
-    inner = np.divide(x, root, out=np.zeros_like(x), where=some) - root * (K @ rest)
+    significant = root > 1e-6
+    rest = np.where(significant, 0.0, x)
+    inner = np.divide(x, root, out=np.zeros_like(x), where=significant) - root * (K @ rest)
     return np.asarray(rest + root * cho_solve((L, True), inner, check_finite=False))
 
 
@@ -122,27 +122,27 @@ def _variances(K: Array, root: Array, L: Array) -> Array:
 def laplace_posterior(
     K: Array, mean: float, y: Array, likelihood: Likelihood = probit, start: Sites | None = None
 ) -> Posterior:
-    """Laplace's approximation: a Gaussian about the posterior's mode; R&W Algorithms 3.1 and 5.1.
+    """Laplace's approximation: a Gaussian at the posterior mode; R&W Algorithms 3.1 and 5.1.
 
-    Newton's method on the concave ψ(f) = log p(y | f) − ½ (f − m)ᵀ K⁻¹ (f − m), a step halved until it gains.
+    Newton's method on the concave ψ(f) = log p(y | f) − ½ (f − m)ᵀ K⁻¹ (f − m), with steps halved until ψ increases.
 
     Args:
         K: prior covariance at the training points, (n, n).
         mean: of the prior.
         y: labels, (n,) of -1 and 1.
-        start: sites of a similar problem; the search starts from their mean, where that is better than the prior's.
+        start: sites of a similar problem; the search starts from their mean if that is better than the prior's.
     """
 
     def objective(a: Array, f: Array) -> float:
         return float(likelihood(y, f).value.sum() - 0.5 * a @ (f - mean))
 
     alpha, f = np.zeros(len(y)), np.full(len(y), mean)
-    gained = objective(alpha, f)
+    value = objective(alpha, f)
     if start is not None:
         warm = _solve(K, mean, start, *_factor(K, start))
         from_warm = objective(warm, mean + K @ warm)
-        if from_warm > gained:
-            alpha, f, gained = warm, mean + K @ warm, from_warm
+        if from_warm > value:
+            alpha, f, value = warm, mean + K @ warm, from_warm
 
     converged = False
     for iteration in range(_NEWTON_STEPS + 1):
@@ -153,33 +153,33 @@ def laplace_posterior(
             break
         step = _solve(K, mean, sites, root, L) - alpha
         step_f = K @ step
-        # Half the squared Newton decrement. The step is taken still: log |B| can be steep where ψ is flat.
+        # Half the squared Newton decrement. The last step is still taken: log |B| can be steep where ψ is flat.
         converged = bool(0.5 * (terms.slope - alpha) @ step_f < _NEWTON_TOLERANCE)
         share = 1.0
         for _ in range(0 if converged else _HALVINGS):
-            if objective(alpha + share * step, f + share * step_f) >= gained:
+            if objective(alpha + share * step, f + share * step_f) >= value:
                 break
             share *= 0.5
         alpha, f = alpha + share * step, f + share * step_f
-        gained = objective(alpha, f)
+        value = objective(alpha, f)
 
-    log_evidence = gained - np.log(L.diagonal()).sum()
+    log_evidence = value - np.log(L.diagonal()).sum()
     implicit = _shrunk(0.5 * _variances(K, root, L) * terms.third, K, root, L)
     return Posterior(sites, alpha, L, float(log_evidence), implicit, iteration, converged)
 
 
 class _Tilted(NamedTuple):
-    """The cavities of expectation propagation and the moments of the cavities times the true likelihoods, (n,) each."""
+    """The tilted distributions of expectation propagation, (n,) each."""
 
     log_evidence: Array  # log Ẑᵢ
-    target: Sites  # that would match the moments
+    target: Sites  # sites that match their moments
 
 
 def _match(mean: Array, precision: Array, y: Array) -> _Tilted:
-    """Match the moments of Φ(yf) N(f | mean, 1/precision), for cavities with these moments, each (n,).
+    """Match the moments of Φ(yf) N(f | mean, 1/precision), for cavities with these moments, (n,) each.
 
-    With the derivatives of log Ẑ by the cavity's mean in the place of the moments, which R&W eq. 3.58 states: the same,
-    but it does not cancel in the tails.
+    Uses the derivatives of log Ẑ by the cavity mean, equivalent to the moments of R&W eq. 3.58 but without cancellation
+    in the tails.
     """
     variance = 1.0 / precision
     scale = np.sqrt(1.0 + variance)
@@ -191,10 +191,10 @@ def _match(mean: Array, precision: Array, y: Array) -> _Tilted:
 
 
 def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) -> Posterior:
-    """Expectation propagation for the probit likelihood; R&W Algorithm 3.5, its evidence by eq. 3.65.
+    """Expectation propagation for the probit likelihood; R&W Algorithm 3.5, with the evidence of eq. 3.65.
 
-    All sites are updated at once, in the place of one after the other: the fixed point is the same. A whole step can
-    circle round it; the share of each that is taken is the one that the step before, were the map linear, calls for.
+    Updates all sites in parallel instead of in turn; the fixed point is the same. Full steps can oscillate around it,
+    so each step is damped by a share that would be exact if the map were linear.
 
     Args:
         K: prior covariance at the training points, (n, n).
@@ -203,7 +203,7 @@ def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) ->
         start: sites of a similar problem, to start from.
     """
     sites = Sites(np.zeros(len(y)), np.zeros(len(y))) if start is None else start
-    share, before, converged = 1.0, np.zeros(2 * len(y)), False
+    share, last_change, converged = 1.0, np.zeros(2 * len(y)), False
     for iteration in range(_EP_SWEEPS + 1):
         root, L = _factor(K, sites)
         alpha = _solve(K, mean, sites, root, L)
@@ -212,16 +212,16 @@ def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) ->
         cavity_linear = (mean + offset) / variance - sites.linear
         tilted = _match(cavity_linear / cavity_precision, cavity_precision, y)
         linear, precision = (new - old for new, old in zip(tilted.target, sites, strict=True))
-        # The change of the sites about the marginal's mean, in units of its standard deviation.
+        # The change of the sites around the marginal mean, in marginal standard deviations.
         change = np.concatenate([(linear - precision * (mean + offset)) * np.sqrt(variance), precision * variance])
         converged = bool(np.abs(change).max() < _EP_TOLERANCE)
         if converged or iteration == _EP_SWEEPS:
             break
         if iteration > 0:
-            # Along the last step: change = (1 − share r) before, where a share of 1/r would have left nothing.
-            r = float(1.0 - (change @ before) / (before @ before)) / share
+            # Along the last step, change = (1 − share r) last_change; a share of 1/r would have made it zero.
+            r = float(1.0 - (change @ last_change) / (last_change @ last_change)) / share
             share = min(1.0, max(_LEAST_SHARE, 1.0 / r)) if r > 0.0 else 1.0
-        before = change
+        last_change = change
         sites = Sites(sites.linear + share * linear, sites.precision + share * precision)
 
     return Posterior(
@@ -238,9 +238,9 @@ def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) ->
 def _ep_log_evidence(
     mean: float, sites: Sites, L: Array, offset: Array, cavity_linear: Array, cavity_precision: Array, tilted: Array
 ) -> float:
-    """log Z of expectation propagation, R&W eq. 3.65, in the terms of f − m and without differences of large ones.
+    """log Z of expectation propagation, R&W eq. 3.65, in terms of f − m and without cancellation.
 
-    Each site is scaled so that its cavity times it has the evidence of its cavity times the likelihood.
+    Each site is scaled such that cavity times site has the same evidence as cavity times likelihood.
     """
     p, t = sites.linear - sites.precision * mean, sites.precision
     q, s = cavity_linear - cavity_precision * mean, cavity_precision
@@ -252,10 +252,10 @@ def _ep_log_evidence(
 def evidence_gradient(
     F: Array, K: Array, hyperparameters: Hyperparameters, posterior: Posterior
 ) -> tuple[float, float, Array]:
-    """∂log Z by the mean, by the log signal variance and by the log length scales, (m,); R&W Algorithms 5.1 and 5.2.
+    """Gradient of log Z by the mean, log signal variance and log length scales, (m,); R&W Algorithms 5.1 and 5.2.
 
-    d log Z = ½ αᵀdK α − ½ tr(R dK) + uᵀdK α + (α + u)ᵀ1 dm with R = T^½ B⁻¹ T^½ and u the posterior's `implicit`: the
-    last but one and the second half of the last term are what follows from the motion of Laplace's mode.
+    d log Z = ½ αᵀdK α − ½ tr(R dK) + uᵀdK α + (α + u)ᵀ1 dm with R = T^½ B⁻¹ T^½ and u the posterior's `implicit`. The
+    terms in u come from the shift of Laplace's mode.
     """
     alpha, u = posterior.alpha, posterior.implicit
     half = solve_triangular(
@@ -270,10 +270,10 @@ def evidence_gradient(
 
 
 def predict(F: Array, hyperparameters: Hyperparameters, posterior: Posterior, at: Array) -> tuple[Array, Array]:
-    """Latent mean and variance at features, (l, m) -> (l,) each; R&W Algorithms 3.2 and 3.6 up to the averaging."""
+    """Latent mean and variance at features, (l, m) -> (l,) each; R&W Algorithms 3.2 and 3.6 before averaging."""
     Ks = covariance(F, at, hyperparameters)
     root = np.sqrt(posterior.sites.precision)
     V = solve_triangular(posterior.cholesky_b, root[:, None] * Ks, lower=True, check_finite=False)
-    # Not below zero but for rounding.
+    # Rounding can make it negative.
     variance = np.maximum(hyperparameters.signal_variance - np.einsum("ij,ij->j", V, V), 0.0)
     return hyperparameters.mean + posterior.alpha @ Ks, variance

@@ -1,4 +1,4 @@
-"""The paper's own methods (its sections 3.1 and 3.2): logistic regression, and GP classification as GPML does it."""
+"""The paper's methods (its sections 3.1 and 3.2): logistic regression, and GP classification as in GPML."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,29 +20,29 @@ Labels = NDArray[np.bool_]
 Method = Literal["laplace", "expectation propagation"]
 
 _SIGNAL_VARIANCE = (1e-4, 1e4)
-"""Searched signal variances. Where the classes can be told apart nothing else stops the search: the wider the latent,
-the more the likelihood is a step, and the evidence tends to a constant. At a latent sd of 100 expectation propagation's
-is within 0.1 nat of it; Laplace's goes on to rise beyond, above the evidence itself, to predictions that are too sure.
+"""Bounds of the signal variance. For separable classes the evidence tends to a constant as the latent widens, so only a
+bound stops the search. At a latent sd of 100 the evidence of expectation propagation is within 0.1 nat of it; that of
+Laplace's method keeps rising above the true evidence, towards overconfident predictions.
 """
 
 LENGTH_SCALE = (1e-2, 1e3)
-"""Searched length scales, in the features' units: at 1000 standard ones a feature alters no covariance by 1e-4."""
+"""Bounds of the length scales, in the features' units: at 1000 a standardised feature changes no covariance by 1e-4."""
 
 _PRIOR_PROBIT = (-8.0, 8.0)
-"""Searched probits of the prior probability, m/√(1 + s²): beyond, a training set with both classes is impossible."""
+"""Bounds of the prior probit m/√(1 + s²): beyond them, a training set with both classes is practically impossible."""
 
 _STARTS = ((1.0, 1.0), (10.0, 2.0), (100.0, 1.0))
-"""Signal variances and length scales, in units of √m, from which the search starts; the best end is kept."""
+"""Starting signal variances and length scales, in units of √m; the best optimum is kept."""
 
 _ROWS_AT_ONCE = 4096
-"""Points predicted in one call: bounds the memory of a prediction at n x 4096 numbers."""
+"""Points predicted in one call, which limits its memory to n x 4096 numbers."""
 
 
 def _checked(F: Array, y: Labels) -> None:
     if F.ndim != 2 or y.shape != (len(F),):
-        raise InputError(f"Features (n, m) and labels (n,) must fit together, got {F.shape} and {y.shape}.")
+        raise InputError(f"Features (n, m) and labels (n,) must have matching shapes, got {F.shape} and {y.shape}.")
     if not np.isfinite(F).all():
-        raise InputError(f"Features must be finite, got {np.count_nonzero(~np.isfinite(F))} that are not.")
+        raise InputError(f"Features must be finite, got {np.count_nonzero(~np.isfinite(F))} non-finite values.")
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,11 @@ class LogisticFit:
     Attributes:
         intercept: of the log odds.
         coefficients: (m,) of the log odds, per unit of each feature.
-        standard_errors: (m,) of the coefficients, from the observed information; NaN where there is no maximum.
-        p_values: (m,) of Wald's two-sided test that a coefficient is zero; NaN where there is no maximum.
+        standard_errors: (m,) of the coefficients, from the observed information; NaN without a maximum.
+        p_values: (m,) of Wald's two-sided test that a coefficient is zero; NaN without a maximum.
         converged: whether Newton's method found the maximum.
-        separation: whether a plane separates the classes, but for points on it (complete or quasi-complete separation).
-            The likelihood then has no maximum: coefficients are where Newton's method stood, only their direction
-            means anything.
+        separation: whether a plane separates the classes, except for points on it (complete or quasi-complete
+            separation). The likelihood then has no maximum, and only the direction of the coefficients is meaningful.
     """
 
     intercept: float
@@ -77,32 +76,32 @@ class LogisticFit:
 
 
 def separable(Z: Array, y: Labels) -> bool:
-    """Whether some β ≠ 0 has ±Zβ ≥ 0 for all points, the sign that of the label: complete or quasi-complete separation.
+    """Whether some β ≠ 0 has ±Zβ ≥ 0 for all points, with the label's sign: complete or quasi-complete separation.
 
-    Exactly then logistic regression has no maximum [AlbertAnderson1984]. By the linear program of [Konis2007]:
-    the largest sum of ±Zβ for β in a unit box is zero without separation.
+    This is equivalent to logistic regression having no maximum [AlbertAnderson1984]. Uses the linear program of
+    [Konis2007]: without separation, the largest sum of ±Zβ for β in a unit box is zero.
 
     Args:
-        Z: (n, k) of full column rank, with entries of order 1 and, where the model has an intercept, a column of ones.
+        Z: (n, k) of full column rank, with entries of order 1, including a column of ones for an intercept.
         y: (n,) labels.
     """
     signed = np.where(y, 1.0, -1.0)[:, None] * Z
-    found = linprog(-signed.sum(0), A_ub=-signed, b_ub=np.zeros(len(Z)), bounds=(-1.0, 1.0))
-    # The solver holds each constraint to 1e-7.
-    return bool(-found.fun > 1e-6 * len(Z))
+    solution = linprog(-signed.sum(0), A_ub=-signed, b_ub=np.zeros(len(Z)), bounds=(-1.0, 1.0))
+    # The solver satisfies each constraint to 1e-7.
+    return bool(-solution.fun > 1e-6 * len(Z))
 
 
 def logistic_regression(F: Array, y: Labels) -> LogisticFit:
-    """Regress labels, (n,), on features, (n, m), in any units, by statsmodels' `Logit`.
+    """Regress labels, (n,), on features, (n, m), in any units, with statsmodels' `Logit`.
 
-    Features are standardised inside, which alters neither the fit nor the p-values.
+    Standardises the features internally, which changes neither the fit nor the p-values.
 
     Raises:
         InputError: if shapes differ, a value is not finite, or features and intercept are linearly dependent.
     """
     _checked(F, y)
     center, spread = F.mean(axis=0), F.std(axis=0)
-    # A constant has a spread of rounding; its column becomes zero, and the rank falls.
+    # A constant feature has a spread of rounding error; setting its column to zero lowers the rank.
     Z = np.column_stack([np.ones(len(F)), (F - center) / np.where(spread > 1e-12 * np.abs(center), spread, np.inf)])
     if (rank := np.linalg.matrix_rank(Z)) < Z.shape[1]:
         raise InputError(f"Features and intercept must be linearly independent, got rank {rank} of {Z.shape[1]}.")
@@ -115,20 +114,20 @@ def logistic_regression(F: Array, y: Labels) -> LogisticFit:
 
 
 def _maximum(model: Logit, separation: bool) -> tuple[Any, bool]:
-    """statsmodels' results at the likelihood's maximum, or where the search for it ended, and whether it was found."""
-    # A callback of ours replaces the one that warns of separation.
+    """statsmodels' results at the maximum likelihood or where the search ended, and whether it converged."""
+    # This callback replaces the one that warns of separation.
     quiet = {"disp": False, "callback": lambda _: None, "warn_convergence": False}
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # odds of infinity are a probability of 0 or 1
-        # statsmodels' Newton takes whole steps, which can run away from a poor start: a line search finds a good one.
+        # statsmodels' Newton method takes full steps, which can diverge from a poor start: BFGS finds a good one.
         start = model.fit(method="bfgs", maxiter=500, skip_hessian=True, **quiet)
         if separation:
             return start, False
         try:
             tolerance = 1e-8 * max(1.0, float(np.abs(start.params).max()))
-            found = model.fit(method="newton", start_params=start.params, tol=tolerance, **quiet)
-        except np.linalg.LinAlgError:  # next to separation the information vanishes
+            result = model.fit(method="newton", start_params=start.params, tol=tolerance, **quiet)
+        except np.linalg.LinAlgError:  # near separation the information matrix is singular
             return start, False
-    return (found, True) if found.mle_retvals["converged"] else (start, False)
+    return (result, True) if result.mle_retvals["converged"] else (start, False)
 
 
 @dataclass(frozen=True)
@@ -136,13 +135,13 @@ class GaussianProcessFit:
     """A GP classifier with the probit likelihood, whose hyperparameters maximise the approximate evidence.
 
     Attributes:
-        method: of approximate inference.
+        method: approximate inference method.
         hyperparameters: mean, signal variance and length scales.
-        log_marginal_likelihood: log Z, as the method approximates it [nat].
-        iterations: of L-BFGS; 0 if the hyperparameters were given.
-        converged: whether both L-BFGS and the inference did.
-        features: (n, m) trained on.
-        posterior: at these.
+        log_marginal_likelihood: the method's approximation of log Z [nat].
+        iterations: of L-BFGS; 0 for fixed hyperparameters.
+        converged: whether both L-BFGS and the inference converged.
+        features: (n, m) training features.
+        posterior: at the training features.
     """
 
     method: Method
@@ -172,7 +171,7 @@ class GaussianProcessFit:
 
 
 def condition(F: Array, y: Labels, hyperparameters: Hyperparameters, method: Method) -> GaussianProcessFit:
-    """The approximate posterior for given hyperparameters, of features, (n, m), and labels, (n,).
+    """The approximate posterior of features, (n, m), and labels, (n,), for fixed hyperparameters.
 
     Raises:
         InputError: if shapes differ or a value is not finite.
@@ -186,7 +185,7 @@ def condition(F: Array, y: Labels, hyperparameters: Hyperparameters, method: Met
 
 
 def laplace(F: Array, y: Labels) -> GaussianProcessFit:
-    """Train on scaled features, (n, m), and labels, (n,), by Laplace's method: R&W Algorithms 3.1, 3.2 and 5.1.
+    """Train on scaled features, (n, m), and labels, (n,), with Laplace's method: R&W Algorithms 3.1, 3.2 and 5.1.
 
     Raises:
         InputError: if shapes differ, a value is not finite, or a class is missing.
@@ -195,7 +194,7 @@ def laplace(F: Array, y: Labels) -> GaussianProcessFit:
 
 
 def expectation_propagation(F: Array, y: Labels) -> GaussianProcessFit:
-    """Train on scaled features, (n, m), and labels, (n,), by expectation propagation: R&W Algorithms 3.5, 3.6 and 5.2.
+    """Train on scaled features, (n, m), and labels, (n,), with expectation propagation: R&W Algorithms 3.5, 3.6, 5.2.
 
     Raises:
         InputError: if shapes differ, a value is not finite, or a class is missing.
@@ -216,9 +215,9 @@ def _infer(method: Method, K: Array, mean: float, signs: Array, start: Sites | N
 
 
 def pack(hyperparameters: Hyperparameters) -> Array:
-    """Hyperparameters as the search sees them, (2 + m,): m/√(1 + s²), log s², log ℓ.
+    """Hyperparameters in the coordinates of the search, (2 + m,): m/√(1 + s²), log s², log ℓ.
 
-    In the first the evidence is flat along s², where that is large; in the mean itself it would be a ridge.
+    For large s² the evidence is flat along log s² in these coordinates; with the mean itself it would be a ridge.
     """
     mean, s, scales = hyperparameters
     return np.array([mean / math.sqrt(1.0 + s), math.log(s), *np.log(scales)])
@@ -233,7 +232,7 @@ def unpack(packed: Array) -> Hyperparameters:
 def evaluate(
     packed: Array, F: Array, signs: Array, method: Method, start: Sites | None = None
 ) -> tuple[Posterior, Array]:
-    """The posterior at packed hyperparameters and the gradient of its log evidence by them, (2 + m,).
+    """The posterior at packed hyperparameters and the gradient of its log evidence, (2 + m,).
 
     Args:
         signs: labels, (n,) of -1 and 1.
@@ -249,10 +248,10 @@ def evaluate(
 
 
 def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
-    """Type-II maximum likelihood without priors, as GPML's `minimize`: the best local maximum over `_STARTS`."""
+    """Type-II maximum likelihood without priors, like GPML's `minimize`: the best local maximum over `_STARTS`."""
     _checked(F, y)
     if y.all() or not y.any():
-        raise InputError(f"Both classes must be in the training set, got {len(y)} labels of one.")
+        raise InputError(f"The training set must contain both classes, got {len(y)} labels of one.")
     signs, m = _signs(y), F.shape[1]
     bounds = [_PRIOR_PROBIT] + [tuple(np.log(limits)) for limits in [_SIGNAL_VARIANCE] + [LENGTH_SCALE] * m]
 
@@ -270,6 +269,6 @@ def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
         options = {"ftol": 1e-10, "gtol": 1e-4, "maxiter": 500, "maxcor": 20}
         return minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
 
-    found = min((climb(*start) for start in _STARTS), key=lambda end: float(end.fun))
-    trained = condition(F, y, unpack(found.x), method)
-    return replace(trained, iterations=int(found.nit), converged=trained.converged and bool(found.success))
+    optimum = min((climb(*start) for start in _STARTS), key=lambda end: float(end.fun))
+    trained = condition(F, y, unpack(optimum.x), method)
+    return replace(trained, iterations=int(optimum.nit), converged=trained.converged and bool(optimum.success))

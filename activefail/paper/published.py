@@ -1,6 +1,6 @@
-"""What the paper prints of its results, and what its Table 2 says of the sample behind them.
+"""The paper's published results, and what its Table 2 implies about its sample.
 
-The figures are those of its Table 2 and section 3, in the order of its six features.
+The numbers are from its Table 2 and section 3, in the order of its six features.
 """
 
 from dataclasses import dataclass
@@ -28,16 +28,16 @@ P_VALUES = {
     "impact": (0.012, 0.792, 0.028, 0.689, 0.204, 0.755),
     "failure": (0.011, 0.004, 7e-7, 0.20, 0.52, 0.24),
 }
-"""Wald's, of logistic regression, for the six features."""
+"""Wald p-values of logistic regression for the six features."""
 
 LOGISTIC = {"impact": 0.98, "failure": 0.92}
-"""Accuracy of logistic regression on the points it was fitted to."""
+"""In-sample accuracy of logistic regression."""
 
 HELD_OUT = 0.97
-"""Accuracy for failure of the Gaussian process on the quarter held out."""
+"""Accuracy for failure of the Gaussian process on the held-out quarter."""
 
 GAIN = HELD_OUT - LOGISTIC["failure"]
-"""Of the process over logistic regression: the one held out, the other in sample."""
+"""Held-out accuracy of the process minus in-sample accuracy of logistic regression."""
 
 AMPLITUDE, SLIDER_HEIGHT = TABLE_1.names.index("A_p"), TABLE_1.names.index("h_sl_ratio")
 
@@ -48,10 +48,10 @@ class Table2Row:
 
     Attributes:
         name: of the feature.
-        factor: from SI units to the paper's.
+        factor: from SI units to the paper's units.
         low, high, median: of each draw, in the paper's units.
         attainable: least and largest value over Table 1, in the paper's units.
-        tilted: medians of the same draws `tilted`, in the paper's units.
+        tilted: medians of the `tilted` draws, in the paper's units.
     """
 
     name: str
@@ -64,15 +64,15 @@ class Table2Row:
 
 
 def table_2(X: Array) -> list[Table2Row]:
-    """Ours of the paper's Table 2 over draws, (draws, 250, 9).
+    """Our version of the paper's Table 2 over draws, (draws, 250, 9).
 
-    The paper's D_ratio fits a pulse displacement of A_p·(T_p/2π)² with A_p in g but without g's 9.81, and its k_norm
-    that displacement in millimetres: constant factors, which no classifier notices.
+    The paper's D_ratio is consistent with a pulse displacement A_p·(T_p/2π)² with A_p in g, without the factor 9.81,
+    and its k_norm with that displacement in millimetres. Such constant factors do not affect a classifier.
     """
-    # k_norm goes with the inverse root of the displacement.
+    # k_norm is proportional to displacement^-½.
     factor = np.array([1.0 / GRAVITY, 1.0, 1.0, 1.0, 1.0, np.sqrt(GRAVITY / 1000.0)])
     F = factor * paper_features(X.reshape(-1, TABLE_1.dimension)).reshape(*X.shape[:2], -1)
-    # Every feature is monotone in every variable: its extremes are at corners of the design space.
+    # Features are monotone in every variable, so their extremes are at corners of the design space.
     corners = factor * paper_features(TABLE_1.from_unit(np.array(list(product((0.0, 1.0), repeat=TABLE_1.dimension)))))
     tilted_features = factor * paper_features(tilted(X).reshape(-1, TABLE_1.dimension)).reshape(F.shape)
     return [
@@ -110,9 +110,10 @@ def _tilts() -> tuple[float, float]:
 
 
 def tilted(X: Array) -> Array:
-    """Designs, (..., 9), moved within Table 1 so that μ/A_p and h_sl/D_sl have the medians of the paper's Table 2.
+    """Designs, (..., 9), transformed so that μ/A_p and h_sl/D_sl have the medians of the paper's Table 2.
 
-    A_p and h_sl/D_sl, scaled to 0…1, are raised to a power each: stronger pulses, flatter sliders, the same ranges.
+    A_p and h_sl/D_sl, scaled to 0…1, are each raised to a power: stronger pulses and flatter sliders in the same
+    ranges.
     """
     unit = TABLE_1.to_unit(X)
     for column, power in zip((AMPLITUDE, SLIDER_HEIGHT), _tilts(), strict=True):

@@ -1,7 +1,7 @@
-"""The paper's statistics over many draws of its design: what `activefail paper` computes.
+"""The paper's statistics over many draws of its design, as computed by `activefail paper`.
 
-One draw is a Latin hypercube of 250 simulations over Table 1, as the paper had one. Every figure of the paper is then a
-distribution over draws, and what the paper could only judge on about 62 held-out points is judged on fresh designs.
+A draw is a Latin hypercube of 250 simulations over Table 1, like the paper's. Every number of the paper becomes a
+distribution over draws, and accuracy is measured on fresh designs instead of about 62 held-out points.
 """
 
 import os
@@ -30,17 +30,17 @@ SIZE = 250
 """Simulations of one draw, as in the paper."""
 
 TRAINING_SHARE = 0.75
-"""Of a draw's points, those that a process is trained on; it is judged on the others, as in the paper."""
+"""Share of a draw's points that train a process; the others test it, as in the paper."""
 
 SPLITS = 5
-"""Random splits of each draw on which the Laplace process is held out: a quarter is only about 62 points."""
+"""Random splits of each draw for the held-out accuracy of the Laplace process: a quarter is only about 62 points."""
 
 BOUNDARIES = {"impact": 1, "failure": 2}
-"""The paper's two questions, and the least outcome that answers yes."""
+"""The paper's two boundaries, with the least severe outcome beyond each."""
 
 METHODS = ("laplace", "ep", "variational", "variational_log")
-"""Gaussian processes compared: the paper's Laplace, its expectation propagation, and variational ones,
-on the features as the paper has them and with their logarithms, as the campaign takes them."""
+"""The Gaussian processes: the paper's Laplace and expectation propagation, and variational ones on the paper's features
+and on their logarithms, as in a campaign."""
 
 SIGNIFICANCE = 0.05
 
@@ -51,7 +51,7 @@ class Logistic:
 
     in_sample: float
     fresh: float
-    p_values: Array  # (6,); NaN when there is no maximum
+    p_values: Array  # (6,); NaN without a maximum
     separated: bool
 
 
@@ -63,9 +63,11 @@ class Process:
     fresh: float  # accuracy on fresh designs
     log_score: float  # mean log probability of the true class on fresh designs [nat]
     calibration_error: float  # mean distance of predicted from observed shares on fresh designs, over ten bins
-    calibration_slope: float  # of the log odds of failure on the predicted ones: above 1 too cautious, below too sure
+    calibration_slope: (
+        float  # of observed on predicted log odds of failure: above 1 underconfident, below overconfident
+    )
     length_scales: Array  # (6,) over the features' ranges
-    switched_off: NDArray[np.bool_]  # (6,) whether a length scale ran to the bound of its search
+    switched_off: NDArray[np.bool_]  # (6,) whether a length scale reached its upper bound
     converged: bool
     probability: Array  # (n_fresh,) of failure
 
@@ -76,9 +78,9 @@ class Draw:
 
     Attributes:
         logistic: of the whole draw, by boundary.
-        three_quarters: fresh accuracy for failure of a logistic regression on the points the processes were trained on.
+        three_quarters: fresh accuracy for failure of a logistic regression on the processes' training points.
         processes: by method, on the first split.
-        held_out: (splits,) accuracy of the Laplace process on the quarter left out, the first split first.
+        held_out: (splits,) accuracy of the Laplace process on the held-out quarter, the first split first.
     """
 
     logistic: dict[str, Logistic]
@@ -103,7 +105,7 @@ class Data:
 
     @property
     def numerical_failures(self) -> int:
-        """How many of them have no answer."""
+        """How many of them failed numerically."""
         return int(np.sum(self.outcome < 0) + np.sum(self.outcome_fresh < 0))
 
     @property
@@ -115,11 +117,11 @@ class Data:
 
 @dataclass(frozen=True)
 class Variant:
-    """The study again under one other choice.
+    """The study with one choice changed.
 
     Attributes:
         name: of the choice.
-        moved: share of the draws' outcomes that differ from the default model's; None where the designs are others.
+        moved: share of the draws' outcomes that differ from the default model's; None if the designs differ.
         data: its designs and outcomes.
         draws: of the Laplace process alone, on one split.
     """
@@ -138,10 +140,10 @@ VARIANTS: dict[str, Model] = {
     "v_r = 0.01 m/s": Model(friction_velocity=0.01),
     "failure without loss of confinement": Model(loss_of_confinement=False),
 }
-"""The choices of the model whose influence is measured, the default first."""
+"""The model choices whose influence is measured, the default first."""
 
 TILTED = "the sample tilted to the medians of Table 2"
-"""The variant of `tilted` designs under the default model."""
+"""The variant with `tilted` designs and the default model."""
 
 
 def designs(draws: int, fresh: int, seed: int) -> tuple[Array, Array]:
@@ -151,7 +153,7 @@ def designs(draws: int, fresh: int, seed: int) -> tuple[Array, Array]:
 
 
 def simulated(X: Array, X_fresh: Array, model: Model) -> Data:
-    """Outcomes of draws and fresh designs under a model; numerical failures stay -1."""
+    """Outcomes of draws and fresh designs under a model; -1 for numerical failures."""
     outcome = simulate(X.reshape(-1, TABLE_1.dimension), model).outcome.reshape(X.shape[:2])
     return Data(X, outcome, X_fresh, simulate(X_fresh, model).outcome)
 
@@ -161,7 +163,7 @@ def _answered(X: Array, outcome: NDArray[np.int8]) -> tuple[Array, NDArray[np.in
 
 
 def logistic_of_draw(X: Array, y: NDArray[np.bool_], F_fresh: Array, y_fresh: NDArray[np.bool_]) -> Logistic:
-    """Logistic regression of a draw's yes-or-no labels on the paper's features."""
+    """Logistic regression of a draw's binary labels on the paper's features."""
     F = paper_features(X)
     fitted = logistic_regression(F, y)
     return Logistic(fitted.accuracy(F, y), fitted.accuracy(F_fresh, y_fresh), fitted.p_values, fitted.separation)
@@ -174,7 +176,7 @@ def _paper_scaling() -> tuple[Array, Array]:
 
 
 def _scaled_features(logarithmic: bool) -> Callable[[Array], Array]:
-    """The paper's features in standard units over the design space, ratios as they are or by their logarithm."""
+    """The paper's features, standardised over the design space, optionally with logarithms of the ratios."""
     if logarithmic:
         return feature_map("paper", TABLE_1)
     center, spread = _paper_scaling()
@@ -182,20 +184,20 @@ def _scaled_features(logarithmic: bool) -> Callable[[Array], Array]:
 
 
 def split(rng: np.random.Generator, n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Random rows to train on and to hold out, of n."""
+    """Split n rows at random into training and held-out rows."""
     train, held_out = np.split(rng.permutation(n), [round(TRAINING_SHARE * n)])
     return train, held_out
 
 
 def calibration_slope(p: Array, y: NDArray[np.bool_]) -> float:
-    """Cox's slope [Cox1958]: the coefficient of the predicted log odds, (n,), in a logistic regression of what came."""
+    """Cox's slope [Cox1958]: the coefficient of the predicted log odds in a logistic regression of outcomes, (n,)."""
     log_odds = logit(np.clip(p, 1e-12, 1.0 - 1e-12))
     return float(logistic_regression(log_odds[:, None], y).coefficients[0])
 
 
 @dataclass(frozen=True)
 class _Trained:
-    """A classifier of failure, as the study asks it."""
+    """A trained classifier of failure."""
 
     probability: Callable[[Array], Array]  # of failure at scaled features
     length_scales: Array  # (6,)
@@ -213,7 +215,7 @@ def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
             fitted = fit(torch.from_numpy(F), torch.from_numpy(np.where(failed, 1.0, -1.0)), "rbf")
             scales = np.exp(fitted.hyperparameters.log_lengthscale.numpy())
             latent = Latent(fitted)
-            # Its weak prior keeps every length scale finite, and its search ends at a minimum by construction.
+            # Its weak prior keeps length scales finite, and its search always ends at a minimum.
             return _Trained(lambda G: latent.moments(G).probability, scales, np.zeros(len(scales), dtype=bool), True)
 
 
@@ -225,17 +227,17 @@ def process_of_draw(
     X_fresh: Array,
     y_fresh: NDArray[np.bool_],
 ) -> Process:
-    """A GP classifier trained on a random three quarters of a draw and judged on the rest and on fresh designs."""
+    """Train a GP classifier on random three quarters of a draw; test it on the rest and on fresh designs."""
     train, held_out = split(rng, len(X))
     features = _scaled_features(method == "variational_log")
     F, F_fresh = features(X), features(X_fresh)
     trained = _trained(method, F[train], failed[train])
     p = trained.probability(F_fresh)
-    sure = np.clip(np.where(y_fresh, p, 1.0 - p), 1e-12, None)
+    p_true = np.clip(np.where(y_fresh, p, 1.0 - p), 1e-12, None)
     return Process(
         held_out=float(np.mean((trained.probability(F[held_out]) > 0.5) == failed[held_out])),
         fresh=float(np.mean((p > 0.5) == y_fresh)),
-        log_score=float(np.mean(np.log(sure))),
+        log_score=float(np.mean(np.log(p_true))),
         calibration_error=expected_calibration_error(p, y_fresh),
         calibration_slope=calibration_slope(p, y_fresh),
         length_scales=trained.length_scales / np.ptp(F_fresh, axis=0),
@@ -263,11 +265,14 @@ def study_draw(
     methods: tuple[str, ...],
     splits: int,
 ) -> Draw:
-    """All that the paper computed, for one draw; runs in a worker process.
+    """The paper's statistics for one draw; runs in a worker process.
 
     Args:
-        methods: of `METHODS`, all on the first split; "laplace" among them.
-        splits: on which the Laplace process is held out.
+        X, outcome: the draw, (250, 9) and (250,).
+        X_fresh, outcome_fresh: the fresh designs, (n, 9) and (n,).
+        seed, draw: seed of the study and number of the draw.
+        methods: subset of `METHODS`, including "laplace", for the first split.
+        splits: number of splits for the Laplace process.
     """
 
     def of_split(number: int) -> np.random.Generator:
@@ -296,7 +301,7 @@ def study_draw(
 
 
 def study_draws(pool: ProcessPool, data: Data, seed: int, methods: tuple[str, ...], splits: int) -> list[Draw]:
-    """`study_draw` of every draw, side by side; the results do not depend on the pool's size."""
+    """`study_draw` for all draws in parallel; the results do not depend on the pool's size."""
     futures = [
         pool.submit(study_draw, X, outcome, data.X_fresh, data.outcome_fresh, seed, draw, methods, splits)
         for draw, (X, outcome) in enumerate(zip(data.X, data.outcome, strict=True))
@@ -307,19 +312,19 @@ def study_draws(pool: ProcessPool, data: Data, seed: int, methods: tuple[str, ..
 def median_p_values(draws: list[Draw], boundary: str) -> Array:
     """Median Wald p-values over the draws that have them, (6,); NaN if none has."""
     p = np.array([draw.logistic[boundary].p_values for draw in draws])
-    found = p[~np.isnan(p).any(axis=1)]
-    return np.asarray(np.median(found, axis=0)) if len(found) else np.full(p.shape[1], np.nan)
+    defined = p[~np.isnan(p).any(axis=1)]
+    return np.asarray(np.median(defined, axis=0)) if len(defined) else np.full(p.shape[1], np.nan)
 
 
 def significant_share(draws: list[Draw], boundary: str) -> Array:
-    """Share of draws in which each feature is significant at 5 %, (6,); a draw without a p-value counts as not."""
+    """Share of draws in which each feature is significant at 5 %, (6,); never in a draw without p-values."""
     p = np.array([draw.logistic[boundary].p_values for draw in draws])
     return np.asarray(np.mean(np.where(np.isnan(p), 1.0, p) < SIGNIFICANCE, axis=0))
 
 
 @dataclass(frozen=True)
 class Study:
-    """All that the reproduction reports; the first variant is the study itself."""
+    """The results of the reproduction; the first variant is the study itself."""
 
     data: Data
     draws: list[Draw]
@@ -327,7 +332,7 @@ class Study:
 
 
 def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = lambda _: None) -> Study:
-    """Simulate and compute everything; some minutes on two cores for 20 draws and 4,000 fresh designs.
+    """Run the study: some minutes on two cores for 20 draws and 4,000 fresh designs.
 
     Raises:
         SimulationError: if a worker process dies.
@@ -341,25 +346,25 @@ def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = 
         default, *others = VARIANTS
         variants = [Variant(default, 0.0, data, studied)]
         for name in (*others, TILTED):
-            stage(f"what depends on the choices: {name}")
+            stage(f"variant: {name}")
             if name == TILTED:
                 varied, moved = simulated(tilted(X), tilted(X_fresh), Model()), None
             else:
                 varied = simulated(X, X_fresh, VARIANTS[name])
-                both = (varied.outcome >= 0) & (data.outcome >= 0)
-                moved = float(np.mean(varied.outcome[both] != data.outcome[both]))
+                both_answered = (varied.outcome >= 0) & (data.outcome >= 0)
+                moved = float(np.mean(varied.outcome[both_answered] != data.outcome[both_answered]))
             variants.append(Variant(name, moved, varied, study_draws(pool, varied, seed, ("laplace",), 1)))
     return Study(data, studied, variants)
 
 
 @dataclass(frozen=True)
 class PaperProcess:
-    """The paper's process on one draw's training points.
+    """The paper's Gaussian process on one draw's training points.
 
     Attributes:
         F: (n, 6) the paper's features of the training points.
         failed: (n,) bool.
-        moments: latent mean and standard deviation at the paper's features, (n, 6).
+        moments: gives latent mean and standard deviation, (l,) each, at features, (l, 6).
     """
 
     F: Array
@@ -368,20 +373,20 @@ class PaperProcess:
 
 
 def orders_as_the_paper(process: Process) -> bool:
-    """Whether each feature that the paper finds significant has a shorter length scale than each other one."""
+    """Whether every feature significant in the paper has a shorter length scale than every other one."""
     significant = np.array(published.P_VALUES["failure"]) < SIGNIFICANCE
     return bool(process.length_scales[significant].max() < process.length_scales[~significant].min())
 
 
 def typical_process(study: Study, seed: int) -> PaperProcess:
-    """The Laplace process that Figures 3 to 5 show.
+    """The Laplace process shown in Figures 3 to 5.
 
-    Of the draws' first splits on which the length scales are ordered as in the paper (of all, if on none), the one with
-    the median fresh accuracy.
+    It has the median fresh accuracy among the first splits with length scales ordered as in the paper (among all, if
+    there are none).
     """
     processes = [draw.processes["laplace"] for draw in study.draws]
-    alike = [i for i, process in enumerate(processes) if orders_as_the_paper(process)] or list(range(len(processes)))
-    draw = sorted(alike, key=lambda i: processes[i].fresh)[len(alike) // 2]
+    similar = [i for i, process in enumerate(processes) if orders_as_the_paper(process)] or list(range(len(processes)))
+    draw = sorted(similar, key=lambda i: processes[i].fresh)[len(similar) // 2]
     X, outcome = _answered(study.data.X[draw], study.data.outcome[draw])
     train, _ = split(np.random.default_rng([seed, 2, draw, 0]), len(X))
     F, failed = paper_features(X[train]), outcome[train] == 2

@@ -1,4 +1,4 @@
-"""The page of a comparison over seeds: tables of every measure, learning curves, and what a static design needs."""
+"""The page of a comparison over seeds: tables of all measures, learning curves, and equivalent static designs."""
 
 from pathlib import Path
 
@@ -20,11 +20,11 @@ MEASURES = {
     "outcome_accuracy": "accuracy of outcomes",
     "outcome_log_score": "log score of outcomes",
 }
-"""Columns of the table, by measure."""
+"""Column titles, by measure."""
 
 
 def _range(point: Point) -> str:
-    """Median and, of several seeds, least and largest."""
+    """Median, with minimum and maximum over several seeds."""
     values = point.values[~np.isnan(point.values)]
     if not len(values):
         return "–"
@@ -33,8 +33,8 @@ def _range(point: Point) -> str:
 
 
 def _needed(points: list[Point], level: float) -> str:
-    needed = simulations_to_reach(points, level)
-    return f"> {points[-1].simulations}" if needed is None else f"{needed:.0f}"
+    simulations = simulations_to_reach(points, level)
+    return f"> {points[-1].simulations}" if simulations is None else f"{simulations:.0f}"
 
 
 def _command(plan: Plan) -> str:
@@ -47,7 +47,7 @@ def _sought(plan: Plan) -> str:
     shares = plan.settings.acquisition.boundaries
     if len(shares) == 1:
         return next(iter(shares))
-    return ", ".join(f"{name} with {share:.0%} of the chosen designs" for name, share in shares.items())
+    return ", ".join(f"{name} with {share:.0%} of the active designs" for name, share in shares.items())
 
 
 def _row(cells: list[str]) -> str:
@@ -57,17 +57,17 @@ def _row(cells: list[str]) -> str:
 def comparison_text(plan: Plan, scores: list[Score]) -> str:
     """The page as Markdown."""
     boundary = plan.settings.acquisition.main_boundary
-    own = {*MEASURES, f"accuracy_{boundary}"}
-    others = [name for name in scores[0].measures if name.startswith("accuracy_") and name not in own]
+    main = {*MEASURES, f"accuracy_{boundary}"}
+    others = [name for name in scores[0].measures if name.startswith("accuracy_") and name not in main]
     titles = MEASURES | {name: f"accuracy, {name.removeprefix('accuracy_')} boundary" for name in others}
     by_measure = {name: curves(scores, name) for name in titles}
     lines = [
         f"# Samplings compared: {plan.settings.description or 'a campaign'}",
         "",
-        f"Boundary sought: {_sought(plan)}. Judged at the {boundary} boundary. Median over {plan.seeds} seeds (least "
-        f"to largest), on {plan.test} fresh designs that all share. *Near the boundary*: designs for which one of "
-        f"{NEIGHBOURS} designs displaced by {DISPLACEMENT:.0%} of the ranges is on the other side. *Small regions*: "
-        "designs beyond the boundary for which half of these are not. Written by",
+        f"Target boundary: {_sought(plan)}. Accuracy refers to the {boundary} boundary. Medians over {plan.seeds} "
+        f"seeds (minimum to maximum), on the same {plan.test} fresh designs. *Near the boundary*: designs with one of "
+        f"{NEIGHBOURS} copies, displaced by {DISPLACEMENT:.0%} of the ranges, on the other side. *Small regions*: "
+        "designs beyond the boundary with half of these copies on the other side. Written by",
         "",
         "    " + _command(plan),
         "",
@@ -75,12 +75,12 @@ def comparison_text(plan: Plan, scores: list[Score]) -> str:
         "|" + "---|" * (3 + len(titles)),
     ]
     for (features, sampling), points in by_measure["accuracy"].items():
-        for place, point in enumerate(points):
-            cells = [_range(by_measure[name][features, sampling][place]) for name in titles]
+        for index, point in enumerate(points):
+            cells = [_range(by_measure[name][features, sampling][index]) for name in titles]
             lines.append(_row([features, sampling, str(point.simulations), *cells]))
-    found = by_measure["accuracy"]
-    active = {key: points for key, points in found.items() if key[1] != STATIC}
-    fixed = {key: points for key, points in found.items() if key[1] == STATIC}
+    accuracy = by_measure["accuracy"]
+    active = {key: points for key, points in accuracy.items() if key[1] != STATIC}
+    fixed = {key: points for key, points in accuracy.items() if key[1] == STATIC}
     if active and fixed:
         lines += [
             "",
@@ -96,7 +96,7 @@ def comparison_text(plan: Plan, scores: list[Score]) -> str:
                 lines.append(_row([features, str(point.simulations), f"{level:.4f}", *needed]))
         lines += [
             "",
-            "And how many a static Latin hypercube needs for the accuracy that a campaign ends with:",
+            "Simulations of a static Latin hypercube to reach a campaign's final accuracy:",
             "",
             _row(["campaign", "simulations", "accuracy", *(f"static, {f}" for f, _ in fixed)]),
             "|" + "---|" * (3 + len(fixed)),
@@ -109,20 +109,20 @@ def comparison_text(plan: Plan, scores: list[Score]) -> str:
 
 
 def comparison_lines(scores: list[Score]) -> list[str]:
-    """The gist for a terminal: medians of accuracy, accuracy near the boundary and log score."""
+    """A summary for a terminal: medians of accuracy, accuracy near the boundary and log score."""
     shown = ("accuracy", "accuracy_near", "log_score")
-    found = {name: curves(scores, name) for name in shown}
+    by_measure = {name: curves(scores, name) for name in shown}
     lines = [f"{'features':<12} {'sampling':<10} {'simulations':>11}" + "".join(f" {MEASURES[n]:>18}" for n in shown)]
-    for (features, sampling), points in found["accuracy"].items():
-        for place, point in enumerate(points):
-            medians = (float(np.median(found[name][features, sampling][place].values)) for name in shown)
+    for (features, sampling), points in by_measure["accuracy"].items():
+        for index, point in enumerate(points):
+            medians = (float(np.median(by_measure[name][features, sampling][index].values)) for name in shown)
             cells = "".join(f" {median:>18.4f}" for median in medians)
             lines.append(f"{features:<12} {sampling:<10} {point.simulations:>11}{cells}")
     return lines
 
 
 def write_comparison(plan: Plan, scores: list[Score], out: Path) -> Path:
-    """Write `comparison.md`, `scores.csv` and the curves (SVG, PNG) into the folder; the page's path."""
+    """Write `comparison.md`, `scores.csv` and the curves (SVG, PNG) into the folder; returns the page's path."""
     names = list(scores[0].measures)
     with writing(out / "scores.csv", ["features", "sampling", "seed", "simulations", *names]) as write:
         write(
@@ -132,7 +132,7 @@ def write_comparison(plan: Plan, scores: list[Score], out: Path) -> Path:
             ]
         )
     boundary = plan.settings.acquisition.main_boundary
-    about = f"Lines: medians over {plan.seeds} seeds; bands: least to largest; {plan.test} shared fresh designs"
+    about = f"Lines: medians over {plan.seeds} seeds; bands: minimum to maximum; {plan.test} fresh designs"
     for measure, label in (
         ("accuracy", f"accuracy for {boundary} on fresh designs"),
         ("log_score", f"mean log probability of the true side of {boundary} [nat]"),

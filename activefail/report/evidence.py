@@ -1,4 +1,4 @@
-"""What judges a campaign's classifier, read from its run folder for the report; nothing in the folder is changed."""
+"""Evidence of a classifier's accuracy, read from the run folder for the report. The folder is not changed."""
 
 import csv
 import io
@@ -34,9 +34,9 @@ class Curve:
 
     Attributes:
         scores: of one or two samplings.
-        test_size: designs that they are judged on.
+        test_size: designs in the test set with an outcome.
         source: "compare" or "validation".
-        unanswered: designs of the test set besides, which gave no answer.
+        unanswered: numerical failures in the test set.
     """
 
     scores: list[Score]
@@ -47,9 +47,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Reliability:
-    """Predicted probabilities of the sought boundary, (n,), and whether the outcome was beyond it, (n,).
+    """Predicted probabilities and observations of lying beyond the target boundary.
 
     Attributes:
+        probability: (n,) predicted.
+        beyond: (n,) whether the outcome was beyond the boundary.
         source: "test", "validation" or "left out".
     """
 
@@ -59,37 +61,39 @@ class Reliability:
 
 
 def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
-    """The table that `activefail compare DIR` wrote: its scores and how many test designs gave no answer.
+    """Read the table that `activefail compare DIR` wrote.
 
     Args:
         path: of the table.
         outcomes: of the campaign.
 
+    Returns:
+        The scores, and the number of numerical failures in the test set.
+
     Raises:
-        InputError: naming the file, the row and what is wrong with it.
+        InputError: naming the file, the row and the fault.
     """
     other = {"sampling": str, "simulations": int, "test_designs": int}
     kinds = {name: other.get(name, float) for name in Score.columns()}
     scores, unanswered = [], 0
     try:
-        # A run folder may come from someone else, with a pipe or a table without end.
+        # A run folder from someone else may contain a pipe or an endless table.
         text = read_regular(path, _LARGEST_TABLE).decode()
         with io.StringIO(text, newline="") as file:
             for number, row in enumerate(csv.DictReader(file), start=1):
                 try:
                     numbers: dict[str, Any] = {name: kind(row[name]) for name, kind in kinds.items()}
-                    # An older program wrote none.
-                    known = Score.recall_columns(outcomes)[0] in row
+                    # Older versions wrote neither recall nor unanswered designs.
+                    has_recall = Score.recall_columns(outcomes)[0] in row
                     recall = {
                         name: Recall(int(row[f"recalled_{name}"]), int(row[f"test_{name}"]))
-                        for name in (outcomes if known else ())
+                        for name in (outcomes if has_recall else ())
                     }
                     scores.append(_plausible(Score(**numbers, recall=recall)))
-                    # An older program wrote how many were asked for, and not this.
                     unanswered = max(unanswered, int(row.get("test_unanswered") or 0))
-                except (KeyError, TypeError, ValueError) as bad:
+                except (KeyError, TypeError, ValueError) as error:
                     raise InputError(
-                        f"{path}: row {number}: is not one that `activefail compare` writes: {bad}."
+                        f"{path}: row {number}: was not written by `activefail compare`: {error}."
                     ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
@@ -103,14 +107,14 @@ def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
 
 
 _MOST_DESIGNS = 1_000_000
-"""Designs and simulations that a score may be of."""
+"""Largest plausible number of designs or simulations in a score."""
 
 
 def _plausible(score: Score) -> Score:
-    """A score that a comparison could have had.
+    """The score, if a comparison could have produced it.
 
     Raises:
-        ValueError: saying what is wrong with it.
+        ValueError: naming the fault.
     """
     shares = (0.0, score.low, score.accuracy, score.high, 1.0)
     if not all(one <= other for one, other in pairwise(shares)):
@@ -121,29 +125,29 @@ def _plausible(score: Score) -> Score:
         raise ValueError(f"sampling: must be active or static, got {visible(score.sampling)!r}")
     recalled = [number for one in score.recall.values() for number in (one.found, one.of)]
     if not all(0 <= n <= _MOST_DESIGNS for n in (score.simulations, score.test_designs, *recalled)):
-        raise ValueError(f"numbers of designs must lie in 0 to {_MOST_DESIGNS}")
+        raise ValueError(f"numbers of designs must be between 0 and {_MOST_DESIGNS}")
     if any(one.found > one.of for one in score.recall.values()):
-        raise ValueError("more designs were recalled than there are")
+        raise ValueError("`recalled <= test` must hold for each outcome")
     return score
 
 
 def _curve(
     campaign: Campaign, store: Store, folder: Path, stage: Callable[[str], None]
 ) -> tuple[Curve | None, str | None]:
-    """The curve, and what to say of what is missing of it."""
+    """The learning curve, and a note on what it lacks."""
     path = folder / "compare" / "scores.csv"
-    note = "no comparison with a static design was made"
+    note = "no comparison with static designs"
     if path.exists():
         try:
             scores, unanswered = read_scores(path, campaign.simulator.outcomes)
             return Curve(scores, max(one.test_designs for one in scores), "compare", unanswered), None
-        except InputError as bad:
-            note = f"the comparison cannot be read ({bad})"
+        except InputError as error:
+            note = f"the comparison cannot be read ({error})"
     validation = stored_set(store, VALIDATION)
     history = History.of(store.batches)
     done = len(history)
     if validation is None:
-        return None, f"{note}, and the campaign has no validation set (validation.size)"
+        return None, f"{note}, and no validation set (validation.size)"
     scores = []
     classifier: Classifier | None = None
     initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
@@ -165,9 +169,10 @@ def _reliability(campaign: Campaign, store: Store, classifier: Classifier) -> Re
     latent = classifier.latents[campaign.severity - 1]
     sets = [(name_of_test_set(size), "test") for size in sizes_of_test_sets(store)]
     for name, source in [*sets, (VALIDATION, "validation")]:
-        if (found := stored_set(store, name)) is not None:
-            probability = latent.moments(campaign.features(found[0])).probability
-            return Reliability(probability, found[1] >= campaign.severity, source)
+        if (designs_and_outcomes := stored_set(store, name)) is not None:
+            X, outcome = designs_and_outcomes
+            probability = latent.moments(campaign.features(X)).probability
+            return Reliability(probability, outcome >= campaign.severity, source)
     initial = History.of(store.batches).training.initial
     if initial.sum() < 2:
         return None
@@ -178,11 +183,11 @@ def _reliability(campaign: Campaign, store: Store, classifier: Classifier) -> Re
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a run folder holds that judges its campaign's classifier.
+    """Evidence of a classifier's accuracy in a run folder.
 
     Attributes:
-        curve, reliability, error: None where nothing in the folder tells; `missing` says how to get it.
-        missing: by section, which command adds it.
+        curve, reliability, error: None if the folder has no data for it.
+        missing: why evidence is missing, by section of the report.
     """
 
     curve: Curve | None
@@ -198,14 +203,14 @@ def evidence_of(
     classifier: Classifier,
     stage: Callable[[str], None] = lambda _: None,
 ) -> Evidence:
-    """What judges the classifier of a campaign with at least one simulation."""
-    stage("reading what was compared and verified")
+    """The evidence for a campaign with at least one simulation."""
+    stage("reading comparison and verification")
     curve, note = _curve(campaign, store, folder, stage)
     missing = {} if note is None else {"curve": note}
     reliability = _reliability(campaign, store, classifier)
     if reliability is None:
-        missing["reliability"] = "there is neither a test set nor an initial design to judge by"
+        missing["reliability"] = "no test set, and no complete initial design"
     error = verified(campaign, store, classifier, store.batches[-1].iteration, 0.9)
     if error is None:
-        missing["error"] = "the error of the classifier was not verified"
+        missing["error"] = "the classifier's error is not verified"
     return Evidence(curve, reliability, error, missing)

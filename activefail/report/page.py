@@ -1,4 +1,4 @@
-"""The report of a campaign: one HTML file that stands for itself."""
+"""The report of a campaign: one self-contained HTML file."""
 
 import hashlib
 from collections.abc import Callable
@@ -44,17 +44,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_PAIRED = 6
-"""Features of the pair plot at the most: those with the shortest length scales."""
+"""Most features in the pair plot: those with the shortest length scales."""
 
 LISTED = 8
-"""Designs in the table of the most uncertain ones."""
+"""Designs in the table of the most uncertain designs."""
 
 _CORRELATION = {"rbf": 61, "matern52": 52}
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page; the template says what to see in it."""
+    """A figure of the page; the template has its caption."""
 
     svg: Markup
     wide: bool = False
@@ -65,7 +65,7 @@ def _picture(figure: "Figure", name: str, alternative: str) -> Picture:
 
 
 def subscripts(text: str) -> Markup:
-    """Text in which `_x` after a letter is a subscript, like D_tot."""
+    """Markup in which `_x` is a subscript, as in D_tot."""
     parts = text.split("_")
     out = escape(parts[0])
     for part in parts[1:]:
@@ -75,7 +75,7 @@ def subscripts(text: str) -> Markup:
 
 
 def spread(parameter: Parameter) -> str:
-    """How designs are spread over a variable, in words."""
+    """A variable's distribution in words."""
     if parameter.mean is not None and parameter.sd is not None:
         return f"normal, {significant(parameter.mean)} ± {significant(parameter.sd)}, within the bounds"
     return parameter.distribution.replace("_", "-")
@@ -86,11 +86,11 @@ def _probability(p: float) -> str:
 
 
 def _counts(findings: Findings) -> dict[str, NDArray[np.int64]]:
-    """Simulations by outcome and, last, without an answer, (outcomes + 1,), by the group's title."""
+    """Simulations by outcome, numerical failures last, (outcomes + 1,), by the group's title."""
     k = len(findings.campaign.simulator.outcomes)
     groups = {
-        "seed design": ~findings.chosen,
-        "chosen by the learner": findings.chosen,
+        "initial design": ~findings.chosen,
+        "active designs": findings.chosen,
         "all": np.ones(len(findings.X), dtype=bool),
     }
     code = np.where(findings.answered, findings.outcome, k)
@@ -156,20 +156,20 @@ def _planes(findings: Findings) -> dict[str, Any]:
 
 
 def _reliability(findings: Findings, evidence: Evidence) -> dict[str, Any] | None:
-    found = evidence.reliability
-    if found is None:
+    reliability = evidence.reliability
+    if reliability is None:
         return None
     name = quantities.plain(findings.beyond)
     figure = plot_reliability(
-        {f"{len(found.beyond)} designs": found.probability},
-        found.beyond,
+        {f"{len(reliability.beyond)} designs": reliability.probability},
+        reliability.beyond,
         1,
         labels=(f"share with {name} [–]", f"predicted P({name}) [–]"),
     )
     return {
         "picture": _picture(figure, "reliability", "Reliability diagram"),
-        "designs": len(found.beyond),
-        "source": found.source,
+        "designs": len(reliability.beyond),
+        "source": reliability.source,
     }
 
 
@@ -178,7 +178,7 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     features = campaign.features
     names = quantities.features(campaign)
 
-    def own(length: float, column: int, unit: str) -> str:
+    def in_units(length: float, column: int, unit: str) -> str:
         if length > LONG:
             return "more than its range"
         step = length * float(features.spread[column])
@@ -189,7 +189,10 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     rows = []
     for column in np.argsort(scales[campaign.severity - 1], kind="stable").tolist():
         cells = [
-            {"length": significant(float(row[column]), 2), "own": own(float(row[column]), column, names[column].unit)}
+            {
+                "length": significant(float(row[column]), 2),
+                "in_units": in_units(float(row[column]), column, names[column].unit),
+            }
             for row in scales
         ]
         rows.append({"quantity": names[column], "cells": cells, "matters": bool((scales[:, column] <= LONG).any())})
@@ -203,14 +206,14 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
 
 def _uncertain(findings: Findings) -> list[dict[str, Any]]:
     prediction = findings.pool_prediction
-    tells = bald(prediction.mean, prediction.sd)
-    rows = np.argsort(-tells, kind="stable")[:LISTED]
+    information = bald(prediction.mean, prediction.sd)
+    rows = np.argsort(-information, kind="stable")[:LISTED]
     return [
         {
             "design": [significant(float(value)) for value in findings.pool[row]],
             "probabilities": [_probability(float(p)) for p in prediction.probabilities[row]],
             "interval": f"{_probability(prediction.low[row])} to {_probability(prediction.high[row])}",
-            "tells": f"{tells[row]:.2f}",
+            "information": f"{information[row]:.2f}",
         }
         for row in rows.tolist()
     ]
@@ -226,7 +229,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
         try:
             Motion(response)
         except InputError:
-            continue  # it ended at its start: there is nothing to draw
+            continue  # it failed at the start: there is no motion to draw
         prediction = predict(findings.campaign, findings.classifier, findings.X[row : row + 1])
         probabilities = [_probability(float(p)) for p in prediction.probabilities[0]]
         alternative = f"Plates and slider of simulation {row} at four instants"
@@ -236,7 +239,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
                 "why": why,
                 "simulation": row,
                 "iteration": int(findings.iteration[row]) if findings.chosen[row] else None,
-                "ended": describe_outcome(response),
+                "result": describe_outcome(response),
                 "probabilities": dict(zip(simulator.outcomes, probabilities, strict=True)),
             }
         )
@@ -244,7 +247,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
 
 
 def _learner(findings: Findings) -> dict[str, Any]:
-    """What the learner has chosen, and in which portions."""
+    """Numbers of active designs and batches."""
     batch = findings.campaign.settings.sampling.batch
     _, sizes = np.unique(findings.iteration[findings.chosen], return_counts=True)
     return {
@@ -259,11 +262,13 @@ def _features_need_code(campaign: Campaign) -> bool:
 
 
 def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> list[str]:
-    """The commands by which a campaign was judged as the page says, and the page's own.
+    """The commands that reproduce the page's evidence and the page.
 
     Args:
-        folder: of the run.
-        code: what a command that simulates has to be given, so that it may run the campaign's own code.
+        findings: of the campaign.
+        evidence: on the page.
+        folder: the run folder, quoted.
+        code: the `--code` option of commands that simulate, if needed.
     """
     commands = []
     if evidence.curve is not None and evidence.curve.source == "compare":
@@ -271,7 +276,7 @@ def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> 
         test = evidence.curve.test_size + evidence.curve.unanswered
         commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}{code}")
     if evidence.error is not None:
-        commands.append(f"activefail verify {folder} --simulations {evidence.error.asked}{code}")
+        commands.append(f"activefail verify {folder} --simulations {evidence.error.requested}{code}")
     return [*commands, f"activefail report {folder}{code if _features_need_code(findings.campaign) else ''}"]
 
 
@@ -354,7 +359,7 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
 
 
 def write_report(page: str, path: Path) -> None:
-    """Write the page under its name only once it is whole.
+    """Write the page; the file appears under its name only when complete.
 
     Raises:
         OSError: if it cannot be written.

@@ -1,4 +1,4 @@
-"""The reproduction page: the paper's figures beside ours, as Markdown with SVG and PNG figures."""
+"""The reproduction page: the paper's results beside ours, as Markdown with SVG and PNG figures."""
 
 import json
 from collections.abc import Callable
@@ -48,7 +48,7 @@ def _percent(share: float, digits: int = 0) -> str:
 
 
 def _significant(value: float) -> str:
-    """Three significant digits, never as a power of ten."""
+    """Three significant digits, without a power of ten."""
     return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
@@ -59,23 +59,23 @@ def _with_one_sample(values: Array) -> str:
 
 
 def _printed_bounds(rows: list[Table2Row]) -> list[int]:
-    """Features whose printed range is what Table 1 attains, to the digits printed."""
-    found = []
+    """Features whose published range equals the attainable range of Table 1, to rounding."""
+    columns = []
     for i, (row, (text, _)) in enumerate(zip(rows, published.TABLE_2, strict=True)):
         theirs = [float(part) for part in text.split(" to ")]
         if np.allclose(theirs, row.attainable, rtol=1e-3):
-            found.append(i)
-    return found
+            columns.append(i)
+    return columns
 
 
 def _explained(rows: list[Table2Row]) -> list[int]:
-    """Features whose printed median is within one tilted sample's interval, and not within one uniform sample's."""
-    found = []
+    """Features whose published median lies in the interval of a tilted sample but not of a uniform one."""
+    columns = []
     for i, (row, (_, theirs)) in enumerate(zip(rows, published.TABLE_2, strict=True)):
         uniform, tilted = (Estimate.over(values).of_one for values in (row.median, row.tilted))
         if contains(tilted, theirs, 0.005) and not contains(uniform, theirs, 0.005):
-            found.append(i)
-    return found
+            columns.append(i)
+    return columns
 
 
 def table_2(X: Array) -> list[dict[str, str]]:
@@ -112,11 +112,9 @@ def _p_values(study: Study) -> list[dict[str, str]]:
 
 
 def _caution(method: str, study: Study) -> str:
-    """What the calibration slope says of a method's probabilities."""
+    """The calibration slope of a method's probabilities in words."""
     low, high = Estimate.over(claims.process(study.draws, method, "calibration_slope")).of_mean
-    return (
-        "too cautious" if low > 1.0 else "too sure of the surest" if high < 1.0 else "neither too sure nor too cautious"
-    )
+    return "underconfident" if low > 1.0 else "overconfident" if high < 1.0 else "neither over- nor underconfident"
 
 
 def _processes(study: Study) -> list[dict[str, str]]:
@@ -141,7 +139,7 @@ def _length_scales(study: Study) -> list[dict[str, Any]]:
     def cell(method: str, i: int) -> str:
         lengths = claims.process(study.draws, method, "length_scales")[:, i]
         off = claims.process(study.draws, method, "switched_off")[:, i]
-        # A median among the length scales at the bound says only that it is at least that.
+        # A median at the bound is only a lower limit.
         mark = "> " if np.mean(off) > 0.5 else ""
         return f"{mark}{_significant(float(np.median(lengths)))}" + (f" ({int(off.sum())})" if off.any() else "")
 
@@ -181,7 +179,7 @@ def _variant(variant: Variant) -> dict[str, Any]:
 
 
 def _moving(study: Study) -> list[str]:
-    """A sentence for each conclusion: which choices overturn it."""
+    """A sentence for each conclusion: the choices that overturn it."""
     sentences = []
     for conclusion, holds in CONCLUSIONS.items():
         against = [variant.name for variant in study.variants if not holds(variant.draws)]
@@ -190,8 +188,8 @@ def _moving(study: Study) -> list[str]:
 
 
 def _peak_displacement() -> float:
-    """Peak displacement of the pulse over A_p·(T_p/2π)², by integrating it twice."""
-    # Twice a run's span: nothing of the pulse is left at its ends.
+    """Peak displacement of the pulse over A_p·(T_p/2π)², by integrating the acceleration twice."""
+    # Twice the span of a simulation: the pulse has decayed at both ends.
     t = np.linspace(-2.0 * HALF_DURATION, 2.0 * HALF_DURATION, 20_001)
     acceleration = np.array([ground_acceleration(instant, (2.0 * np.pi) ** 2, 1.0) for instant in t])
     velocity = cumulative_trapezoid(acceleration, t, initial=0.0)
@@ -298,7 +296,7 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
 
 
 def render(numbers: dict[str, Any]) -> str:
-    """The page with these numbers in it."""
+    """Render the page with these numbers."""
     environment = Environment(
         loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
     )
@@ -306,10 +304,13 @@ def render(numbers: dict[str, Any]) -> str:
 
 
 def write_reproduction(study: Study, out: Path, command: dict[str, int], stage: Callable[[str], None]) -> Path:
-    """Write the page `out/reproduction.md`, its figures and its numbers below `out/reproduction`; the page's path.
+    """Write the page `out/reproduction.md`, with figures and numbers in `out/reproduction`; returns the page's path.
 
     Args:
+        study: the results.
+        out: folder of the page.
         command: draws, fresh and seed of the study, and the minutes and cores that it took.
+        stage: called when drawing begins.
     """
     folder = out / "reproduction"
     folder.mkdir(parents=True, exist_ok=True)

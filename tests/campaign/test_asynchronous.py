@@ -303,9 +303,7 @@ def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatc
 
 
 def test_too_many_in_flight_for_the_initial_design_are_refused() -> None:
-    with pytest.raises(
-        InputError, match=r"`2 batch <= initial` must hold where asynchronous, got batch 7 and initial 12"
-    ):
+    with pytest.raises(InputError, match=r"`2 batch <= initial` must hold if asynchronous, got batch 7 and initial 12"):
         plan(batch=7)
 
 
@@ -340,7 +338,7 @@ def test_an_asynchronous_campaign_of_bearings_is_run_resumed_and_reported(tmp_pa
     rows = record(tmp_path / "run")
     assert len(rows) == 30
     assert sum(row["origin"] == "seed" for row in rows) == 20
-    assert "30 simulations, 26 were planned" in activefail("status", tmp_path / "run").out
+    assert "30 simulations, 26 planned" in activefail("status", tmp_path / "run").out
     assert activefail("report", tmp_path / "run").code == 0
 
 
@@ -383,7 +381,7 @@ def test_ctrl_c_says_what_becomes_of_the_simulations_in_flight(tmp_path: Path, s
         until(lambda: process.poll() is not None or len(begun()) == 13 + SIZE, "four that are held")
         assert process.poll() is None, process.communicate()
         process.send_signal(signal.SIGINT)
-        wait_for(process.stderr, "stopping: no simulation is begun any more, those in flight are waited for")
+        wait_for(process.stderr, "stopping: waiting for the simulations in flight")
         if signals == 2:
             process.send_signal(signal.SIGINT)
         else:
@@ -396,7 +394,7 @@ def test_ctrl_c_says_what_becomes_of_the_simulations_in_flight(tmp_path: Path, s
         assert err.splitlines()[-1].startswith("stopped with nothing in flight. Continue with: activefail resume")
         assert recorded == asked
     else:
-        last = "stopped; what was recorded is safe, what was in flight will be simulated again. Continue with: "
+        last = "stopped; recorded simulations are safe, those in flight will be simulated again. Continue with: "
         assert err.splitlines()[-1].startswith(last)
         assert len(asked - recorded) == SIZE
         (tmp_path / "open").touch()

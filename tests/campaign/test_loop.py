@@ -293,9 +293,9 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
             take(broken, store)
         done, first = sets * INITIAL, initial_designs(broken, sets)[-INITIAL].tolist()
         message = str(stopped.value)
-        assert f"None of the {done} simulations gave an answer" in message
+        assert f"None of the {done} simulations gave an outcome" in message
         assert "The cause of the first is raised." in message
-        assert "`activefail resume DIR` goes on" in message
+        assert "`activefail resume DIR` continues" in message
         assert (
             f"Why the first abandoned simulation failed: design {first}: ZeroDivisionError: the stiffness vanished"
             in message
@@ -338,7 +338,7 @@ def test_failures_before_the_first_answer_are_no_reason_to_stop_once_the_simulat
 def test_a_budget_that_is_too_small_for_other_initial_designs_is_told(initial: int, budget: int, needed: int) -> None:
     campaign = disc(Broken(), initial=initial, budget=28, batch=2)
     store = MemoryStore(campaign.schema)
-    words = f"`activefail resume DIR --budget {needed}` goes on"
+    words = f"`activefail resume DIR --budget {needed}` continues"
     with pytest.raises(SimulationError, match=words) as stopped:
         take(campaign, store, budget=budget)
     assert "the stiffness vanished" in str(stopped.value)

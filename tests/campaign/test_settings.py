@@ -126,19 +126,19 @@ BROKEN = {
     ),
     "a fixed variable with bounds": (
         "space.mu = {value = 0.1, low = 0.2}",
-        ["space.mu.low: a variable has `low` and `high`, or `value` alone"],
+        ["space.mu.low: a variable has either `low` and `high` or `value`"],
     ),
     "a key of a program beside a function": (
         'simulator = { python = "a:b", retries = -1 }\nspace.x = { low = 0, high = 1 }',
-        ["simulator.retries: belongs to `command`, and does not stand beside `python`"],
+        ["simulator.retries: belongs to `command`; cannot be combined with `python`"],
     ),
     "a function and a program": (
         'simulator = { python = "a:b", command = "a {out}" }\nspace.x = { low = 0, high = 1 }',
-        ["simulator.command: cannot stand beside `python`"],
+        ["simulator.command: cannot be combined with `python`"],
     ),
     "a function and expressions": (
         'classifier.features = { python = "a:b", expressions = { x = "mu" } }',
-        ["classifier.features.expressions: cannot stand beside `python`"],
+        ["classifier.features.expressions: cannot be combined with `python`"],
     ),
     "a fixed variable that is no number": ("space.mu = {value = inf}", ["space.mu.value: must be", "inf"]),
     "unknown table of a simulator": (
@@ -173,7 +173,7 @@ BROKEN = {
     "number for a table": ("sampling = 500", ["sampling: must be", "500"]),
     "number for a variable": ("space.mu = 0.06", ["space.mu: must be", "0.06"]),
     "text for a switch": ('bearing.loss_of_confinement = "maybe"', ["bearing.loss_of_confinement: must be", "'maybe'"]),
-    "half a variable": ("space.mu = {low = 0.1}", ["space.mu.high: required, but not there"]),
+    "half a variable": ("space.mu = {low = 0.1}", ["space.mu.high: required, but missing"]),
     "four outcomes": (
         'simulator = { python = "a:b", outcomes = ["a", "b", "c", "d"] }',
         ["simulator.outcomes: must hold at most 3, got ['a', 'b', 'c', 'd']"],
@@ -198,7 +198,7 @@ BROKEN = {
     ),
     "no variables of a simulator of one's own": (
         'simulator.python = "a:b"',
-        ["space: required where the simulator is one's own"],
+        ["space: required with a custom simulator"],
     ),
     "no variable": ("[space]", ["space: ", "at least 1"]),
     "negative seed": ("seed = -1", ["seed: must be greater than or equal to 0", "-1"]),
@@ -270,11 +270,11 @@ BROKEN = {
     ),
     "weight of thousands of digits": (
         f"acquisition.boundary = {{failure = 0x{'f' * 6000}}}",
-        ["acquisition.boundary: the weight of 'failure' must be", "got a number of thousands of digits"],
+        ["acquisition.boundary: the weight of 'failure' must be", "got a number with thousands of digits"],
     ),
     "seed of thousands of digits": (
         f"seed = 0x{'f' * 6000}",
-        ["seed: must be less than 9223372036854775808, got a number of thousands of digits"],
+        ["seed: must be less than 9223372036854775808, got a number with thousands of digits"],
     ),
     "bound that no computer's number holds": (
         f"space.mu = {{low = 0, high = 1{'0' * 400}}}",
@@ -308,7 +308,7 @@ def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, say
 
 
 def test_a_whole_number_of_more_digits_than_are_read_is_refused_naming_the_file() -> None:
-    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: a whole number of thousands of digits."
+    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: an integer with thousands of digits."
 
 
 @pytest.mark.parametrize(
@@ -588,7 +588,7 @@ def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, i
         *(
             (
                 f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
-                f"space.{name}: is the name of a column that `activefail predict` adds; rename it.",
+                f"space.{name}: `activefail predict` adds a column of this name; rename it.",
             )
             for name in ("p_safe", "p_failure", "latent_mean", "latent_sd")
         ),
@@ -603,7 +603,7 @@ def test_pieces_that_do_not_fit_each_other_are_refused_by_key_path_rule_and_valu
 def test_settings_of_the_bearing_beside_a_simulator_of_ones_own_are_refused_unless_features_use_them() -> None:
     table = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
     own = {"simulator": {"command": "a {out}"}, "space": table, "bearing": {"slider_diameter": 0.25}}
-    with pytest.raises(InputError, match=r'bearing\.slider_diameter: belongs to `simulator = "dfp"`.*; got 0\.25'):
+    with pytest.raises(InputError, match=r'bearing\.slider_diameter: applies to `simulator = "dfp"`.*; got 0\.25'):
         Campaign.of(parse_settings(tomli_w.dumps(own), "mine.toml"))
     sliding = {"classifier": {"features": "sliding"}}
     assert Campaign.of(parse_settings(tomli_w.dumps(own | sliding), "mine.toml")).space.names == TABLE_1.names

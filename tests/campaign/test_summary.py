@@ -154,4 +154,4 @@ def test_a_plan_names_all_that_the_classifier_sees(features: str, words: str) ->
     settings = parse_settings(f"classifier.features = {features}", "test")
     plan = Plan.of(settings.text())
     assert plan.features == words
-    assert plan.own_code == ("python" in features)
+    assert plan.custom_code == ("python" in features)

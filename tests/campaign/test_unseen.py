@@ -83,7 +83,7 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
     store, seen = taken(campaign)
     assert sum(len(batch) for batch in store.batches) == 40
     assert store.set_names() == []
-    assert not any(progress.good_enough for progress in seen)
+    assert not any(progress.stop_rule_met for progress in seen)
     assert seen[-1].unseen == ("failure",)
 
 
@@ -141,8 +141,8 @@ def gentle(tmp_path_factory):
 def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_what_follows(gentle, tmp_path):
     folder, said = gentle
     assert said.code == 0
-    assert "good       enough" not in said.out
-    assert "searching for impact and failure, not seen yet" in said.out
+    assert "stop rule  met" not in said.out
+    assert "searching for impact and failure (not seen yet)" in said.out
     warning = "None of the campaign's 40 simulations ended in impact or failure. The probability of each over"
     page = tmp_path / "report.html"
     for one in (
@@ -166,7 +166,7 @@ def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_pat
         assert begun.take(budget=12).finished
     for one in (activefail("status", tmp_path / "run"), activefail("resume", tmp_path / "run", "--budget", "12")):
         assert "warning: None of the campaign's 12 simulations ended in impact or failure." in one.err
-        assert "17.5 %: 12 initial designs" in one.err  # 1 − 0.1^(1/12)
+        assert "17.5 % (90 % confidence, from 12 initial designs" in one.err  # 1 − 0.1^(1/12)
 
 
 def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is_simulated(gentle, tmp_path):

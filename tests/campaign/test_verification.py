@@ -91,8 +91,8 @@ def test_designs_without_an_answer_may_all_be_wrong_or_none():
     answered = np.arange(50) % 2 == 0
     beyond = np.where(answered, False, True)
     error = estimate_error(plan, beyond, answered, 0.9)
-    assert (error.simulations, error.wrong, error.asked) == (25, 0, 50)
-    assert error.in_words == "25 answered of 50 fresh simulations"
+    assert (error.simulations, error.wrong, error.requested) == (25, 0, 50)
+    assert error.in_words == "25 of 50 fresh simulations"
     assert error.error == 0.0
     assert error.low == 0.0
     assert error.high > 0.5  # half of them may be wrong
@@ -170,10 +170,10 @@ def test_a_campaign_that_is_good_enough_ends_before_its_budget_and_stays_ended()
         looks = [p for p in seen if p.error is not None]
         assert looks[-1] is seen[-1]
         enough = [p.error.is_at_most(0.05, confidence_of_look(0.9, look)) for look, p in enumerate(looks, start=1)]
-        assert enough == [p.good_enough for p in looks] == [False] * (len(looks) - 1) + [True]
+        assert enough == [p.stop_rule_met for p in looks] == [False] * (len(looks) - 1) + [True]
         assert run(campaign, store, executor, 200)
         assert standing(campaign, store.batches, 200).done == done
-        assert run(campaign, store, executor, done + 10, good_enough=False)
+        assert run(campaign, store, executor, done + 10, use_stop_rule=False)
     assert standing(campaign, store.batches, 200).done == done + 10
     with one_thread():
         assert true_error(campaign, current_classifier(campaign, store, write=False)) < 0.05
@@ -207,7 +207,7 @@ def test_what_a_user_has_verified_is_not_simulated_again_by_a_rule_nor_the_other
     campaign = disc(counting, initial=20, budget=20, batch=10, more=STOP)
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor, one_thread():
-        run(campaign, store, executor, 20, good_enough=False)
+        run(campaign, store, executor, 20, use_stop_rule=False)
         classifier = current_classifier(campaign, store, write=False)
         before = counting.rows
         verified = verify(campaign, store, executor, classifier, 0, 100, 0.9)

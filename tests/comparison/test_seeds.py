@@ -119,7 +119,7 @@ def test_curves_hold_the_seeds_of_each_size_in_order_of_size():
 def test_a_sampling_that_never_gets_there_is_said_to_need_more(scores):
     best = [replace(s, measures=s.measures | {"accuracy": 1.0}) if s.arm.sampling == "entropy" else s for s in scores]
     assert "> 60" in comparison_text(PLAN, best)
-    assert "Boundary sought: failure. Judged at the failure boundary." in comparison_text(PLAN, best)
+    assert "Target boundary: failure. Accuracy refers to the failure boundary." in comparison_text(PLAN, best)
 
 
 def test_a_measure_that_is_not_defined_is_a_dash_and_survives_the_file(folder, scores, tmp_path):

@@ -153,7 +153,7 @@ def test_a_budget_that_the_campaign_has_not_is_refused_before_anything_is_simula
     wrong = next(n for n in budgets if not 2 <= n <= 40)
     with pytest.raises(InputError) as refused:
         scores(campaign, store, budgets, test_size=77)
-    assert str(refused.value) == f"budgets: must lie between 2 and the 40 simulations done, got {wrong}."
+    assert str(refused.value) == f"budgets: must be between 2 and the 40 recorded simulations, got {wrong}."
     assert counting.rows == before
 
 
@@ -187,7 +187,7 @@ def test_numerical_failures_are_neither_learned_from_nor_judged_by() -> None:
     answered = int((saved[1].outcome >= 0).sum())
     assert answered < TEST
     assert row.test_designs == answered
-    assert f"{TEST - answered} of {TEST} test designs gave no answer: judging by the other {answered}" in told
+    assert f"{TEST - answered} of {TEST} test designs failed numerically; using the other {answered}" in told
     # Shares of the designs that were answered, and the interval of so many.
     assert row.accuracy * answered == pytest.approx(round(row.accuracy * answered))
     assert (row.low, row.high) == pytest.approx(wilson(round(row.accuracy * answered), answered))

@@ -545,9 +545,9 @@ def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path:
     (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
     words = ("run", tmp_path / "mine.toml", "--out", tmp_path / "run")
     refused(activefail(*words, "--executor", "dask"), "--scheduler: required for --executor dask")
-    refused(activefail(*words, "--scheduler", "tcp://127.0.0.1:1"), "--scheduler: is for --executor dask")
+    refused(activefail(*words, "--scheduler", "tcp://127.0.0.1:1"), "--scheduler: only for --executor dask")
     dask = (*words, "--executor", "dask", "--scheduler")
-    refused(activefail(*dask, "127.0.0.1:1", "--workers", "2"), "--workers: is for --executor local")
+    refused(activefail(*dask, "127.0.0.1:1", "--workers", "2"), "--workers: only for --executor local")
     for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://"):
         refused(activefail(*dask, address), f"--scheduler: no Dask scheduler answers at {address!r}")
     assert not (tmp_path / "run").exists()

@@ -144,7 +144,7 @@ def test_what_is_no_json_or_too_long_or_of_no_length_is_refused(server):
     assert request(server, "POST", "/api/predict", b"{}", Content_Length="9" * 5000, **kind).status == 413
     assert request(server, path="/../pyproject.toml").status == 404
     here = f"127.0.0.1:{server.server_address[1]}"
-    assert request(server, path="http://[", Host=here).json["error"] == "The address is none."
+    assert request(server, path="http://[", Host=here).json["error"] == "The path is invalid."
     found = request(server, "PUT", "/")
     assert found.status == 501
     assert found.json["error"] == "Unsupported method ('PUT')"
@@ -165,7 +165,7 @@ def test_a_fault_of_the_explorer_is_told_in_its_terminal_and_not_to_the_page(ans
     with served(answers) as server:
         found = ask(server, "predict", {"point": POINT})
     assert found.status == 500
-    assert found.json == {"error": "The explorer failed; its terminal says how."}
+    assert found.json == {"error": "The explorer failed; its terminal shows the error."}
     assert "a secret of the machine" in capfd.readouterr().err
 
 
@@ -208,7 +208,7 @@ def test_the_loopback_interface_is_told_apart():
 
 
 def test_a_host_that_cannot_be_one_is_refused(answers):
-    with pytest.raises(InputError, match=r"--host: 'ä\.\.b' is no address: encoding"):
+    with pytest.raises(InputError, match=r"--host: 'ä\.\.b' is not an address: encoding"):
         ExplorerServer("ä..b", 0, answers)
 
 
@@ -290,7 +290,7 @@ def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(answ
     for found in replies:
         assert found.status == 200 or (found.headers["Retry-After"], found.json["error"]) == (
             "1",
-            "The explorer is busy; ask again.",
+            "The explorer is busy; try again.",
         )
 
 

@@ -217,7 +217,7 @@ def test_a_vertex_that_escaped_over_a_rim_is_marked_as_that():
 def test_overlapping_plates_are_owned_up_to():
     low = Bearing.from_table(2.6, 0.05, 0.6, 0.35, 0.2, 45.0, 2e9)
     pulse = Pulse(0.5, 0.1)
-    assert "model lets only slider and plate meet" in m.footnote(Motion(simulate_one(low, pulse)))
+    assert "the model has no contact between them" in m.footnote(Motion(simulate_one(low, pulse)))
     assert "model lets" not in m.footnote(Motion(simulate_one(FAILING, pulse)))
 
 
@@ -249,7 +249,7 @@ def test_snapshots_show_rest_touch_the_way_and_the_end_unless_told_otherwise(fai
 
 @pytest.mark.parametrize("times", [[], [math.nan]])
 def test_snapshots_at_no_or_impossible_times_are_refused(failure, times):
-    with pytest.raises(InputError, match="one finite time or more"):
+    with pytest.raises(InputError, match="at least one time, all finite"):
         m.plot_snapshots(failure, times)
 
 

@@ -485,14 +485,14 @@ def test_predictions_in_blocks_are_predictions_at_once(method, monkeypatch):
 @pytest.mark.parametrize("train", [laplace, expectation_propagation])
 def test_one_class_alone_is_refused(train):
     F, y = points(10)
-    with pytest.raises(InputError, match="Both classes must be in the training set, got 10 labels"):
+    with pytest.raises(InputError, match="The training set must contain both classes, got 10 labels"):
         train(F, np.zeros_like(y))
 
 
 @pytest.mark.parametrize("method", [laplace, expectation_propagation, logistic_regression])
 def test_what_is_no_training_set_is_refused(method):
     F, y = points(10)
-    with pytest.raises(InputError, match=r"must fit together, got \(10, 2\) and \(9,\)"):
+    with pytest.raises(InputError, match=r"must have matching shapes, got \(10, 2\) and \(9,\)"):
         method(F, y[:9])
     F[3, 1] = np.nan
     with pytest.raises(InputError, match="must be finite, got 1 that"):

@@ -152,7 +152,7 @@ def test_the_page_is_whole_small_and_refers_to_nothing_outside(html):
 def test_a_campaign_named_script_shows_as_text(html):
     found = Page(html)
     assert "<script" not in html
-    heading = found.text[found.text.index("What a campaign") - 200 :]
+    heading = found.text[found.text.index("Results of an activefail campaign") - 200 :]
     assert SCRIPT in heading
 
 
@@ -162,7 +162,7 @@ def test_the_counts_in_the_page_are_the_record_s(html, folder):
         seed = np.concatenate([np.full(len(batch), batch.iteration == 0) for batch in store.batches])
     rows = {row[0]: [int(cell) for cell in row[1:]] for row in Page(html).tables["counts"][1:]}
     assert campaign.simulator.outcomes == ("no_impact", "impact", "failure")
-    for title, kept in (("seed design", seed), ("chosen by the learner", ~seed), ("all", np.ones(len(seed), bool))):
+    for title, kept in (("initial design", seed), ("active designs", ~seed), ("all", np.ones(len(seed), bool))):
         counts = [int(np.sum(outcome[kept] == label)) for label in (0, 1, 2, -1)]
         assert rows[title] == [*counts, int(kept.sum())]
 
@@ -217,7 +217,7 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
     assert "99.95 % of 2000 fresh designs (99.72 to 99.99 % with 95 % confidence)" in found.text
     after = found.text.partition("recall of failure")[2]
     assert after.startswith("97.0 % (64 of 66; 89.5 to 99.6 %)")
-    after = found.text.partition("recall of failure, static sampling")[2]
+    after = found.text.partition("recall of failure, static design")[2]
     assert after.startswith("3.0 % (2 of 66; 0.4 to 10.5 %)")
     assert found.tables["scores"][2][-1] == "3.0 % (2 of 66; 0.4 to 10.5 %)"
 
@@ -276,8 +276,8 @@ def test_other_features_of_the_bearing_have_a_page_too(features, tmp_path):
     ran(tmp_path / "run", campaign)
     with open_campaign(tmp_path / "run", write=False) as (campaign, store):
         found = self_contained(made(campaign, tmp_path / "run", store))
-    assert "None was chosen yet" in found.text
-    assert "each left out of the training in turn" in found.text
+    assert "There are no active designs yet" in found.text
+    assert "each design left out of the training in turn" in found.text
     assert "no validation set" in found.text
 
 
@@ -285,8 +285,8 @@ def test_a_part_of_the_seed_is_enough_for_a_page_that_says_how_to_go_on(tmp_path
     ran(tmp_path / "run", settings(description=""), batches=1)
     with open_campaign(tmp_path / "run", write=False) as (campaign, store):
         found = self_contained(made(campaign, tmp_path / "run", store))
-    assert "25 of the planned simulations are still to do" in found.text
-    assert f"activefail resume {tmp_path / 'run'} goes on" in found.text
+    assert "25 of the planned simulations are left" in found.text
+    assert f"activefail resume {tmp_path / 'run'} continues" in found.text
 
 
 def test_the_page_says_when_running_it_again_is_not_the_same(tmp_path):
@@ -295,8 +295,8 @@ def test_the_page_says_when_running_it_again_is_not_the_same(tmp_path):
         run(campaign, store, executor, 32)
         found = self_contained(made(campaign, tmp_path / "run", store))
     assert "32, beyond the 23 planned" in found.text
-    assert "12 designs in 3 batches of 5" in found.text
-    assert "it ended before in a batch of fewer than 5" in found.text
+    assert "12 in 3 batches of 5" in found.text
+    assert "an earlier end left a batch of fewer than 5" in found.text
 
 
 def test_the_page_of_a_campaign_without_batches_promises_no_second_of_its_kind(tmp_path):
@@ -305,8 +305,8 @@ def test_the_page_of_a_campaign_without_batches_promises_no_second_of_its_kind(t
     ran(tmp_path / "run", campaign)
     with open_campaign(tmp_path / "run", write=False) as (campaign, store):
         found = self_contained(made(campaign, tmp_path / "run", store))
-    assert "10 designs, each as soon as an answer came, up to 5 in flight" in found.text
-    assert "Another run chooses other designs" in found.text
+    assert "10, asynchronous, up to 5 in flight" in found.text
+    assert "Another run proposes other designs" in found.text
 
 
 @pytest.mark.parametrize("dimension", [1, 2, 3])
@@ -487,7 +487,7 @@ def test_the_outcomes_colours_are_told_apart_by_every_eye(outcomes, vision):
     ],
 )
 def test_a_name_of_one_s_own_is_a_symbol_where_it_is_a_letter_and_has_no_meaning(name, symbol, text):
-    told = quantities.own_quantity(name, "s")
+    told = quantities.custom_quantity(name, "s")
     assert (told.symbol, told.text, told.unit, told.meaning) == (symbol, text, "s", "")
 
 

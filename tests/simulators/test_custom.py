@@ -855,8 +855,8 @@ def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on
 MISTAKES = {
     'python = "model:run"': ('python = "modle:run"', "simulator.python: there is no module 'modle'"),
     "model:run": ("model:ruin", "model.py has no function 'ruin'"),
-    'margins = ["gap"]': ('margins = ["T"]', "simulator.margins: 'T' is the name of another column"),
-    "T = {": ("seconds = {", "space.seconds: is the name of another column of the exported table"),
+    'margins = ["gap"]': ('margins = ["T"]', "simulator.margins: the exported table already has a column 'T'"),
+    "T = {": ("seconds = {", "space.seconds: the exported table already has a column"),
     'boundary = "damage"': ('boundary = "collapse"', "acquisition.boundary: must be one of damage, failure"),
     'drift = { low = 0.0, high = 4.0, unit = "m" }\nT = { low = 1.0, high = 3.0, distribution = "log_uniform" }': (
         "T = { value = 3.0 }",
@@ -905,7 +905,7 @@ def test_what_a_simulation_raised_is_told_of_a_campaign_that_went_on(mine: Path,
     said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
     assert said.code == 0
     assert "raised" in {row["cause"] for row in record(tmp_path / "run")}
-    assert "warning: a simulation was abandoned; why the first failed: design" in said.err
+    assert "warning: simulations were abandoned; the first failed with: design" in said.err
     assert "ValueError: diverged" in said.err
 
 
@@ -917,8 +917,8 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
     (mine / "model.py").write_text("def run(design):\n    return design['drifd']\n")
     said = activefail("run", mine / "mine.toml", "--out", run, "--budget", "40")
     assert said.code == 1
-    assert "None of the 16 simulations gave an answer" in said.err
-    assert f"`activefail resume {run} --code {mine}` goes on" in said.err
+    assert "None of the 16 simulations gave an outcome" in said.err
+    assert f"`activefail resume {run} --code {mine}` continues" in said.err
     assert "The cause of the first is raised." in said.err
     assert {row["cause"] for row in record(run)} == {"raised"}
     designs.write_text("drift,T\n1.0,2.0\n")
