@@ -224,9 +224,9 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
         (["--csv", "in.csv", "--out", "o.csv", "--animate", "a.gif"], ["--animate belongs to one design"]),
         (["--csv", "none.csv", "--out", "o.csv"], ["none.csv: cannot be read: No such file or directory"]),
         ([*design(), "--out", "o.csv"], ["--out goes with --csv"]),
-        ([*design(), "--plot", "p.jpeg"], ["p.jpeg: a plot's name must end in .png, .svg or .pdf"]),
-        ([*design(), "--plot", "plot"], ["plot: a plot's name must end in"]),
-        ([*design(), "--animate", "a.avi"], ["a.avi: a film's name must end in .gif or .mp4"]),
+        ([*design(), "--plot", "p.jpeg"], ["p.jpeg: the name of a plot must end in .png, .svg or .pdf"]),
+        ([*design(), "--plot", "plot"], ["plot: the name of a plot must end in"]),
+        ([*design(), "--animate", "a.avi"], ["a.avi: the name of a film must end in .gif or .mp4"]),
         ([*design(), "--plot", "none/p.png"], ["none/p.png: the folder", "does not exist"]),
         ([*design(), "--animate", "none/a.gif"], ["none/a.gif: the folder", "does not exist"]),
         (design(mu="0"), ["`mu > 0` must hold, got 0.0"]),
@@ -765,8 +765,8 @@ def test_a_port_that_is_none_is_refused(folder: Path) -> None:
 
 
 def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, tmp_path: Path) -> None:
-    refused(activefail("report", folder, "--out", tmp_path / "page.pdf"), "--out: must end in .html", "page.pdf")
-    refused(activefail("report", folder, "--out", tmp_path / "none" / "page.html"), "--out: the folder", "none")
+    refused(activefail("report", folder, "--out", tmp_path / "page.pdf"), "page.pdf: the name of a report must end in .html or .htm")
+    refused(activefail("report", folder, "--out", tmp_path / "none" / "page.html"), "page.html: the folder", "none does not exist")
     (folder / "report.html").mkdir()
     said = activefail("report", folder)
     assert said.code == 2

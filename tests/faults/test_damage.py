@@ -270,5 +270,5 @@ def test_a_foreign_run_folder_brings_no_command_to_a_traceback(tmp_path: Path, c
         said = activefail(*command, *(["--budget", "3"] if command[0] == "resume" else []))
         assert said.code == 0, said.err
         assert said.err.startswith(f"warning: segments/{path.name} ")
-        assert len(said.err.splitlines()) == 1
+        assert len([line for line in said.err.splitlines() if "initial designs without it" not in line]) == 1
     assert path.with_name(f"{path.name}.quarantine").exists()
