@@ -23,7 +23,7 @@ class Screen:
 
     def write(self, text: str) -> int:
         """Write a text, with control characters escaped except line ends and tabs."""
-        with _named():
+        with _naming_output():
             self.stream.write(visible(text, keep="\n\t"))
         return len(text)
 
@@ -34,7 +34,7 @@ class Screen:
 
     def flush(self) -> None:
         """Flush the stream."""
-        with _named():
+        with _naming_output():
             self.stream.flush()
 
     def __getattr__(self, name: str) -> Any:
@@ -42,7 +42,7 @@ class Screen:
 
 
 @contextmanager
-def _named() -> Iterator[None]:
+def _naming_output() -> Iterator[None]:
     try:
         yield
     except OSError as error:

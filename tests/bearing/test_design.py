@@ -85,7 +85,7 @@ def test_designs_of_the_wrong_shape_are_refused_with_their_shape(X):
         ({"stiffness": 0.0}, ("`stiffness > 0`", "0.0")),
         ({"slider_diameter": 1.2}, ("`slider_diameter < dish_diameter`", "1.2", "0.95")),
         ({"radius": 0.4}, ("`dish_diameter < 2 radius`", "0.95", "0.8")),
-        ({"slider_height": 4.1}, ("lower than the distance", "4.1", "2")),
+        ({"slider_height": 4.1}, ("less than the distance", "4.1", "2")),
     ],
 )
 def test_a_bearing_that_cannot_be_built_is_refused_with_rule_and_value(bearing, change, said):

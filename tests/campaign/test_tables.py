@@ -116,7 +116,10 @@ BAD = {
     "text": (_with("mu", "rough"), "column mu: must be a number, got 'rough'"),
     "nan": (_with("A_p", "nan"), "column A_p: must be finite, got 'nan'"),
     "dish more than a hemisphere": (_with("D_tot", "20"), "D_tot, h_sl_ratio, h_rim_ratio: A dish must be less"),
-    "slider higher than the sphere": (_with("h_sl_ratio", "90"), "h_sl_ratio, h_rim_ratio: The slider must be lower"),
+    "slider higher than the sphere": (
+        _with("h_sl_ratio", "90"),
+        "h_sl_ratio, h_rim_ratio: The slider's height must",
+    ),
     "cell too few": (GOOD.rpartition(",")[0], "must have 9 cells, like the header, has 8"),
 }
 
