@@ -196,7 +196,7 @@ def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_p
     (copy / "compare" / "scores.csv").write_text("sampling,simulations\nactive,many\n")
     with open_campaign(copy, write=False) as (campaign, store):
         text = made(campaign, copy, store)
-    assert "scores.csv: row 1: is not one that" in Page(text).text
+    assert "scores.csv: row 1: was not written by" in Page(text).text
 
 
 def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(folder, tmp_path):
