@@ -296,7 +296,7 @@ def test_the_page_says_when_running_it_again_is_not_the_same(tmp_path):
         found = self_contained(made(campaign, tmp_path / "run", store))
     assert "32, beyond the 23 planned" in found.text
     assert "12 in 3 batches of 5" in found.text
-    assert "an earlier end left a batch of fewer than 5" in found.text
+    assert "earlier end left a batch of fewer than 5" in found.text
 
 
 def test_the_page_of_a_campaign_without_batches_promises_no_second_of_its_kind(tmp_path):
