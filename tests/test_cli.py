@@ -765,8 +765,15 @@ def test_a_port_that_is_none_is_refused(folder: Path) -> None:
 
 
 def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, tmp_path: Path) -> None:
-    refused(activefail("report", folder, "--out", tmp_path / "page.pdf"), "page.pdf: the name of a report must end in .html or .htm")
-    refused(activefail("report", folder, "--out", tmp_path / "none" / "page.html"), "page.html: the folder", "none does not exist")
+    refused(
+        activefail("report", folder, "--out", tmp_path / "page.pdf"),
+        "page.pdf: the name of a report must end in .html or .htm",
+    )
+    refused(
+        activefail("report", folder, "--out", tmp_path / "none" / "page.html"),
+        "page.html: the folder",
+        "none does not exist",
+    )
     (folder / "report.html").mkdir()
     said = activefail("report", folder)
     assert said.code == 2

@@ -85,7 +85,7 @@ def test_the_guide_lists_every_setting_with_its_default():
 
 @pytest.mark.parametrize("file", sorted((ROOT / "campaigns").glob("*.toml")), ids=lambda file: file.name)
 def test_every_campaign_says_in_a_comment_what_it_should_show(file):
-    assert "should show" in file.read_text(encoding="utf-8")
+    assert "What it shows" in file.read_text(encoding="utf-8")
 
 
 # --- citations ---------------------------------------------------------------------------------------------------

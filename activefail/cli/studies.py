@@ -61,7 +61,7 @@ def compare(
         _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000, code)
         return
     if source.suffix != ".toml":
-        raise InputError(f"{source}: is neither a run folder nor a campaign file (.toml).")
+        raise InputError(f"{source}: is not a run folder or a campaign file (.toml).")
     for name, value in {"budgets": budgets, "code": code}.items():
         if value is not None:
             raise InputError(f"--{name}: only for the comparison of a run folder; {source} is a campaign file.")

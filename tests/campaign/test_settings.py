@@ -37,7 +37,7 @@ def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path:
     assert settings.simulator != "dfp" or campaign.space == TABLE_1
     assert settings.description
     comment = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
-    assert any("should show" in line for line in comment)
+    assert any("What it shows" in line for line in comment)
 
 
 def test_there_are_campaigns_that_ship() -> None:

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -101,6 +101,15 @@ print(text, T)
 with open(out, "w") as file:
     json.dump({"outcome": "failure" if float(drift) > 1.0 else "safe", "margins": {"gap": float(drift)}}, file)
 """
+
+
+@pytest.fixture(autouse=True)
+def no_module_stays(tmp_path: Path) -> Iterator[None]:
+    """A module of a test's folder that Python itself has imported would be the next test's, too."""
+    yield
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or "/").is_relative_to(tmp_path):
+            del sys.modules[name]
 
 
 # --- a function --------------------------------------------------------------------------------------------------
