@@ -54,7 +54,7 @@ def meets_rim(u, w, plate):
 
 @njit(forceinline=True, **KERNEL)
 def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
-    """Force of one contact with inward normal n: Hertz, damped while approaching (Jankowski 2006), and friction."""
+    """Force of one contact with inward normal n: Hertz, damped while approaching [Jankowski2006], and friction."""
     rate, slip = -(du * n_u + dw * n_w), du * n_w - dw * n_u
     sunk = positive(penetration)
     root = sqrt(sunk)

@@ -209,7 +209,7 @@ class Model:
 
     @property
     def damping_ratio(self) -> float:
-        """ξ of the approach-phase damper for the restitution coefficient e (Jankowski 2006, eq. 18)."""
+        """ξ of the approach-phase damper for the restitution coefficient e [Jankowski2006, eq. 18]."""
         e = self.restitution_coefficient
         return 4.5 * math.sqrt(5.0) * (1.0 - e * e) / (e * (e * (9.0 * math.pi - 16.0) + 16.0))
 

@@ -50,7 +50,7 @@ class Tableau(NamedTuple):
     j < i. The step ends at y_1 = y_0 + Σ_j b_j u_j, and its error is estimated as Σ_j error_j u_j. Within the step
     y(t + θh) = (1 − θ) y_0 + θ (y_1 + (1 − θ) Σ_j (D_1j + θ D_2j + θ² D_3j + ...) u_j), where D is `dense`.
 
-    Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section IV.7.
+    Source: [HairerWanner1996, section IV.7].
     """
 
     name: str
@@ -103,7 +103,7 @@ RODAS = Tableau(
 )
 """The simulator's method: six stages, stiffly accurate, L-stable.
 
-Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, section IV.7; digits of the authors' code.
+Source: [HairerWanner1996, section IV.7]; digits of the authors' code.
 """
 
 ACCEPTED, TOO_MANY_STEPS, STEP_UNDERFLOW = 0, 1, 2

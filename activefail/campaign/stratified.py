@@ -15,9 +15,9 @@ class StratifiedCount:
     for few hits or none. Each bound is a quantile of the beta distribution with the mean and the variance of
     Σ V_k B_k, where B_k follows a beta distribution:
 
-    - lower bound: B_k ~ Beta(x_k, n_k − x_k + 1), as in the bound of Clopper and Pearson (1934) for each part;
+    - lower bound: B_k ~ Beta(x_k, n_k − x_k + 1), as in the bound of [ClopperPearson1934] for each part;
     - upper bound: B_j ~ Beta(x_j + 1, n_j − x_j), Clopper and Pearson's, for one part j, and Jeffreys' Beta(x_k + ½,
-      n_k − x_k + ½) for the others; j is the part with the largest quantile. Fay and Feuer (1997) likewise assume one
+      n_k − x_k + ½) for the others; j is the part with the largest quantile. [FayFeuer1997] likewise assumes one
       further hit in one part. A part with only hits takes Clopper and Pearson's too, and so do all parts for a
       confidence above 0.95, where Jeffreys' coverage is too low.
 

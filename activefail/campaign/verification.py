@@ -1,7 +1,7 @@
 """Estimate a classifier's error, the share of the design space that it gets wrong, from fresh simulations.
 
 The design space is stratified by the classifier's own probability of being wrong. Each part gets simulations in
-proportion to its volume times its standard deviation (Neyman 1934), and the results are weighted back to the design
+proportion to its volume times its standard deviation [Neyman1934], and the results are weighted back to the design
 measure (`StratifiedCount`). Only fresh simulations count: training designs reveal too little of what the classifier
 has missed, even if each is left out in turn.
 """
@@ -98,8 +98,9 @@ def part_of(wrong: Array) -> NDArray[np.intp]:
 def leave_one_out(trained: Fit) -> Moments:
     """Latent moments at each training point without its own label, with hyperparameters unchanged, (n,).
 
-    Divides the point's site out of the posterior: 1/v = 1/S_ii − W_ii (the cavity of Rasmussen and Williams 2006,
-    eq. 3.56). With inducing points a site acts on the projected latent; the residual variance is added afterwards.
+    Divides the point's site out of the posterior: 1/v = 1/S_ii − W_ii, the cavity of
+    [RasmussenWilliams2006, eq. 3.56]. With inducing points a site acts on the projected latent; the residual variance
+    is added afterwards.
     """
     prior, state = trained.prior, trained.posterior
     rest = prior.rest if isinstance(prior, Projection) else torch.zeros_like(state.variance)
