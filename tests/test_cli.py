@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -744,12 +745,21 @@ def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_com
     assert record(folder) == before
 
 
+@contextmanager
+def ended(process: subprocess.Popen[str]) -> Iterator[None]:
+    """A process ends with the block: nobody waits for ever for what a failed test has left running."""
+    try:
+        yield
+    finally:
+        process.kill()
+
+
 def test_a_campaign_is_explored_on_this_machine_until_ctrl_c(folder: Path) -> None:
     words = [sys.executable, "-m", "activefail.cli", "explore", str(folder), "--port", "0"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server, ended(server):
         assert server.stdout is not None
         said = server.stdout.readline()
-        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C ends it\)\n", said)
+        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C to quit\)\n", said)
         assert address is not None, said
         with urllib.request.urlopen(address[1], timeout=PATIENCE) as page:
             assert "This design" in page.read().decode()
