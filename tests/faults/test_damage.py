@@ -159,7 +159,7 @@ def test_settings_that_are_cut_or_have_any_changed_bit_are_refused(folder: Path,
     for bit in range(8 * len(data)):
         data[bit // 8] ^= 1 << bit % 8
         path.write_bytes(data)
-        with pytest.raises(StoreError, match=r"settings were changed|not UTF-8"):
+        with pytest.raises(StoreError, match=r"settings were changed|no longer UTF-8"):
             FolderStore.open(folder, SCHEMA, write=True)
         data[bit // 8] ^= 1 << bit % 8
         survived(1)

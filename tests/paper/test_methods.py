@@ -495,7 +495,7 @@ def test_what_is_no_training_set_is_refused(method):
     with pytest.raises(InputError, match=r"must have matching shapes, got \(10, 2\) and \(9,\)"):
         method(F, y[:9])
     F[3, 1] = np.nan
-    with pytest.raises(InputError, match="must be finite, got 1 that"):
+    with pytest.raises(InputError, match="must be finite, got 1 non-finite"):
         method(F, y)
 
 
