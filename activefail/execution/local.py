@@ -1,8 +1,8 @@
 """Executors on this machine: threads for compiled simulators, worker processes for all others."""
 
 import os
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from threading import Lock
@@ -17,6 +17,9 @@ from activefail.simulators.interface import (
     unanswered,
 )
 from activefail.space import Array
+
+_WAIT = 0.5
+"""Longest wait for a result before pending signals are handled [s]."""
 
 _ROWS_A_CALL = 16
 """Most rows per call: short calls show progress and shorten the wait after an interrupt."""
@@ -40,7 +43,7 @@ class _LocalExecutor:
         rows = self._rows(n)
         try:
             parts = [self._submit(simulator, X[first : first + rows]) for first in range(0, n, rows)]
-            for part in as_completed(parts):
+            for part in _as_completed(parts):
                 done = len(part.result())
                 if progress is not None:
                     progress(done)
@@ -96,6 +99,21 @@ class _LocalExecutor:
 
     def __exit__(self, *exception: object) -> None:
         self._pool.shutdown(cancel_futures=True)
+
+
+def _as_completed(futures: Sequence[Future[Results]]) -> Iterator[Future[Results]]:
+    """The futures in the order in which they complete.
+
+    A wait without a timeout can miss a Ctrl-C that arrives just before it: Python handles it when the wait ends.
+    """
+    completed: SimpleQueue[Future[Results]] = SimpleQueue()
+    for future in futures:
+        future.add_done_callback(completed.put)
+    for _ in futures:
+        while True:
+            with suppress(Empty):
+                yield completed.get(timeout=_WAIT)
+                break
 
 
 class ThreadExecutor(_LocalExecutor):
