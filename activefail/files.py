@@ -17,6 +17,15 @@ TEMPORARY = ".tmp-"
 _NEW = ".new-"
 """Prefix of any other unfinished file, which may also be in a run folder, but without a lock."""
 
+WRITE_BYTES = 1 << 20
+"""Most bytes in one system call that writes."""
+
+NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
+"""The system's errors where a file system has no hard links."""
+
+_NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
+"""The system's errors where a folder cannot be synchronised, whatever the disk."""
+
 
 def temporary_beside(path: Path, prefix: str = TEMPORARY) -> Path:
     """A new name in the folder of a path; short, because the path's name may have the maximal length."""
@@ -134,15 +143,6 @@ def end_of(path: Path, most: int) -> bytes:
     with path.open("rb") as file:
         file.seek(max(0, os.fstat(file.fileno()).st_size - most))
         return file.read(most)
-
-
-WRITE_BYTES = 1 << 20
-
-
-NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
-
-
-_NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
 
 
 def publish(path: Path, data: bytes) -> None:

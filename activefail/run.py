@@ -12,6 +12,7 @@ from activefail.campaign.opening import create_folder, opened, read_campaign
 from activefail.campaign.progress import Observer, Progress, standing
 from activefail.campaign.summary import Summary
 from activefail.errors import InputError
+from activefail.files import writing_to
 from activefail.record.layout import COMPARISON, REPORT, SETTINGS
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
@@ -270,6 +271,9 @@ class Run:
             test_designs: number of fresh test designs.
             stage: called with each stage of the work.
             executor: as for `take`.
+
+        Raises:
+            InputError: if a budget exceeds the recorded simulations, or the table or figure cannot be written.
         """
         from activefail.comparison.static import compare, write_scores
         from activefail.figures.curves import plot_learning_curves
@@ -278,11 +282,12 @@ class Run:
         with nullcontext(executor) if executor else self._local_executor() as pool:
             scores = compare(self.campaign, self.store, pool, budgets, test_designs, stage)
         results = self.folder / COMPARISON
-        results.mkdir(exist_ok=True)
-        write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / "scores.csv")
         figure = plot_learning_curves(scores, self.boundary, scores[0].test_designs)
-        for suffix in ("png", "svg"):
-            save_figure(figure, results / f"learning_curves.{suffix}")
+        with writing_to(results):
+            results.mkdir(exist_ok=True)
+            write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / "scores.csv")
+            for suffix in ("png", "svg"):
+                save_figure(figure, results / f"learning_curves.{suffix}")
         return scores
 
     def report(self, target: Path | None = None, stage: Callable[[str], None] = lambda _: None) -> "Evidence":
@@ -291,6 +296,9 @@ class Run:
         Args:
             target: file to write; `report.html` in the run folder by default.
             stage: called with each stage of the work.
+
+        Raises:
+            InputError: if the file cannot be written.
         """
         from activefail.report.evidence import evidence_of
         from activefail.report.page import render, write_report
@@ -299,7 +307,9 @@ class Run:
         with one_thread():
             evidence = evidence_of(self.folder, self.campaign, self.store, classifier, stage)
             page = render(self.findings, evidence, self.store, stage)
-        write_report(page, self.folder / REPORT if target is None else target)
+        target = target or self.folder / REPORT
+        with writing_to(target):
+            write_report(page, target)
         return evidence
 
     def _local_executor(self) -> "AsynchronousExecutor":

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from activefail.cli.common import Code, RunFolder, show_stage, show_warnings
-from activefail.files import check_file, writing_to
+from activefail.files import check_file
 from activefail.record.layout import check_output
 from activefail.visible import visible
 
@@ -29,8 +29,7 @@ def report(
         show_warnings(opened.store)
         opened.learn(show_stage)
         show_warnings(opened.store)
-        with writing_to(target):
-            evidence = opened.report(target, show_stage)
+        evidence = opened.report(target, show_stage)
     for reason in evidence.missing.values():
         print(f"missing    {visible(reason)}")
     print(f"report     {visible(str(target))}")

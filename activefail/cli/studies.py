@@ -76,7 +76,7 @@ def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | 
     from activefail.run import open_run
 
     results = folder / COMPARISON
-    with open_run(folder, write=True, code=code) as opened, writing_to(results):
+    with open_run(folder, write=True, code=code) as opened:
         show_warnings(opened.store)
         scores = opened.compare(sizes, test, show_stage)
         show_unseen(opened.summary)

@@ -110,10 +110,13 @@ def _as_completed(futures: Sequence[Future[Results]]) -> Iterator[Future[Results
     for future in futures:
         future.add_done_callback(completed.put)
     for _ in futures:
-        while True:
-            with suppress(Empty):
-                yield completed.get(timeout=_WAIT)
-                break
+        yield _first(completed)
+
+
+def _first(completed: "SimpleQueue[Future[Results]]") -> "Future[Results]":
+    while True:
+        with suppress(Empty):
+            return completed.get(timeout=_WAIT)
 
 
 class ThreadExecutor(_LocalExecutor):
