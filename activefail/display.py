@@ -12,8 +12,8 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-    from activefail.campaign.progress import Observer, Progress
-    from activefail.campaign.verification import ErrorEstimate
+    from activefail.loop.progress import Observer, Progress
+    from activefail.verification.error import ErrorEstimate
 
 
 @contextmanager
@@ -41,7 +41,7 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
     """A live display on a terminal; otherwise one line per batch."""
     from rich.console import Console
 
-    from activefail.campaign.progress import Observer
+    from activefail.loop.progress import Observer
 
     console = Console(file=terminal(sys.stdout))
     if not console.is_terminal:

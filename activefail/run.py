@@ -6,28 +6,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.loop import run as run_loop
 from activefail.campaign.opening import create_folder, opened, read_campaign
-from activefail.campaign.progress import Observer, Progress, standing
-from activefail.campaign.summary import Summary
 from activefail.errors import InputError
 from activefail.files import writing_to
+from activefail.findings.summary import Summary
+from activefail.loop.batches import run as run_loop
+from activefail.loop.history import History
+from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.layout import COMPARISON, REPORT, SETTINGS
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
 from activefail.visible import quoted
 
 if TYPE_CHECKING:
-    from activefail.campaign.findings import Findings
     from activefail.campaign.settings import CampaignSettings
-    from activefail.campaign.verification import ErrorEstimate
     from activefail.comparison.static import Score
     from activefail.execution.executor import AsynchronousExecutor, Executor
+    from activefail.findings.findings import Findings
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
+    from activefail.verification.error import ErrorEstimate
 
 
 class Taken(NamedTuple):
@@ -114,8 +114,8 @@ class Run:
     @property
     def stop_rule_warning(self) -> str:
         """Why the stop rule has too few simulations to be met at its first look; empty if it has enough."""
-        from activefail.campaign.stratified import largest_unseen_share
-        from activefail.campaign.verification import confidence_of_look, least_simulations
+        from activefail.verification.error import confidence_of_look, least_simulations
+        from activefail.verification.stratified import largest_unseen_share
 
         rule = self.settings.stop
         if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
@@ -191,7 +191,7 @@ class Run:
         Raises:
             InputError: if no simulation has an outcome.
         """
-        from activefail.campaign.learning import current_classifier
+        from activefail.loop.learning import current_classifier
 
         if self._classifier is not None:
             return self._classifier
@@ -207,7 +207,7 @@ class Run:
     @property
     def findings(self) -> "Findings":
         """The findings of the campaign so far."""
-        from activefail.campaign.findings import findings_of
+        from activefail.findings.findings import findings_of
 
         with one_thread():
             return findings_of(self.folder, self.campaign, self.store, self.classifier)
@@ -220,7 +220,7 @@ class Run:
         Returns:
             Number of designs outside the design space, where the classifier extrapolates.
         """
-        from activefail.campaign.tables import predict_table
+        from activefail.findings.tables import predict_table
 
         classifier = self.classifier
         with one_thread():
@@ -228,7 +228,7 @@ class Run:
 
     def export_table(self, target: Path) -> int:
         """Write every simulation as a row of a CSV file; returns their number."""
-        from activefail.campaign.tables import export_table
+        from activefail.findings.tables import export_table
 
         return export_table(self.campaign, self.store, target)
 
@@ -245,8 +245,8 @@ class Run:
         Raises:
             InputError: if the initial design is not finished.
         """
-        from activefail.campaign.proposing import initial_sets
-        from activefail.campaign.verification import verify
+        from activefail.loop.proposing import initial_sets
+        from activefail.verification.error import verify
 
         history = self.history
         if len(history) < self.settings.sampling.initial * initial_sets(self.campaign, history):

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.campaign.findings import findings_of
-from activefail.campaign.learning import current_classifier
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
+from activefail.findings.findings import findings_of
+from activefail.loop.learning import current_classifier
 from activefail.surrogate.threads import one_thread
 
 GOALS = {"prediction": 100, "prediction while planes are drawn": 100, "simulation": 300}

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer, Progress
 from activefail.campaign.settings import parse_settings
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.progress import Observer, Progress
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
 from activefail.space import Array

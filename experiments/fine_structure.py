@@ -42,8 +42,8 @@ def percent(flags, rows=slice(None)):
 
 def wrong_designs(folder, X, failed):
     """Which designs the classifier of a run folder has on the wrong side of the failure boundary, (n,) bool."""
-    from activefail.campaign.learning import current_classifier
     from activefail.campaign.opening import open_campaign
+    from activefail.loop.learning import current_classifier
 
     with open_campaign(Path(folder), write=False) as (campaign, store):
         classifier = current_classifier(campaign, store, write=False)

@@ -15,9 +15,9 @@ from rare_problems import FOUR_BRANCH, RP38, RareProblem
 from activefail.acquisition.batch import propose_shared
 from activefail.acquisition.criteria import criterion as criterion_of
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.proposing import initial_designs, next_designs
 from activefail.campaign.random_streams import stream
+from activefail.loop.history import History
+from activefail.loop.proposing import initial_designs, next_designs
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
 

@@ -19,16 +19,16 @@ import numpy as np
 from rare_problems import RP38
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.learning import accuracy, current_classifier
-from activefail.campaign.loop import run
-from activefail.campaign.progress import standing
 from activefail.campaign.settings import CampaignSettings
-from activefail.campaign.stratified import StratifiedCount
-from activefail.campaign.verification import allotted, verify
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.learning import accuracy, current_classifier
+from activefail.loop.progress import standing
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.threads import one_thread
+from activefail.verification.error import allotted, verify
+from activefail.verification.stratified import StratifiedCount
 
 FIRST_SEED, MOST = 4000, 600
 

@@ -7,9 +7,9 @@ import pytest
 from campaign.stub import Disc, disc
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import run
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.learning import current_classifier
 from activefail.record.memory import MemoryStore
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread

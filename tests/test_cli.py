@@ -23,13 +23,13 @@ from patience import PATIENCE, until
 from activefail import __version__
 from activefail.bearing import TABLE_1, simulate
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import run as run_loop
 from activefail.campaign.opening import open_campaign
-from activefail.campaign.progress import Observer
 from activefail.campaign.settings import read_settings
 from activefail.cli import app
 from activefail.execution.local import ThreadExecutor
 from activefail.interrupts import stop_on_signals
+from activefail.loop.batches import run as run_loop
+from activefail.loop.progress import Observer
 from activefail.record.run_folder import FolderStore
 
 COMMANDS = tuple(typer.main.get_group(app).commands)
@@ -919,7 +919,7 @@ def test_a_ctrl_c_ends_every_command_without_a_traceback(
     def struck(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    for place in ("activefail.record.recovery.read_segments", "activefail.campaign.summary.read_summary"):
+    for place in ("activefail.record.recovery.read_segments", "activefail.findings.summary.read_summary"):
         module, _, name = place.rpartition(".")
         monkeypatch.setattr(f"{module}.{name}", struck)
     monkeypatch.setattr("activefail.record.run_folder.read_segments", struck)
@@ -1028,7 +1028,7 @@ def test_a_ctrl_c_ends_the_comparison_of_a_run_folder_and_the_same_command_goes_
 def test_a_table_that_is_interrupted_leaves_nothing_behind_and_no_traceback(tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n" + f"{ROW}\n" * 100)
     words = ("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    with holding("activefail.campaign.tables:simulate", *words) as running:
+    with holding("activefail.findings.tables:simulate", *words) as running:
         process = running.process
         running.wait()
         assert len(os.listdir(tmp_path)) == 2

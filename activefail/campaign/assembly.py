@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from activefail.campaign import settings as config
+from activefail.campaign import sections
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
 from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, FeatureSet, feature_map
@@ -105,7 +105,7 @@ def _simulator(
 ) -> tuple[Simulator, dict[str, str]]:
     """The simulator in the settings, and the digest of its source if it is a Python function."""
     match settings.simulator:
-        case config.PythonSimulator() as spec:
+        case sections.PythonSimulator() as spec:
             function = PythonSimulator(
                 space, spec.python, code, tuple(spec.outcomes), tuple(spec.margins), folder=run, renew=spec.renew
             )
@@ -113,7 +113,7 @@ def _simulator(
                 return function, {}
             source = function.load()
             return replace(function, source=source), {SIMULATOR_KEY: source}
-        case config.CommandSimulator() as spec:
+        case sections.CommandSimulator() as spec:
             command = CommandSimulator(
                 space,
                 spec.command,
@@ -135,12 +135,12 @@ def _features(
 ) -> tuple[FeatureSet | CustomFeatures | ExpressionFeatures, dict[str, str]]:
     """The features in the settings, and the digest of their source if they are a Python function."""
     match settings.classifier.features:
-        case config.PythonFeatures() if not custom:
+        case sections.PythonFeatures() if not custom:
             return "design", {}
-        case config.PythonFeatures() as spec:
+        case sections.PythonFeatures() as spec:
             function, source = load_function(spec.python, code, FEATURES_KEY, run)
             return CustomFeatures(spec.python.partition(":")[2], function, spec.variables), {FEATURES_KEY: source}
-        case config.ExpressionFeatures() as spec:
+        case sections.ExpressionFeatures() as spec:
             return ExpressionFeatures(spec.expressions, spec.variables), {}
         case feature_set:
             return feature_set, {}
@@ -170,7 +170,7 @@ def _check_bearing(settings: CampaignSettings) -> None:
     """
     if settings.simulator == "dfp" or settings.classifier.features in ("sliding", "collision"):
         return
-    default = config.BearingSettings()
+    default = sections.BearingSettings()
     for key, value in settings.bearing:
         if value != getattr(default, key):
             raise InputError(

@@ -138,7 +138,7 @@ def _take(run: "Run", executor: "AsynchronousExecutor", terms: _Terms) -> None:
 
 def status(folder: RunFolder) -> None:
     """Show the progress of a campaign; safe while it runs."""
-    from activefail.campaign.summary import is_verified, read_summary
+    from activefail.findings.summary import is_verified, read_summary
 
     summary = read_summary(folder)
     if summary is None:

@@ -11,8 +11,8 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
-    from activefail.campaign.summary import Summary
     from activefail.execution.executor import AsynchronousExecutor
+    from activefail.findings.summary import Summary
     from activefail.record.run_folder import FolderStore
 
 RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", metavar="DIR", show_default=False)]

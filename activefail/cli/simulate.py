@@ -119,7 +119,7 @@ def _simulate_one(
 
 
 def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:
-    from activefail.campaign.tables import simulate_table
+    from activefail.findings.tables import simulate_table
 
     start = time.monotonic()
     with progress_bar("simulating") as begin:

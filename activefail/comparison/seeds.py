@@ -16,25 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.loop import run
 from activefail.campaign.opening import create_folder, open_campaign
-from activefail.campaign.progress import Observer
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import CampaignSettings, parse_settings
-from activefail.campaign.stored_sets import name_of_static_set, name_of_test_set, simulated_outcomes
 from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError
 from activefail.estimate import Estimate
 from activefail.execution.local import local_executor
 from activefail.execution.pool import ProcessPool, stopping
 from activefail.files import replacing
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.progress import Observer
 from activefail.record.layout import refuse_links
 from activefail.record.run_folder import check_empty
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
+from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_outcomes
 
 STATIC = "static"
 """The sampling of an arm that is a Latin hypercube."""

@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.proposing import initial_sets
 from activefail.campaign.random_streams import stream
-from activefail.campaign.stored_sets import name_of_static_set, name_of_test_set, simulated_set
 from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
+from activefail.loop.history import History
+from activefail.loop.proposing import initial_sets
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
 from activefail.surrogate.threads import one_thread
+from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_set
 
 TEST_SIZE = 2000
 

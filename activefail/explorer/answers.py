@@ -13,10 +13,6 @@ import numpy as np
 from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.bearing.simulation import Response
-from activefail.campaign import quantities
-from activefail.campaign.findings import Findings, at_the_boundary
-from activefail.campaign.prediction import Prediction, interval, predict
-from activefail.campaign.quantities import plain, words
 from activefail.errors import InputError
 from activefail.figures.contours import plot_variable_plane
 from activefail.figures.curves import plot_fragility
@@ -31,6 +27,10 @@ from activefail.figures.motion import (
     vertex_states,
 )
 from activefail.figures.svg import inline
+from activefail.findings import quantities
+from activefail.findings.findings import Findings, at_the_boundary
+from activefail.findings.prediction import Prediction, interval, predict
+from activefail.findings.quantities import plain, words
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
 from activefail.visible import visible

@@ -13,13 +13,13 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY, TABLE_1
-from activefail.campaign.findings import Findings
-from activefail.campaign.prediction import Prediction, predict
-from activefail.campaign.quantities import Quantity, plain, quantity, variables, words
 from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.marks import outcome_handles, scatter_outcomes
 from activefail.figures.planes import PLANES, SLICE, Plane
 from activefail.figures.style import GREY, styled
+from activefail.findings.findings import Findings
+from activefail.findings.prediction import Prediction, predict
+from activefail.findings.quantities import Quantity, plain, quantity, variables, words
 from activefail.space import Array
 
 GRID = 44

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from activefail.campaign.quantities import Quantity
 from activefail.comparison.seeds import STATIC, Point
 from activefail.comparison.static import Score
 from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, YELLOW, styled
+from activefail.findings.quantities import Quantity
 from activefail.space import Array
 
 

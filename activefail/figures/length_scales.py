@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from activefail.campaign.quantities import Quantity, plain, words
 from activefail.figures.marks import outcome_colour, outcome_marker
 from activefail.figures.style import GREY, LIGHT_GREY, styled
+from activefail.findings.quantities import Quantity, plain, words
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 

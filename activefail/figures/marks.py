@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from activefail.campaign.quantities import plain, words
 from activefail.figures.style import BLACK, BLUE, GREEN, ORANGE, OUTCOME_COLOURS, PURPLE, SKY_BLUE, VERMILION
+from activefail.findings.quantities import plain, words
 from activefail.space import Array
 
 _OTHER_COLOURS = (BLUE, ORANGE, VERMILION, PURPLE, GREEN, SKY_BLUE, BLACK)

@@ -10,9 +10,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
-from activefail.campaign.quantities import Quantity, plain, words
 from activefail.figures.marks import outcome_colour, outcome_handles, scatter_outcomes
 from activefail.figures.style import BLACK, GREY, styled
+from activefail.findings.quantities import Quantity, plain, words
 from activefail.space import Array
 
 MOST_SHOWN = 500

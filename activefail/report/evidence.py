@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.proposing import initial_sets
-from activefail.campaign.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
-from activefail.campaign.verification import ErrorEstimate, leave_one_out, verified
 from activefail.comparison.static import Recall, Score, default_budgets, score
 from activefail.errors import InputError
 from activefail.files import read_regular
+from activefail.loop.history import History
+from activefail.loop.proposing import initial_sets
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
+from activefail.verification.error import ErrorEstimate, leave_one_out, verified
+from activefail.verification.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
 from activefail.visible import visible
 
 _LARGEST_TABLE = 10_000_000

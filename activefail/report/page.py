@@ -14,15 +14,9 @@ from numpy.typing import NDArray
 from activefail import __version__
 from activefail.acquisition.criteria import bald
 from activefail.bearing.motion import Motion, describe_outcome
-from activefail.campaign import quantities
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.findings import Findings, at_the_boundary
-from activefail.campaign.prediction import predict
-from activefail.campaign.progress import standing
 from activefail.campaign.provenance import provenance
-from activefail.campaign.quantities import significant, words
-from activefail.campaign.settings import PythonFeatures
-from activefail.campaign.summary import Plan, Summary
+from activefail.campaign.sections import PythonFeatures
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
 from activefail.figures.contours import coordinates, plot_outcome_planes
@@ -33,6 +27,12 @@ from activefail.figures.planes import PLANES, plot_reliability
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.files import replacing, target_of
+from activefail.findings import quantities
+from activefail.findings.findings import Findings, at_the_boundary
+from activefail.findings.prediction import predict
+from activefail.findings.quantities import significant, words
+from activefail.findings.summary import Plan, Summary
+from activefail.loop.progress import standing
 from activefail.record.store import Store
 from activefail.report.evidence import Evidence
 from activefail.shares import interval_percent, percent

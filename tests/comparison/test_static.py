@@ -5,13 +5,13 @@ import pytest
 from campaign.stub import Counting, Disc, disc
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer, standing
 from activefail.campaign.random_streams import stream
 from activefail.comparison.static import Score, compare, default_budgets, recalls, score
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.learning import current_classifier
+from activefail.loop.progress import Observer, standing
 from activefail.record.memory import MemoryStore
 from activefail.space import Array
 from activefail.surrogate.classifier import train

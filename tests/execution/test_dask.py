@@ -20,13 +20,13 @@ from commandline import activefail, record, refused, started, wait_for
 from faults.simulators import Meddling, Remembering
 from patience import PATIENCE
 
-from activefail.campaign.asynchronous import resumed
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer, Progress
 from activefail.campaign.provenance import simulation_versions
 from activefail.errors import InputError, SimulationError
 from activefail.execution.dask import DaskExecutor
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.asynchronous import resumed
+from activefail.loop.batches import run
+from activefail.loop.progress import Observer, Progress
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
 from activefail.simulators.function import PythonSimulator

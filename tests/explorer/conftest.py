@@ -8,11 +8,11 @@ import pytest
 from patience import until
 from report.test_report import ran, settings
 
-from activefail.campaign.findings import Findings, findings_of
-from activefail.campaign.learning import current_classifier
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
+from activefail.findings.findings import Findings, findings_of
+from activefail.loop.learning import current_classifier
 from activefail.surrogate.threads import one_thread
 
 

@@ -13,15 +13,15 @@ from report.test_report import other, ran, settings
 from typer.testing import CliRunner
 
 from activefail.bearing import Bearing, Pulse, simulate_one
-from activefail.campaign.findings import findings_of
-from activefail.campaign.learning import current_classifier
 from activefail.campaign.opening import open_campaign
-from activefail.campaign.prediction import predict
 from activefail.cli.app import app
 from activefail.errors import InputError
 from activefail.explorer import answers as explorer_answers
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
+from activefail.findings.findings import findings_of
+from activefail.findings.prediction import predict
+from activefail.loop.learning import current_classifier
 from activefail.record.run_folder import FolderStore
 from activefail.surrogate.threads import one_thread
 

@@ -33,9 +33,9 @@ from record.test_store import (
 )
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.proposing import initial_designs
 from activefail.campaign.settings import parse_settings
 from activefail.errors import DamagedError, StoreError
+from activefail.loop.proposing import initial_designs
 from activefail.record import hdf5 as image
 from activefail.record.attachments import decode_set, decode_state
 from activefail.record.batch import SEED, Batch

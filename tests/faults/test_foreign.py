@@ -22,9 +22,9 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from activefail.campaign.learning import restore
 from activefail.campaign.opening import open_campaign
 from activefail.errors import InputError, StoreError
+from activefail.loop.learning import restore
 from activefail.record.attachments import decode_state, encode_state
 from activefail.record.batch import SEED, Batch, Schema
 from activefail.record.layout import run_folder_owning

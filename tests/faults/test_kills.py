@@ -13,9 +13,9 @@ import pytest
 from faults.harness import Course, Victim, Victims, few, finished, traced
 from faults.victim import BUDGET, COMMITS, COMPACT_AT, Inline, campaign, opened
 
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer
 from activefail.files import TEMPORARY
+from activefail.loop.batches import run
+from activefail.loop.progress import Observer
 from activefail.record import compaction
 from activefail.record.recovery import QUARANTINE
 from activefail.record.run_folder import FolderStore

@@ -19,12 +19,12 @@ from faults.simulators import Failing, Leaving, Meddling, OnceAt, Remembering, U
 from faults.victim import BUDGET, campaign
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import run
-from activefail.campaign.progress import standing
 from activefail.errors import SimulationError
 from activefail.execution import frames
 from activefail.execution import processes as workers
 from activefail.execution.local import ProcessExecutor
+from activefail.loop.batches import run
+from activefail.loop.progress import standing
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import NUMERICAL_FAILURE, Simulator, cause_name
 from activefail.space import Array

@@ -24,9 +24,9 @@ from campaign.stub import Disc, disc
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer
 from activefail.errors import ActivefailError
+from activefail.loop.batches import run
+from activefail.loop.progress import Observer
 from activefail.record import compaction
 from activefail.record import run_folder as store
 from activefail.record.batch import Batch

@@ -12,13 +12,8 @@ from campaign.stub import disc
 from matplotlib.figure import Figure
 
 from activefail.bearing.design import TABLE_1
-from activefail.campaign import quantities
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.findings import findings_of
-from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import run
 from activefail.campaign.opening import create_folder, open_campaign
-from activefail.campaign.progress import Observer
 from activefail.campaign.settings import parse_settings
 from activefail.comparison.static import Recall, Score
 from activefail.csv_table import writing
@@ -27,6 +22,11 @@ from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
 from activefail.figures import contours, samples, svg
 from activefail.figures.marks import outcome_colour
+from activefail.findings import quantities
+from activefail.findings.findings import findings_of
+from activefail.loop.batches import run
+from activefail.loop.learning import current_classifier
+from activefail.loop.progress import Observer
 from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page
 from activefail.space import Parameter

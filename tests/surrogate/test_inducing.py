@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from activefail.campaign.verification import leave_one_out
 from activefail.surrogate import fitting, inducing
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.covariance import Hyperparameters, prior_covariance
 from activefail.surrogate.sites import Projection, Sites, posterior, solve_sites
+from activefail.verification.error import leave_one_out
 
 
 def points(n, m=3, seed=0):

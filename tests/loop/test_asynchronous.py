@@ -15,14 +15,14 @@ from commandline import activefail, record, started, wait_for
 from patience import PATIENCE, until
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.asynchronous import Course, resumed
-from activefail.campaign.history import History
-from activefail.campaign.learning import current_classifier, learn
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer, Progress
-from activefail.campaign.proposing import initial_designs
 from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ProcessExecutor, ThreadExecutor
+from activefail.loop.asynchronous import Course, resumed
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.learning import current_classifier, learn
+from activefail.loop.progress import Observer, Progress
+from activefail.loop.proposing import initial_designs
 from activefail.record.batch import ACTIVE, SEED
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
@@ -273,7 +273,7 @@ def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> N
 
 def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatch: pytest.MonkeyPatch) -> None:
     # Every look that is due is taken, and none of them ends it.
-    monkeypatch.setattr("activefail.campaign.verification.could_show", lambda *_: True)
+    monkeypatch.setattr("activefail.verification.error.could_show", lambda *_: True)
     campaign = plan(more="stop = { error = 0.49, confidence = 0.999999, simulations = 10, every = 3 }")
 
     def looks(stopped: int | None) -> list[tuple[int, bool]]:

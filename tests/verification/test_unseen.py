@@ -9,16 +9,16 @@ from commandline import activefail
 from rare import four_branch
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer
-from activefail.campaign.proposing import search_for_unseen
 from activefail.campaign.settings import parse_settings
-from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.progress import Observer
+from activefail.loop.proposing import search_for_unseen
 from activefail.record.memory import MemoryStore
 from activefail.run import create_run
 from activefail.simulators.interface import Results
+from activefail.verification.unseen import unseen_outcomes, unseen_warning
 
 
 class FourBranch:

@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.prediction import Prediction, predict
-from activefail.campaign.quantities import words
-from activefail.campaign.verification import expected_error
+from activefail.findings.prediction import Prediction, predict
+from activefail.findings.quantities import words
 from activefail.record.batch import ACTIVE
 from activefail.record.store import Store
 from activefail.simulators.bearing import DfpSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
+from activefail.verification.error import expected_error
 
 _POOL = 2**12
 

@@ -10,8 +10,8 @@ from ran import Run
 
 from activefail.bearing import TABLE_1, Model, Tolerance, simulate
 from activefail.bearing.outcome import CAUSES, COLUMNS, OUTCOME_NAMES
-from activefail.campaign.tables import check_bearing, export_table, predict_table, simulate_table
 from activefail.errors import InputError
+from activefail.findings.tables import check_bearing, export_table, predict_table, simulate_table
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 

@@ -15,15 +15,6 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.campaign.stored_sets import (
-    looks_before,
-    name_of_look,
-    name_of_verification,
-    simulated_outcomes,
-    stored_outcomes,
-    verified_sizes,
-)
-from activefail.campaign.stratified import StratifiedCount
 from activefail.execution.executor import Executor
 from activefail.features import FeatureMap
 from activefail.record.store import Store
@@ -32,6 +23,15 @@ from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
 from activefail.surrogate.fitting import Fit
 from activefail.surrogate.sites import Projection
+from activefail.verification.stored_sets import (
+    looks_before,
+    name_of_look,
+    name_of_verification,
+    simulated_outcomes,
+    stored_outcomes,
+    verified_sizes,
+)
+from activefail.verification.stratified import StratifiedCount
 
 EDGES = (0.005, 0.02, 0.08, 0.25)
 """Probabilities of being wrong that divide the design space into five parts."""

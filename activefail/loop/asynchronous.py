@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.learning import learn, restore
-from activefail.campaign.progress import standing
-from activefail.campaign.proposing import initial_designs, initial_sets, next_designs
-from activefail.campaign.task import Task
 from activefail.errors import DamagedError
 from activefail.execution.executor import AsynchronousExecutor
+from activefail.loop.history import History
+from activefail.loop.learning import learn, restore
+from activefail.loop.progress import standing
+from activefail.loop.proposing import initial_designs, initial_sets, next_designs
+from activefail.loop.task import Task
 from activefail.record.batch import ACTIVE, SEED, Batch
 from activefail.record.store import Store
 from activefail.simulators.interface import Results, Simulator

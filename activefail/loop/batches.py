@@ -7,20 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.asynchronous import run_asynchronously
-from activefail.campaign.history import History
-from activefail.campaign.learning import current_classifier, learn
-from activefail.campaign.progress import Observer, standing
-from activefail.campaign.proposing import initial_designs, initial_sets, next_designs
 from activefail.campaign.random_streams import stream
-from activefail.campaign.stored_sets import VALIDATION, simulated_set
-from activefail.campaign.task import Task
 from activefail.execution.executor import AsynchronousExecutor, Executor
+from activefail.loop.asynchronous import run_asynchronously
+from activefail.loop.history import History
+from activefail.loop.learning import current_classifier, learn
+from activefail.loop.progress import Observer, standing
+from activefail.loop.proposing import initial_designs, initial_sets, next_designs
+from activefail.loop.task import Task
 from activefail.record.batch import ACTIVE, SEED, Batch
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.state import classifier_state
 from activefail.surrogate.threads import one_thread
+from activefail.verification.stored_sets import VALIDATION, simulated_set
 
 
 def run(

@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.learning import accuracy
-from activefail.campaign.progress import Observer, Progress
-from activefail.campaign.verification import verify_by_rule
 from activefail.errors import SimulationError
 from activefail.execution.executor import AsynchronousExecutor
+from activefail.loop.learning import accuracy
+from activefail.loop.progress import Observer, Progress
 from activefail.record.store import Store
 from activefail.simulators.interface import cause_name
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
+from activefail.verification.error import verify_by_rule
 
 _LEAST_FOR_RATE = 20
 """Fewest simulations for which the share of numerical failures is checked."""

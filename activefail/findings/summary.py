@@ -15,8 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.boundaries import boundary_shares
-from activefail.campaign.stored_sets import name_of_look, name_of_verification
-from activefail.campaign.unseen import unseen_outcomes, unseen_warning
 from activefail.errors import StoreError
 from activefail.files import check_dots, read_regular
 from activefail.record.batch import ACTIVE, SEED, Batch
@@ -25,6 +23,8 @@ from activefail.record.recovery import is_segment, plain_files
 from activefail.record.segment import Outline, chain_start, decode_outline
 from activefail.shares import percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.verification.stored_sets import name_of_look, name_of_verification
+from activefail.verification.unseen import unseen_outcomes, unseen_warning
 from activefail.visible import visible
 
 

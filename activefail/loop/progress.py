@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.unseen import unseen_outcomes
-from activefail.campaign.verification import ErrorEstimate
+from activefail.loop.history import History
 from activefail.record.batch import Batch
+from activefail.verification.error import ErrorEstimate
+from activefail.verification.unseen import unseen_outcomes
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from patience import PATIENCE
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
-from activefail.campaign.learning import accuracy, current_classifier
-from activefail.campaign.loop import run
 from activefail.campaign.opening import open_campaign
-from activefail.campaign.progress import Observer, Progress, standing
-from activefail.campaign.proposing import initial_designs
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.learning import accuracy, current_classifier
+from activefail.loop.progress import Observer, Progress, standing
+from activefail.loop.proposing import initial_designs
 from activefail.record.batch import ACTIVE, SEED, Batch
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore

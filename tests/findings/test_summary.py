@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from campaign.stub import Disc, disc
 
-from activefail.campaign.loop import run
 from activefail.campaign.settings import parse_settings
-from activefail.campaign.summary import Plan, Summary, read_summary
 from activefail.execution.local import ThreadExecutor
+from activefail.findings.summary import Plan, Summary, read_summary
+from activefail.loop.batches import run
 from activefail.record import compaction
 from activefail.record.batch import SEED, Batch
 from activefail.record.run_folder import FolderStore

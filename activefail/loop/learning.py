@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
 from activefail.errors import DamagedError
+from activefail.loop.history import History
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train

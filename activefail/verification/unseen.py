@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.campaign.stratified import largest_unseen_share
 from activefail.shares import percent
+from activefail.verification.stratified import largest_unseen_share
 
 CONFIDENCE = 0.9
 """One-sided confidence of the bound on an unseen outcome's probability."""

@@ -5,11 +5,11 @@ import numpy as np
 from activefail.acquisition.batch import Search, propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.history import History
 from activefail.campaign.random_streams import stream
-from activefail.campaign.unseen import unseen_outcomes
+from activefail.loop.history import History
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
+from activefail.verification.unseen import unseen_outcomes
 
 
 def initial_sets(campaign: Campaign, history: History) -> int:

@@ -8,12 +8,17 @@ import torch
 from campaign.stub import HIGH, LOW, Counting, Disc, disc
 from scipy.stats import norm
 
-from activefail.campaign.learning import current_classifier
-from activefail.campaign.loop import run
-from activefail.campaign.progress import Observer, standing
 from activefail.campaign.settings import parse_settings
-from activefail.campaign.stored_sets import looks_before
-from activefail.campaign.verification import (
+from activefail.errors import InputError
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.learning import current_classifier
+from activefail.loop.progress import Observer, standing
+from activefail.record.memory import MemoryStore
+from activefail.simulators.interface import Results
+from activefail.surrogate import fitting
+from activefail.surrogate.threads import one_thread
+from activefail.verification.error import (
     EDGES,
     Verification,
     confidence_of_look,
@@ -27,12 +32,7 @@ from activefail.campaign.verification import (
     verify,
     verify_by_rule,
 )
-from activefail.errors import InputError
-from activefail.execution.local import ThreadExecutor
-from activefail.record.memory import MemoryStore
-from activefail.simulators.interface import Results
-from activefail.surrogate import fitting
-from activefail.surrogate.threads import one_thread
+from activefail.verification.stored_sets import looks_before
 
 
 def learned(seed=1, budget=40, **settings):
@@ -212,8 +212,8 @@ def test_what_a_user_has_verified_is_not_simulated_again_by_a_rule_nor_the_other
         before = counting.rows
         verified = verify(campaign, store, executor, classifier, 0, 100, 0.9)
         with (
-            mock.patch("activefail.campaign.verification.could_show", return_value=True),
-            mock.patch("activefail.campaign.verification.expected_error", return_value=0.0),
+            mock.patch("activefail.verification.error.could_show", return_value=True),
+            mock.patch("activefail.verification.error.expected_error", return_value=0.0),
         ):
             looked, _ = verify_by_rule(campaign, store, executor, classifier, 0)
         assert counting.rows == before + 100

@@ -1,0 +1,78 @@
+"""Messages for settings that break a rule: key, rule and value."""
+
+import json
+import re
+from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from activefail.campaign.sections import KINDS, NAME, RANGE, WITH, FixedVariable, Variable, shown
+
+
+def _key(name: str) -> str:
+    """A key as TOML writes it: quoted unless it consists of letters, digits, `_` and `-`."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+
+
+def _keys(settings: type[BaseModel], path: Sequence[str]) -> list[str]:
+    """The keys of the section at a path; the path is a validation error's `loc`."""
+    match path:
+        case []:
+            section: Any = settings
+        case ["space", _, kind]:
+            section = FixedVariable if kind == f"{WITH}value" else Variable
+        case [*_, "simulator" | "features" as name, kind]:
+            section = KINDS[name][kind.removeprefix(WITH)]
+        case [name, *_]:
+            section = settings.model_fields[name].annotation
+    # An optional section's type includes None.
+    return [key for one in get_args(section) or (section,) for key in getattr(one, "model_fields", ())]
+
+
+def _unknown_key(settings: type[BaseModel], path: Sequence[str], key: str) -> str:
+    """The message for a key that the section at a path does not have."""
+    match path:
+        case ["space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
+            return "a variable has either `low` and `high` or `value`"
+        case [*_, "simulator" | "features" as name, kind]:
+            present = kind.removeprefix(WITH)
+            for other, section in KINDS[name].items():
+                if key == other:
+                    return f"cannot be combined with `{present}`"
+                if key in section.model_fields:
+                    return f"belongs to `{other}`; cannot be combined with `{present}`"
+    near = get_close_matches(key, _keys(settings, path), 1)
+    return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"
+
+
+def broken_rule(settings: type[BaseModel], error: Any) -> str:
+    """One line of a validation error of the settings: key path, rule and value.
+
+    Args:
+        settings: the model of all settings.
+        error: an entry of pydantic's `ValidationError.errors()`.
+    """
+    parts = [part for part in error["loc"] if part not in (NAME, RANGE) and not str(part).startswith(WITH)]
+    path = ".".join(_key(str(part)) for part in parts) or "the file"
+    message = error["msg"].removeprefix("Value error, ")
+    match error["type"]:
+        case "extra_forbidden":
+            *section, key = error["loc"]
+            return f"{path}: {_unknown_key(settings, section, key)}"
+        case "missing":
+            return f"{path}: required, but missing"
+        case "value_error":
+            return f"{path}: {message}"
+        case "string_pattern_mismatch":
+            return f'{path}: must be "module:function", got {shown(error["input"])}'
+        case "model_type" | "dict_type":
+            return f"{path}: must be a table, got {shown(error['input'])}"
+        case "too_short" | "too_long" if "actual_length" in error["ctx"]:
+            least, most = error["ctx"].get("min_length"), error["ctx"].get("max_length")
+            rule = f"at least {least}" if most is None else f"at most {most}"
+            return f"{path}: must hold {rule}, got {shown(error['input'])}"
+        case _:
+            message = message.replace("Input should be", "must be")
+            return f"{path}: {message}, got {shown(error['input'])}"

@@ -1,0 +1,303 @@
+"""Sections of a campaign's settings, each with its rules."""
+
+import sys
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
+
+from activefail.acquisition.criteria import Criterion
+from activefail.bearing.design import LARGEST, Model, Tolerance
+from activefail.campaign.boundaries import boundary_shares
+from activefail.features import FeatureSet
+from activefail.space import Distribution, Parameter, distribution_fault
+
+_SHOWN = 200
+"""Longest value shown in a message, in characters."""
+
+
+def shown(value: object) -> str:
+    """A value as shown in messages."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python does not print integers of more than 4300 digits
+        return "a number with thousands of digits"
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+class Section(BaseModel):
+    """A table of the settings; it knows no other keys, takes no infinite numbers and is frozen."""
+
+    # Strict: reject "7" as a seed and 0 as a boolean.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+
+class Variable(Section):
+    """One variable of the design space, between its bounds (`activefail.space.Parameter`)."""
+
+    low: float
+    high: float
+    unit: str = ""
+    distribution: Distribution = "uniform"
+    mean: float | None = None
+    sd: float | None = None
+
+    @model_validator(mode="after")
+    def _is_a_distribution(self) -> Self:
+        if max(-self.low, self.high) > LARGEST:
+            raise ValueError(
+                f"`{-LARGEST:g} <= low` and `high <= {LARGEST:g}` must hold, got {self.low} and {self.high}"
+            )
+        fault = distribution_fault(self.low, self.high, self.distribution, self.mean, self.sd)
+        if fault:
+            raise ValueError(fault)
+        return self
+
+    def parameter(self, name: str) -> Parameter:
+        """The variable of the design space, under a name."""
+        return Parameter(name, self.low, self.high, self.unit, self.distribution, self.mean, self.sd)
+
+
+class FixedVariable(Section):
+    """A quantity of the simulator that is the same for every design."""
+
+    value: float = Field(ge=-LARGEST, le=LARGEST)
+    unit: str = ""
+
+
+class BearingSettings(Section):
+    """Settings of the double friction pendulum (`activefail.bearing.Model` and `Tolerance`)."""
+
+    slider_diameter: float = Field(0.30, gt=0.0, lt=5.0)
+    restitution_coefficient: float = Field(0.65, gt=0.0, le=1.0)
+    restitution: Literal["pairwise", "assembly"] = "pairwise"
+    slider_density: float = Field(7850.0, gt=0.0)
+    friction_velocity: float = Field(1e-3, gt=0.0, le=0.1)
+    loss_of_confinement: bool = True
+    tolerance: float = Field(1e-4, ge=1e-10, le=1e-3)
+
+    def model(self) -> Model:
+        """The bearing model."""
+        return Model(**self.model_dump(exclude={"tolerance"}))
+
+    def integration(self) -> Tolerance:
+        """The tolerance of the integration."""
+        return Tolerance(relative=self.tolerance)
+
+
+_Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*$")]
+"""A Python function, "module:function"."""
+
+
+class CustomSimulator(Section):
+    """Settings of every custom simulator.
+
+    Attributes:
+        outcomes: two or three names, the least severe first.
+        margins: names of the numbers that it returns besides the outcome.
+        time_limit: of one simulation [s]; no limit if None.
+    """
+
+    outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
+    margins: list[str] = Field([], max_length=100)
+    time_limit: float | None = Field(None, gt=0.0, le=1e9)
+
+    @field_validator("outcomes", "margins")
+    @classmethod
+    def _are_names(cls, names: list[str]) -> list[str]:
+        for name in names:
+            if not name.isidentifier():
+                raise ValueError(f"must be identifiers, got {name!r}")
+            if names.count(name) > 1:
+                raise ValueError(f"must differ from each other, got {name!r} twice")
+        if "numerical_failure" in names:
+            raise ValueError("'numerical_failure' is reserved for simulations without an outcome")
+        return names
+
+
+class PythonSimulator(CustomSimulator):
+    """A simulator that is a Python function (`activefail.simulators.function`), found like `PythonFeatures`.
+
+    Attributes:
+        renew: simulations after which a worker process is replaced; never if None.
+    """
+
+    python: _Reference
+    renew: int | None = Field(None, ge=1, le=1_000_000)
+
+
+class CommandSimulator(CustomSimulator):
+    """A simulator that is a program (`activefail.simulators.command`).
+
+    Attributes:
+        command: command line, with the variables in braces.
+        retries: how often a failed simulation is repeated.
+        keep: whether the folders of successful simulations are kept.
+        largest_file: largest file that the program may write [bytes].
+    """
+
+    command: str = Field(min_length=1)
+    retries: int = Field(0, ge=0, le=100)
+    keep: bool = True
+    largest_file: int = Field(10_000_000_000, ge=1_000_000, le=10**15)
+
+
+class Sampling(Section):
+    """Numbers of simulations.
+
+    Attributes:
+        initial: in the initial design, a Latin hypercube.
+        budget: in all.
+        batch: in a batch; in an asynchronous campaign, in flight at a time.
+        asynchronous: whether the campaign learns from each result as soon as it arrives.
+    """
+
+    initial: int = Field(250, ge=2, le=1_000_000)
+    budget: int = Field(500, ge=2, le=1_000_000)
+    batch: int = Field(10, ge=1, le=500)
+    asynchronous: bool = False
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.budget < self.initial:
+            raise ValueError(f"`initial <= budget` must hold, got {self.initial} and {self.budget}")
+        if self.asynchronous and 2 * self.batch > self.initial:
+            raise ValueError(
+                f"`2 batch <= initial` must hold if asynchronous, got batch {self.batch} and initial {self.initial}"
+            )
+        return self
+
+
+class PythonFeatures(Section):
+    """Custom features: a Python function.
+
+    Attributes:
+        python: the function; its module is searched for beside the campaign file, then on Python's path.
+        variables: whether the variables precede the function's columns.
+    """
+
+    python: _Reference
+    variables: bool = True
+
+
+class ExpressionFeatures(Section):
+    """Custom features: arithmetic expressions of the variables.
+
+    Attributes:
+        expressions: expressions by feature name (`activefail.expressions`).
+        variables: whether the variables precede the expressions' columns.
+    """
+
+    expressions: dict[str, str] = Field(min_length=1)
+    variables: bool = True
+
+
+KINDS: dict[str, dict[str, type[Section]]] = {
+    "simulator": {"python": PythonSimulator, "command": CommandSimulator},
+    "features": {"python": PythonFeatures, "expressions": ExpressionFeatures},
+}
+"""Alternative tables of a setting, by the key that only they have."""
+
+NAME, RANGE = "a name", "a range"
+WITH = "a table with "
+
+
+def _range_or_value(entry: Any) -> str:
+    is_fixed = isinstance(entry, FixedVariable) or (isinstance(entry, dict) and "value" in entry)
+    return f"{WITH}value" if is_fixed else RANGE
+
+
+def by_key(sections: Mapping[str, type[Section]]) -> Discriminator:
+    """Discriminate a name from tables, and the tables by the key that only one of them has."""
+
+    def kind(value: Any) -> str:
+        for key, section in sections.items():
+            if isinstance(value, section) or (isinstance(value, dict) and key in value):
+                return f"{WITH}{key}"
+        return "" if isinstance(value, dict) else NAME
+
+    keys = " or ".join(f"{WITH}`{key}`" for key in sections)
+    return Discriminator(kind, "no_such_table", f"must be a name, {keys}")
+
+
+class ClassifierSettings(Section):
+    """Features of the classifier, and the smoothness of its boundaries."""
+
+    features: Annotated[
+        Annotated[FeatureSet, Tag(NAME)]
+        | Annotated[PythonFeatures, Tag(f"{WITH}python")]
+        | Annotated[ExpressionFeatures, Tag(f"{WITH}expressions")],
+        by_key(KINDS["features"]),
+    ] = "paper"
+    kernel: Literal["rbf", "matern52"] = "rbf"
+
+
+class AcquisitionSettings(Section):
+    """How active designs are chosen."""
+
+    criterion: Criterion = "entropy"
+    boundary: str | dict[str, float] = "failure"
+    exploration: float = Field(0.0, ge=0.0, le=1.0)
+
+    @field_validator("boundary", mode="before")
+    @classmethod
+    def _one_outcome_or_weights(cls, boundary: object) -> object:
+        if isinstance(boundary, dict):
+            if not boundary:
+                raise ValueError("must name at least one outcome, got {}")
+            for name, weight in boundary.items():
+                is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
+                # A TOML integer may be larger than any float.
+                if not (is_number and 0.0 < weight <= sys.float_info.max):
+                    raise ValueError(f"the weight of {name!r} must be a positive finite number, got {shown(weight)}")
+        elif not isinstance(boundary, str):
+            raise ValueError(f"must be an outcome, or a table of outcomes and weights, got {shown(boundary)}")
+        return boundary
+
+    @property
+    def boundaries(self) -> dict[str, float]:
+        """The share of active designs for each target boundary, by outcome; the shares sum to 1."""
+        return boundary_shares(self.boundary)
+
+    @property
+    def main_boundary(self) -> str:
+        """The outcome with the largest share, the first if equal; a campaign's error refers to its boundary."""
+        return max(self.boundaries, key=self.boundaries.__getitem__)
+
+
+class Validation(Section):
+    """Designs outside the budget on which a campaign measures its accuracy while it runs."""
+
+    size: int = Field(0, ge=0, le=100_000)
+
+
+class Limits(Section):
+    """Limits above which a campaign stops with an error."""
+
+    numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
+
+
+class Stop(Section):
+    """The stop rule: a campaign ends once its error is verified to be at most `error`, with `confidence`.
+
+    Verification takes `simulations` fresh designs outside the budget, `every` so many batches, once the classifier
+    itself expects no larger error.
+    """
+
+    error: float = Field(gt=0.0, lt=0.5)
+    confidence: float = Field(0.9, ge=0.5, lt=1.0)
+    simulations: int = Field(400, ge=10, le=10_000)
+    every: int = Field(5, ge=1, le=1000)
+
+
+AnyVariable = Annotated[
+    Annotated[Variable, Tag(RANGE)] | Annotated[FixedVariable, Tag(f"{WITH}value")], Discriminator(_range_or_value)
+]
