@@ -23,7 +23,7 @@ from scipy.linalg import null_space
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NO_IMPACT
 from activefail.features import paper_features
-from activefail.figures.contours import EXPONENTS, LOGARITHMIC
+from activefail.figures.outcome_planes import EXPONENTS, LOGARITHMIC
 
 COLUMNS = list(LOGARITHMIC)
 

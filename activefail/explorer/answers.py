@@ -14,7 +14,6 @@ from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.bearing.simulation import Response
 from activefail.errors import InputError
-from activefail.figures.contours import plot_variable_plane
 from activefail.figures.curves import plot_fragility
 from activefail.figures.marks import outcome_colour
 from activefail.figures.motion import (
@@ -26,6 +25,7 @@ from activefail.figures.motion import (
     slider_vertices,
     vertex_states,
 )
+from activefail.figures.outcome_planes import plot_variable_plane
 from activefail.figures.svg import inline
 from activefail.findings import quantities
 from activefail.findings.findings import Findings, at_the_boundary

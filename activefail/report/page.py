@@ -19,11 +19,11 @@ from activefail.campaign.provenance import provenance
 from activefail.campaign.sections import PythonFeatures
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
-from activefail.figures.contours import coordinates, plot_outcome_planes
 from activefail.figures.curves import plot_learning_curves
 from activefail.figures.length_scales import LONG, length_scales, plot_length_scales
 from activefail.figures.motion import plot_snapshots
-from activefail.figures.planes import PLANES, plot_reliability
+from activefail.figures.outcome_planes import coordinates, plot_outcome_planes
+from activefail.figures.paper_planes import PLANES, plot_reliability
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.files import replacing, target_of

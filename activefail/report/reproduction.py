@@ -14,7 +14,7 @@ from activefail.bearing.design import GRAVITY, Model
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.estimate import Estimate, contains
 from activefail.features import PAPER_FEATURES
-from activefail.figures.planes import PLANES, SLICE, plot_plane, plot_reliability
+from activefail.figures.paper_planes import PLANES, SLICE, plot_plane, plot_reliability
 from activefail.figures.style import save_figure, styled
 from activefail.files import replacing
 from activefail.paper import claims, published

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from activefail.bearing.design import GRAVITY, TABLE_1
 from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.marks import outcome_handles, scatter_outcomes
-from activefail.figures.planes import PLANES, SLICE, Plane
+from activefail.figures.paper_planes import PLANES, SLICE, Plane
 from activefail.figures.style import GREY, styled
 from activefail.findings.findings import Findings
 from activefail.findings.prediction import Prediction, predict
