@@ -267,7 +267,8 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
 
 def _logarithms(space: DesignSpace) -> tuple[bool, ...]:
     """Whether each variable enters as its logarithm."""
-    return tuple(parameter.distribution == "log_uniform" for parameter in space.parameters)
+    names = ("log_uniform", "lognormal")
+    return tuple(parameter.distribution in names and parameter.low > 0.0 for parameter in space.parameters)
 
 
 def _scaled(

@@ -113,10 +113,13 @@ def test_a_uniform_variable_is_sampled_to_the_bit_as_low_plus_u_times_the_width(
     ("given", "says"),
     [
         ({"distribution": "log_uniform", "low": 0.0}, "'x': `low > 0` must hold for log_uniform, got 0.0"),
-        ({"distribution": "truncated_normal"}, "belong to a truncated normal"),
-        ({"mean": 0.5, "sd": 0.1}, "belong to a truncated normal"),
+        ({"distribution": "truncated_normal"}, "needs `mean` and `sd`, or `mean` and `cov`; got none"),
+        ({"mean": 0.5, "sd": 0.1}, "a uniform distribution needs `low` and `high` alone"),
         ({"distribution": "truncated_normal", "mean": 0.5, "sd": 0.0}, "'x': `sd > 0` must hold, got 0.0"),
-        ({"distribution": "truncated_normal", "mean": 50.0, "sd": 0.5}, "must contain at least 1e-06 of the normal"),
+        (
+            {"distribution": "truncated_normal", "mean": 50.0, "sd": 0.5},
+            "must contain at least 1e-06 of the truncated normal",
+        ),
     ],
 )
 def test_numbers_that_make_no_distribution_are_refused(given: dict[str, Any], says: str) -> None:

@@ -17,8 +17,9 @@ from pydantic import (
 from activefail.acquisition.criteria import Criterion
 from activefail.bearing.design import LARGEST, Model, Tolerance
 from activefail.campaign.boundaries import boundary_shares
+from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
 from activefail.features import FeatureSet
-from activefail.space import Distribution, Parameter, distribution_fault
+from activefail.space import Parameter, distribution_fault
 
 _SHOWN = 200
 """Longest value shown in a message, in characters."""
@@ -33,6 +34,10 @@ def shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
+_WIDEST_REACH = 9.0
+"""Largest distance of a bound from the median in standard deviations: the probability beyond is 10⁻¹⁹."""
+
+
 class Section(BaseModel):
     """A table of the settings; it knows no other keys, takes no infinite numbers and is frozen."""
 
@@ -41,29 +46,70 @@ class Section(BaseModel):
 
 
 class Variable(Section):
-    """One variable of the design space, between its bounds (`activefail.space.Parameter`)."""
+    """One variable of the design space: its distribution and its bounds (`activefail.space.Parameter`).
 
-    low: float
-    high: float
+    Distributions are stated by mean and sd, by mean and coefficient of variation, or by their own parameters
+    (`activefail.distributions`). A distribution without bounds of its own needs none.
+    """
+
+    low: float | None = None
+    high: float | None = None
     unit: str = ""
     distribution: Distribution = "uniform"
     mean: float | None = None
     sd: float | None = None
+    cov: float | None = None
+    median: float | None = None
+    dispersion: float | None = None
+    location: float | None = None
+    shape: float | None = None
+    scale: float | None = None
+    alpha: float | None = None
+    beta: float | None = None
+    rate: float | None = None
 
     @model_validator(mode="after")
     def _is_a_distribution(self) -> Self:
-        if max(-self.low, self.high) > LARGEST:
-            raise ValueError(
-                f"`{-LARGEST:g} <= low` and `high <= {LARGEST:g}` must hold, got {self.low} and {self.high}"
-            )
-        fault = distribution_fault(self.low, self.high, self.distribution, self.mean, self.sd)
-        if fault:
+        if fault := parameters_fault(self.distribution, self.low, self.high, self._given):
+            raise ValueError(fault)
+        # The widest reach that settings allow; bounds in the file do not depend on it.
+        low, high, mean, sd = self._numbers(_WIDEST_REACH)
+        if max(-low, high) > LARGEST:
+            raise ValueError(f"`{-LARGEST:g} <= low` and `high <= {LARGEST:g}` must hold, got {low:g} and {high:g}")
+        if fault := distribution_fault(low, high, self.distribution, mean, sd):
             raise ValueError(fault)
         return self
 
-    def parameter(self, name: str) -> Parameter:
-        """The variable of the design space, under a name."""
-        return Parameter(name, self.low, self.high, self.unit, self.distribution, self.mean, self.sd)
+    @property
+    def _given(self) -> dict[str, float]:
+        numbers = {name: getattr(self, name) for name in PARAMETERS}
+        return {name: number for name, number in numbers.items() if number is not None}
+
+    def _numbers(self, reach: float) -> tuple[float, float, float | None, float | None]:
+        """Bounds, mean and sd; bounds that the file leaves out lie `reach` standard deviations out."""
+        mean, sd = moments(self.distribution, self.low, self.high, self._given) if self._given else (None, None)
+        low, high = self.low, self.high
+        if mean is not None and sd is not None and (low is None or high is None):
+            least, largest = quantiles_at(self.distribution, mean, sd, reach)
+            low, high = least if low is None else low, largest if high is None else high
+        assert low is not None
+        assert high is not None
+        return low, high, mean, None if self.distribution == "exponential" else sd
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the file gives both bounds."""
+        return self.low is not None and self.high is not None
+
+    def parameter(self, name: str, reach: float) -> Parameter:
+        """The variable of the design space, under a name.
+
+        Args:
+            name: of the variable.
+            reach: where bounds lie that the file leaves out, in standard deviations of a normal variable.
+        """
+        low, high, mean, sd = self._numbers(reach)
+        return Parameter(name, low, high, self.unit, self.distribution, mean, sd)
 
 
 class FixedVariable(Section):
@@ -158,12 +204,15 @@ class Sampling(Section):
         budget: in all.
         batch: in a batch; in an asynchronous campaign, in flight at a time.
         asynchronous: whether the campaign learns from each result as soon as it arrives.
+        reach: probability outside the bounds of variables whose bounds the file leaves out. No design is proposed
+            there.
     """
 
     initial: int = Field(250, ge=2, le=1_000_000)
     budget: int = Field(500, ge=2, le=1_000_000)
     batch: int = Field(10, ge=1, le=500)
     asynchronous: bool = False
+    reach: float = Field(1e-8, ge=1e-12, le=0.1)
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import tomli_w
 from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validator, model_validator
 
@@ -31,7 +32,7 @@ from activefail.campaign.sections import (
 )
 from activefail.errors import InputError
 from activefail.files import check_dots
-from activefail.space import DesignSpace
+from activefail.space import DesignSpace, radius
 from activefail.visible import visible
 
 
@@ -52,6 +53,7 @@ class CampaignSettings(Section):
     ] = "dfp"
     bearing: BearingSettings = BearingSettings()
     space: Annotated[dict[str, AnyVariable], Field(min_length=1)] = Field(default_factory=_table_1)
+    correlation: list[Annotated[tuple[str, str, float], Field(strict=False)]] = Field(default_factory=list)
     sampling: Sampling = Sampling()
     classifier: ClassifierSettings = ClassifierSettings()
     acquisition: AcquisitionSettings = AcquisitionSettings()
@@ -99,7 +101,10 @@ class CampaignSettings(Section):
         """The design space, its variables in the order of the file."""
         variables = {name: entry for name, entry in self.space.items() if isinstance(entry, Variable)}
         fixed = {name: entry.value for name, entry in self.space.items() if isinstance(entry, FixedVariable)}
-        return DesignSpace(tuple(variable.parameter(name) for name, variable in variables.items()), fixed)
+        bounded = all(variable.is_bounded for variable in variables.values())
+        reach = np.inf if bounded else radius(self.sampling.reach, len(variables))
+        parameters = tuple(variable.parameter(name, reach) for name, variable in variables.items())
+        return DesignSpace(parameters, fixed, tuple(self.correlation))
 
     def text(self) -> str:
         """The settings as TOML with all defaults, as frozen in a run folder."""

@@ -1,0 +1,208 @@
+"""Distributions of one variable by mean and standard deviation or by their own parameters; SciPy computes them."""
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+if TYPE_CHECKING:
+    from scipy.stats.distributions import rv_frozen
+
+Distribution = Literal[
+    "uniform",
+    "log_uniform",
+    "truncated_normal",
+    "normal",
+    "lognormal",
+    "gumbel_max",
+    "gumbel_min",
+    "weibull",
+    "gamma",
+    "beta",
+    "exponential",
+]
+
+OWN: dict[str, tuple[str, ...]] = {
+    "lognormal": ("median", "dispersion"),
+    "gumbel_max": ("location", "scale"),
+    "gumbel_min": ("location", "scale"),
+    "weibull": ("shape", "scale"),
+    "gamma": ("shape", "scale"),
+    "beta": ("alpha", "beta"),
+    "exponential": ("rate",),
+}
+"""Each distribution's own parameters.
+
+`dispersion` is the standard deviation of the logarithm. `location` of a Gumbel distribution is its mode.
+"""
+
+BOUNDED = ("uniform", "log_uniform", "truncated_normal", "beta")
+"""Distributions that need both bounds."""
+
+POSITIVE = ("lognormal", "weibull", "gamma", "exponential")
+"""Distributions of positive variables."""
+
+_BY_BOUNDS_ALONE = ("uniform", "log_uniform")
+
+_IN_WORDS = {
+    "log_uniform": "log-uniform",
+    "gumbel_max": "Gumbel (max)",
+    "gumbel_min": "Gumbel (min)",
+    "weibull": "Weibull",
+}
+
+PARAMETERS = ("mean", "sd", "cov", *dict.fromkeys(name for names in OWN.values() for name in names))
+"""Names of all parameters of distributions."""
+
+_LARGEST = 1e100
+"""Largest mean and sd."""
+
+_SMALLEST_SHAPE, _LARGEST_SHAPE = 0.1, 1e4
+"""Range of a Weibull distribution's shape, for coefficients of variation from 0.0002 to 400,000."""
+
+
+def sets_of_parameters(distribution: Distribution) -> tuple[tuple[str, ...], ...]:
+    """The sets of parameters, each of which defines the distribution between its bounds."""
+    if distribution in _BY_BOUNDS_ALONE:
+        return ((),)
+    by_mean = (("mean",),) if distribution == "exponential" else (("mean", "sd"), ("mean", "cov"))
+    return (*by_mean, *((OWN[distribution],) if distribution in OWN else ()))
+
+
+def parameters_fault(
+    distribution: Distribution, low: float | None, high: float | None, given: Mapping[str, float]
+) -> str:
+    """Why bounds and parameters do not define a distribution; empty if they do.
+
+    Args:
+        distribution: name of the distribution.
+        low, high: bounds of the variable, if any.
+        given: the parameters.
+    """
+    sets = sets_of_parameters(distribution)
+    article = "an" if distribution == "exponential" else "a"
+    name = f"{article} {_IN_WORDS.get(distribution, distribution.replace('_', ' '))} distribution"
+    if set(given) not in map(set, sets):
+        needed = ", or ".join(" and ".join(f"`{one}`" for one in names) for names in sets if names)
+        needs = f"{name} needs {needed}" if needed else f"{name} needs `low` and `high` alone"
+        shown = " and ".join(f"`{key} = {number:g}`" for key, number in given.items()) or "none of them"
+        return f"{needs}; got {shown}"
+    if distribution in BOUNDED and (low is None or high is None):
+        return f"{name} needs `low` and `high`"
+    for key, number in given.items():
+        if not math.isfinite(number):
+            return f"`{key}` must be finite, got {number}"
+        positive = key not in ("mean", "location") or (key == "mean" and distribution in POSITIVE)
+        if positive and not number > 0.0:
+            return f"`{key} > 0` must hold, got {number}"
+    if "cov" in given and given["mean"] == 0.0:
+        return "a coefficient of variation needs a mean other than 0"
+    if given:
+        try:
+            mean, sd = moments(distribution, low, high, given)
+        except OverflowError:
+            mean = sd = math.inf
+        if not (abs(mean) <= _LARGEST and sd <= _LARGEST):
+            return f"mean and sd must be at most {_LARGEST:g}, got {mean:g} and {sd:g}"
+    if distribution in POSITIVE and low is not None and low < 0.0:
+        return f"`low >= 0` must hold for {name}, got {low}"
+    if distribution == "beta" and low is not None and high is not None:
+        # A beta distribution's variance is less than (mean − low)(high − mean).
+        possible = low < mean < high and sd * sd < (mean - low) * (high - mean)
+        if not possible:
+            return f"no beta distribution between {low:g} and {high:g} has mean {mean:g} and sd {sd:g}"
+    if distribution == "weibull":
+        least, largest = _weibull_cov(_LARGEST_SHAPE), _weibull_cov(_SMALLEST_SHAPE)
+        if not least < sd / mean < largest:
+            return f"the coefficient of variation must lie between {least:.2g} and {largest:.2g}, got {sd / mean:g}"
+    return ""
+
+
+def moments(
+    distribution: Distribution, low: float | None, high: float | None, given: Mapping[str, float]
+) -> tuple[float, float]:
+    """Mean and standard deviation of an unbounded distribution, or of a beta between its bounds, by any parameters."""
+    if "mean" in given:
+        mean = given["mean"]
+        if distribution == "exponential":
+            return mean, mean
+        return mean, given["sd"] if "sd" in given else given["cov"] * abs(mean)
+    if distribution == "beta":
+        assert low is not None
+        assert high is not None
+        alpha, beta = given["alpha"], given["beta"]
+        share = alpha / (alpha + beta)
+        return low + (high - low) * share, (high - low) * math.sqrt(share * (1.0 - share) / (alpha + beta + 1.0))
+    match distribution:
+        case "lognormal":
+            variance = given["dispersion"] ** 2
+            mean = given["median"] * math.exp(0.5 * variance)
+            return mean, mean * math.sqrt(math.expm1(variance))
+        case "gumbel_max" | "gumbel_min":
+            sign = 1.0 if distribution == "gumbel_max" else -1.0
+            mean = given["location"] + sign * _EULER * given["scale"]
+            return mean, given["scale"] * math.pi / math.sqrt(6.0)
+        case "weibull":
+            mean = given["scale"] * math.gamma(1.0 + 1.0 / given["shape"])
+            return mean, mean * _weibull_cov(given["shape"])
+        case "gamma":
+            return given["shape"] * given["scale"], math.sqrt(given["shape"]) * given["scale"]
+        case _:
+            return 1.0 / given["rate"], 1.0 / given["rate"]
+
+
+_EULER = 0.5772156649015329
+"""The Euler–Mascheroni constant."""
+
+
+def _weibull_cov(shape: float) -> float:
+    """Coefficient of variation of a Weibull distribution."""
+    return math.sqrt(math.expm1(math.lgamma(1.0 + 2.0 / shape) - 2.0 * math.lgamma(1.0 + 1.0 / shape)))
+
+
+def quantiles_at(distribution: Distribution, mean: float, sd: float, reach: float) -> tuple[float, float]:
+    """The quantiles of an unbounded distribution that correspond to ∓`reach` standard deviations of a normal one."""
+    beyond = 0.5 * math.erfc(reach / math.sqrt(2.0))
+    law = frozen(distribution, 0.0, 0.0, mean, sd)
+    return float(law.ppf(beyond)), float(law.isf(beyond))
+
+
+@lru_cache(maxsize=1024)
+def frozen(distribution: Distribution, low: float, high: float, mean: float, sd: float) -> "rv_frozen":
+    """SciPy's distribution with a mean and a standard deviation; the bounds are those of a beta distribution alone."""
+    # Imported here: importing scipy.stats takes longer than a thousand simulations of a bearing.
+    from scipy import stats
+    from scipy.optimize import brentq
+
+    match distribution:
+        case "lognormal":
+            dispersion = math.sqrt(math.log1p((sd / mean) ** 2))
+            return stats.lognorm(dispersion, scale=mean * math.exp(-0.5 * dispersion**2))
+        case "gumbel_max" | "gumbel_min":
+            scale = sd * math.sqrt(6.0) / math.pi
+            if distribution == "gumbel_max":
+                return stats.gumbel_r(mean - _EULER * scale, scale)
+            return stats.gumbel_l(mean + _EULER * scale, scale)
+        case "weibull":
+            target = sd / mean
+            log_shape: Any = brentq(
+                lambda k: _weibull_cov(math.exp(k)) - target,
+                math.log(_SMALLEST_SHAPE),
+                math.log(_LARGEST_SHAPE),
+                xtol=1e-14,
+            )
+            shape = math.exp(log_shape)
+            return stats.weibull_min(shape, scale=mean / math.gamma(1.0 + 1.0 / shape))
+        case "gamma":
+            return stats.gamma((mean / sd) ** 2, scale=sd * sd / mean)
+        case "beta":
+            share = (mean - low) / (high - low)
+            total = share * (1.0 - share) * ((high - low) / sd) ** 2 - 1.0
+            return stats.beta(share * total, (1.0 - share) * total, low, high - low)
+        case "exponential":
+            return stats.expon(scale=mean)
+        case _:
+            return stats.norm(mean, sd)
+
+
+assert set(OWN) <= set(get_args(Distribution))
