@@ -45,8 +45,9 @@ class Results:
         cause: (n,) int8, index into the simulator's causes, or one of EXECUTION_CAUSES.
         margins: (n, k) float64, one column for each of the simulator's margins; NaN where a margin is undefined.
         seconds: (n,) float64, wall time of each simulation [s]; finite, at least 0.
-        faults: by row, why each simulation with one of EXECUTION_CAUSES failed; every text names its design. Only an
-            executor fills it, and no record keeps it: elsewhere it is empty.
+        faults: by row, why each simulation with one of EXECUTION_CAUSES failed; every text names its design. Slices and
+            concatenations keep it with its row. Only executors fill it, and no record keeps it: a simulator and a store
+            give none.
 
     Raises:
         ValueError: if the columns differ in length, the margins do not have two axes, or a fault has no row.
