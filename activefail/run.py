@@ -171,11 +171,12 @@ class Run:
                 return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
         target = self.settings.sampling.budget if budget is None else budget
         command = self.resume_command(ignore_stop=ignore_stop, executor=executor_options)
+        faults: list[str] = []
         finished = run_loop(
-            self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, command
+            self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, command, faults
         )
         self._classifier = None
-        return Taken(finished, standing(self.campaign, self.store.batches, target), executor.first_fault)
+        return Taken(finished, standing(self.campaign, self.store.batches, target), next(iter(faults), ""))
 
     @property
     def classifier(self) -> "Classifier":

@@ -67,8 +67,6 @@ class Sleeping:
 class ImaginedWorkers:
     """Workers whose simulations take an imagined time, and no more of the real one than they need."""
 
-    first_fault = ""
-
     def __init__(self, workers: int) -> None:
         self._now = 0.0
         self._free = [0.0] * workers

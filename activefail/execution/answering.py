@@ -1,5 +1,7 @@
 """A simulator's results for a few designs, checked for the record; a failure affects its own design only."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from activefail.errors import ActivefailError, description_of, place_of
@@ -20,8 +22,8 @@ LONGEST_MESSAGE = 2000
 """Characters of a simulator's message that activefail quotes."""
 
 
-def answer(simulator: Simulator, X: Array) -> tuple[Results, str]:
-    """A simulator's results for designs, (n, d), and why the first failed simulation failed; "" if none failed.
+def answer(simulator: Simulator, X: Array) -> Results:
+    """A simulator's results for designs, (n, d), with their faults.
 
     Raises:
         ActivefailError: if the simulator raised one.
@@ -32,13 +34,12 @@ def answer(simulator: Simulator, X: Array) -> tuple[Results, str]:
         raise
     except Exception as error:
         if len(X) == 1:
-            return unanswered(simulator, 1, _cause(error)), _description_of(X[0], error)
+            return unanswered(simulator, 1, _cause(error), _description_of(X[0], error))
     # One row at a time: a bad design must not fail the others.
-    parts = [answer(simulator, X[row : row + 1]) for row in range(len(X))]
-    return Results.concatenate([results for results, _ in parts]), next((fault for _, fault in parts if fault), "")
+    return Results.concatenate([answer(simulator, X[row : row + 1]) for row in range(len(X))])
 
 
-def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, str]:
+def _usable(simulator: Simulator, X: Array, results: Results) -> Results:
     """Results in the record's types; rows with an invalid outcome, cause or time become numerical failures."""
     n, k = len(X), len(simulator.margins)
     if not isinstance(results, Results):
@@ -57,27 +58,24 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> tuple[Results, 
     has_cause = (cause >= 0) & (cause < len(simulator.causes)) & (cause % 1 == 0)
     timed = (seconds >= 0) & (seconds < np.inf)
     good = has_outcome & has_cause & timed
-    fault = ""
-    if not good.all():
-        row = int(np.argmin(good))
+    rule = f"outcome in -1 to {len(simulator.outcomes) - 1}, cause in 0 to {len(simulator.causes) - 1}, seconds >= 0"
+    faults = {}
+    for row in np.flatnonzero(~good).tolist():
         got = f"outcome {results.outcome[row]}, cause {results.cause[row]}, seconds {results.seconds[row]}"
-        rule = (
-            f"outcome in -1 to {len(simulator.outcomes) - 1}, cause in 0 to {len(simulator.causes) - 1}, seconds >= 0"
-        )
-        fault = f"design {X[row].tolist()}: the answer must have {rule}, got {got}"
-    usable = Results(
+        faults[row] = f"design {X[row].tolist()}: the answer must have {rule}, got {got}"
+    return Results(
         np.where(good, outcome, NUMERICAL_FAILURE).astype(np.int8),
         np.where(good, cause, UNUSABLE_ANSWER).astype(np.int8),
         # float64 margins keep their bits.
         np.where(good[:, None], margins, np.nan),
         np.where(timed, seconds, 0.0),
+        faults,
     )
-    return usable, fault
 
 
-def shown_fault(fault: str) -> str:
-    """A fault for messages, made visible and cut: a simulator's text may be anything, of any length."""
-    return visible(fault[:LONGEST_MESSAGE])
+def with_shown_faults(results: Results) -> Results:
+    """The results with faults for messages, made visible and cut: a simulator's text may be anything, of any length."""
+    return replace(results, faults={row: visible(fault[:LONGEST_MESSAGE]) for row, fault in results.faults.items()})
 
 
 def _cause(error: Exception) -> int:

@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Self
 
 from activefail.errors import ActivefailError, InputError, SimulationError
-from activefail.execution.answering import answer, shown_fault
+from activefail.execution.answering import answer, with_shown_faults
 from activefail.execution.processes import Guards
 from activefail.simulators.interface import WORKER_DIED, Results, Simulator, unanswered
 from activefail.space import Array
@@ -18,7 +18,7 @@ from activefail.space import Array
 if TYPE_CHECKING:
     from distributed import Future
 
-    _Answer = tuple[Results, str] | BaseException
+    _Answer = Results | BaseException
     _Arrivals = SimpleQueue[tuple[int, str, _Answer]]
 
 Versions = Callable[[], Mapping[str, str]]
@@ -82,7 +82,6 @@ class DaskExecutor:
         self._waits_for_workers = False
         self._arrivals: _Arrivals = SimpleQueue()
         self._in_flight: dict[str, tuple[Future, Simulator, Array]] = {}
-        self.first_fault = ""
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
@@ -166,8 +165,8 @@ class DaskExecutor:
         future, simulator, x = self._in_flight.pop(key)
         match answer:
             case KilledWorker():
-                results = unanswered(simulator, 1, WORKER_DIED)
                 fault = f"design {x.tolist()}: its workers were lost: {answer}"
+                return with_shown_faults(unanswered(simulator, 1, WORKER_DIED, fault))
             case ActivefailError():
                 raise answer
             case OSError() | CancelledError() if future.status != "error":
@@ -181,9 +180,7 @@ class DaskExecutor:
                     f"The workers need the same activefail, Python and Dask."
                 ) from answer
             case _:
-                results, fault = answer
-        self.first_fault = self.first_fault or shown_fault(fault)
-        return results
+                return with_shown_faults(answer)
 
     def __enter__(self) -> Self:
         return self
@@ -221,7 +218,7 @@ def _guards(time_limit: float | None) -> Guards:
 
 def _answer_there(
     simulator: Simulator, X: Array, time_limit: float | None, expected: tuple[Versions, _Expected] | None
-) -> tuple[Results, str]:
+) -> Results:
     """Simulate a design, (1, d), on a Dask worker.
 
     Raises:

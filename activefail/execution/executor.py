@@ -22,8 +22,9 @@ class Executor(Protocol):
     arrived. The results are the simulator's, bit for bit, except for `seconds`.
 
     **Failures.** A simulation that raises, returns an unusable answer, kills its worker, or exceeds its time limit is
-    one numerical failure: outcome NUMERICAL_FAILURE, a cause of EXECUTION_CAUSES, margins NaN. The other simulations of
-    the batch keep their results, and the executor continues. An ActivefailError of the simulator is not a numerical
+    one numerical failure: outcome NUMERICAL_FAILURE, a cause of EXECUTION_CAUSES, margins NaN. Its row of `faults` says
+    why, in visible characters and cut to a readable length. The other simulations of the batch keep their results, and
+    the executor continues; it keeps nothing of a failure. An ActivefailError of the simulator is not a numerical
     failure: it reaches the caller.
 
     **Threads and processes.** Only the campaign's main thread calls an executor. If `simulator.releases_gil` is true,
@@ -39,11 +40,6 @@ class Executor(Protocol):
     executor started on this machine. Simulations in threads are awaited, unless an exception ended the context. On a
     cluster they run to their end or time limit, and their results are discarded.
     """
-
-    @property
-    def first_fault(self) -> str:
-        """Why the first abandoned simulation failed, with its design; empty if none was abandoned."""
-        ...
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs; may be called again, with another simulator too.

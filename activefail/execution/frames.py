@@ -173,14 +173,14 @@ def longest_answer(simulator: Simulator) -> int:
     return _ANSWER.size + 8 * len(simulator.margins) + MOST_TEXT
 
 
-def pack_answer(results: Results, fault: str) -> bytes:
-    """The result of one design and its fault."""
+def pack_answer(results: Results) -> bytes:
+    """The result of one design, with its fault."""
     numbers = _ANSWER.pack(int(results.outcome[0]), int(results.cause[0]), float(results.seconds[0]))
-    return b"".join((numbers, results.margins[0].astype("<f8").tobytes(), pack_text(fault)))
+    return b"".join((numbers, results.margins[0].astype("<f8").tobytes(), pack_text(results.faults.get(0, ""))))
 
 
-def unpack_answer(payload: bytes, simulator: Simulator) -> tuple[Results, str]:
-    """The result of one design and its fault; "" without one.
+def unpack_answer(payload: bytes, simulator: Simulator) -> Results:
+    """The result of one design, with its fault.
 
     Raises:
         BrokenFrameError: if the simulator cannot give this answer.
@@ -197,13 +197,14 @@ def unpack_answer(payload: bytes, simulator: Simulator) -> tuple[Results, str]:
     if not good:
         raise BrokenFrameError("its outcome, cause or time is out of range")
     margins = np.frombuffer(payload, "<f8", len(simulator.margins), _ANSWER.size)
-    results = Results(
+    fault = unpack_text(payload[end:])
+    return Results(
         np.array([outcome], dtype=np.int8),
         np.array([cause], dtype=np.int8),
         margins.astype(np.float64).reshape(1, -1),
         np.array([seconds]),
+        {0: fault} if fault else {},
     )
-    return results, unpack_text(payload[end:])
 
 
 # --- senders ------------------------------------------------------------------------------------------------------

@@ -5,11 +5,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from queue import Empty, SimpleQueue
-from threading import Lock
 from typing import Self
 
 from activefail.errors import SimulationError
-from activefail.execution.answering import answer, shown_fault
+from activefail.execution.answering import answer, with_shown_faults
 from activefail.execution.processes import Guards
 from activefail.simulators.interface import (
     Results,
@@ -32,8 +31,6 @@ class _LocalExecutor:
         self._workers = workers
         self._pool = ThreadPoolExecutor(workers)
         self._done: SimpleQueue[tuple[int, Future[Results]]] = SimpleQueue()
-        self._lock = Lock()
-        self.first_fault = ""
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
@@ -77,13 +74,9 @@ class _LocalExecutor:
             raise SimulationError(f"A simulation cannot be started: {error}. Try fewer --workers.") from None
 
     def _simulate(self, simulator: Simulator, X: Array) -> Results:
-        results, fault = self._answer(simulator, X)
-        if fault:
-            with self._lock:
-                self.first_fault = self.first_fault or shown_fault(fault)
-        return results
+        return with_shown_faults(self._answer(simulator, X))
 
-    def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
+    def _answer(self, simulator: Simulator, X: Array) -> Results:
         raise NotImplementedError
 
     def _rows(self, n: int) -> int:
@@ -122,7 +115,7 @@ def _first(completed: "SimpleQueue[Future[Results]]") -> "Future[Results]":
 class ThreadExecutor(_LocalExecutor):
     """Threads, for compiled simulators that release the interpreter's lock."""
 
-    def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
+    def _answer(self, simulator: Simulator, X: Array) -> Results:
         return answer(simulator, X)
 
     def __exit__(self, *exception: object) -> None:
@@ -148,7 +141,7 @@ class ProcessExecutor(_LocalExecutor):
         super().__init__(workers)
         self._guards = Guards(answer, time_limit)
 
-    def _answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
+    def _answer(self, simulator: Simulator, X: Array) -> Results:
         return self._guards.of_this_thread().answer(simulator, X)
 
     def _rows(self, n: int) -> int:

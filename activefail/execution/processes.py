@@ -10,6 +10,7 @@ import subprocess
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.reduction import ForkingPickler
 from typing import Protocol, runtime_checkable
 
@@ -150,8 +151,8 @@ class _Worker:
         if why:
             raise SimulationError(f"A worker process could not load the simulator: {why}.")
 
-    def simulate(self, simulator: Simulator, X: Array, limit: float | None) -> tuple[Results, str]:
-        """The result of a design, (1, d), and why the simulation failed; "" if it did not.
+    def simulate(self, simulator: Simulator, X: Array, limit: float | None) -> Results:
+        """The result of a design, (1, d), with its fault.
 
         Raises:
             ActivefailError: if the simulator raised one.
@@ -164,9 +165,9 @@ class _Worker:
                 raise BrokenFrameError("it does not answer a design")
             return unpack_answer(frame.payload, simulator)
         except BrokenFrameError as error:
-            return unanswered(simulator, 1, WORKER_DIED), _invalid(error)
+            return unanswered(simulator, 1, WORKER_DIED, _invalid(error))
         except _LostError as error:
-            return unanswered(simulator, 1, error.cause), error.why
+            return unanswered(simulator, 1, error.cause, error.why)
 
     def is_sound(self) -> bool:
         """Whether the worker is alive and has sent nothing but its answers."""
@@ -270,8 +271,8 @@ class Guard:
         self._stopped = False
         self._lock = threading.Lock()
 
-    def answer(self, simulator: Simulator, X: Array) -> tuple[Results, str]:
-        """The result of a design, (1, d), and why the simulation failed; "" if it did not.
+    def answer(self, simulator: Simulator, X: Array) -> Results:
+        """The result of a design, (1, d), with the faults of all attempts as one.
 
         A failed simulation is repeated once in a fresh process before it is abandoned: the record must not depend on
         earlier simulations in the process, nor on a brief shortage of memory.
@@ -286,21 +287,21 @@ class Guard:
             worker = self._ready(simulator)
             fresh = worker.answered == 0
             try:
-                results, why = worker.simulate(simulator, X, self._time_limit)
+                results = worker.simulate(simulator, X, self._time_limit)
             except ActivefailError:
                 self._check_stopped()
                 raise
             self._check_stopped()
-            if not why:
-                return results, ""
+            if not results.faults:
+                return results
             # Even if the worker is alive, the failure may have corrupted it.
             self.close()
-            reasons.append(why.removeprefix(f"design {X[0].tolist()}: "))
+            reasons.append(results.faults[0].removeprefix(f"design {X[0].tolist()}: "))
             # An isolated simulator runs each attempt in a fresh process anyway.
             settled = results.cause[0] in (RAISED, UNUSABLE_ANSWER) and (fresh or _is_isolated(simulator))
             if settled or len(reasons) == TRIES:
                 _check_output()
-                return results, f"design {X[0].tolist()}: {_joined(reasons)}"
+                return replace(results, faults={0: f"design {X[0].tolist()}: {_joined(reasons)}"})
 
     def _ready(self, simulator: Simulator) -> _Worker:
         """A sound worker that has loaded the simulator."""

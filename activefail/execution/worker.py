@@ -31,8 +31,8 @@ LOST = 71
 _SEND_LIMIT = 60.0
 """Seconds in which an answer must be sent; it always fits, unless the simulator has filled the connection."""
 
-Answer = Callable[[Simulator, Array], tuple[Results, str]]
-"""Simulates designs: results, and why the first failed simulation failed ("" if none did)."""
+Answer = Callable[[Simulator, Array], Results]
+"""Simulates designs: results with their faults."""
 
 
 @runtime_checkable
@@ -60,8 +60,8 @@ def serve(descriptor: int) -> None:
                 assert loaded is not None
                 answer, simulator = loaded
                 # A copy, which the simulator may write to.
-                results, fault = answer(simulator, np.frombuffer(content, dtype=np.float64)[None].copy())
-                reply(FrameKind.ANSWERED, pack_answer(results, fault))
+                results = answer(simulator, np.frombuffer(content, dtype=np.float64)[None].copy())
+                reply(FrameKind.ANSWERED, pack_answer(results))
         except ActivefailError as error:
             reply(FrameKind.REFUSED, pack_error(error))
         except Exception as error:

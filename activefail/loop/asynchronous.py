@@ -172,6 +172,7 @@ def run_asynchronously(task: Task) -> bool:
         if arrived is None:
             return ended
         designs, results = arrived
+        task.faults.extend(results.faults.values())
         origin = np.array([SEED if design.tobytes() in initial else ACTIVE for design in designs], dtype=np.int8)
         store.commit(Batch(course.next_iteration, designs, origin, results))
         observer.stage("learning")

@@ -32,6 +32,7 @@ def run(
     failure_limit: float | None = None,
     use_stop_rule: bool = True,
     resume_command: str = "activefail resume DIR",
+    faults: list[str] | None = None,
 ) -> bool:
     """Continue a campaign from its record to its budget, or until its stop rule is met.
 
@@ -46,16 +47,18 @@ def run(
         failure_limit: largest accepted share of numerical failures; replaces the campaign's.
         use_stop_rule: whether the stop rule may end the campaign before its budget.
         resume_command: the command that continues the campaign, for messages.
+        faults: receives the faults of all simulations of this call, in order of arrival.
 
     Raises:
         SimulationError: if the workers or too many of the simulations fail.
         StoreError: if a batch cannot be recorded.
     """
     observer = observer or Observer()
+    faults = [] if faults is None else faults
     limit = campaign.settings.limits.numerical_failures if failure_limit is None else failure_limit
     run_loop = run_asynchronously if campaign.settings.sampling.asynchronous else _run_in_batches
     with one_thread():
-        validation = _validation_set(campaign, store, executor, observer)
+        validation = _validation_set(campaign, store, executor, observer, faults)
         history = History.of(store.batches)
         initial = initial_designs(campaign, initial_sets(campaign, history))
         # Failures before the first outcome came from a simulator that has been fixed since.
@@ -73,6 +76,7 @@ def run(
                 validation,
                 initial,
                 ignored,
+                faults,
             )
         )
 
@@ -91,7 +95,7 @@ def _run_in_batches(task: Task) -> bool:
             return False
         observer.stage("simulating the initial design")
         designs = initial[progress.done : min(progress.done + batch, budget)]
-        _simulate_and_record(campaign, store, task.executor, 0, SEED, designs)
+        _simulate_and_record(task, 0, SEED, designs)
 
     task.check(progress)
     observer.stage("learning")
@@ -114,26 +118,25 @@ def _run_in_batches(task: Task) -> bool:
         chosen, history = (iteration - 1) * batch, History.of(store.batches)
         designs = next_designs(campaign, classifier, history, iteration, min(batch, left), chosen)
         observer.stage("simulating")
-        _simulate_and_record(campaign, store, task.executor, iteration, ACTIVE, designs)
+        _simulate_and_record(task, iteration, ACTIVE, designs)
         observer.stage("learning")
         classifier = learn(campaign, History.of(store.batches), iteration, classifier)
         store.write_state(iteration, classifier_state(classifier))
         seconds = time.monotonic() - start
 
 
-def _simulate_and_record(
-    campaign: Campaign, store: Store, executor: Executor, iteration: int, origin: int, designs: Array
-) -> None:
-    results = executor.run(campaign.simulator, designs)
-    store.commit(Batch(iteration, designs, np.full(len(designs), origin, dtype=np.int8), results))
+def _simulate_and_record(task: Task, iteration: int, origin: int, designs: Array) -> None:
+    results = task.executor.run(task.campaign.simulator, designs)
+    task.faults.extend(results.faults.values())
+    task.store.commit(Batch(iteration, designs, np.full(len(designs), origin, dtype=np.int8), results))
 
 
 def _validation_set(
-    campaign: Campaign, store: Store, executor: Executor, observer: Observer
+    campaign: Campaign, store: Store, executor: Executor, observer: Observer, faults: list[str]
 ) -> tuple[Array, NDArray[np.int8]] | None:
     size = campaign.settings.validation.size
     if size == 0:
         return None
     observer.stage("simulating the validation set")
     X = campaign.space.from_unit(stream(campaign.settings.seed, "validation").random((size, campaign.space.dimension)))
-    return simulated_set(campaign, store, executor, VALIDATION, X, observer.stop)
+    return simulated_set(campaign, store, executor, VALIDATION, X, observer.stop, faults)

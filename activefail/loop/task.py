@@ -15,6 +15,7 @@ from activefail.simulators.interface import cause_name
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import verify_by_rule
+from activefail.verification.stored_sets import first_fault_text
 
 _LEAST_FOR_RATE = 20
 """Fewest simulations for which the share of numerical failures is checked."""
@@ -30,6 +31,7 @@ class Task:
         validation: designs and outcomes of the validation set, if any.
         initial: the initial design.
         ignored_failures: numerical failures that do not count towards the limit.
+        faults: the faults of the simulations so far, in order of arrival; grows.
     """
 
     campaign: Campaign
@@ -43,6 +45,7 @@ class Task:
     validation: tuple[Array, NDArray[np.int8]] | None
     initial: Array
     ignored_failures: int
+    faults: list[str]
 
     def check(self, progress: Progress) -> None:
         """Check that not all, and not too many, simulations failed numerically.
@@ -58,10 +61,10 @@ class Task:
                 f"None of the {progress.done} simulations gave an outcome, so there is nothing to learn from. They are "
                 f"recorded; the campaign stops here. The cause of the first is {first or 'unnamed'}. Fix the "
                 f"simulator, then `{self.resume_command}{f' --budget {needed}' if self.budget < needed else ''}` "
-                f"continues with other initial designs." + _first_fault_text(self.executor.first_fault)
+                f"continues with other initial designs." + first_fault_text(self.faults)
             )
         done, failures = progress.done - self.ignored_failures, progress.numerical_failures - self.ignored_failures
-        _check_numerical_failures(done, failures, self.failure_limit, self.executor.first_fault, self.resume_command)
+        _check_numerical_failures(done, failures, self.failure_limit, self.faults, self.resume_command)
 
     def judged(self, progress: Progress, classifier: Classifier, verify_now: bool) -> Progress:
         """The progress with the classifier's accuracy and verified error."""
@@ -70,21 +73,23 @@ class Task:
         if self.use_stop_rule and verify_now and not progress.unseen:
             self.observer.stage("verifying")
             error, stop_rule_met = verify_by_rule(
-                self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer.stop
+                self.campaign,
+                self.store,
+                self.executor,
+                classifier,
+                progress.iteration,
+                self.observer.stop,
+                self.faults,
             )
         share = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
         return replace(progress, accuracy=share, error=error, stop_rule_met=stop_rule_met)
 
 
-def _check_numerical_failures(done: int, failures: int, limit: float, first_fault: str, resume_command: str) -> None:
+def _check_numerical_failures(done: int, failures: int, limit: float, faults: list[str], resume_command: str) -> None:
     if done >= _LEAST_FOR_RATE and failures > limit * done:
         raise SimulationError(
             f"{failures} of {done} simulations failed numerically, more than the share of "
             f"{limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops here. "
             f"`activefail export` shows their causes; `{resume_command} --numerical-failures SHARE` allows more."
-            + _first_fault_text(first_fault)
+            + first_fault_text(faults)
         )
-
-
-def _first_fault_text(first_fault: str) -> str:
-    return f" Why the first abandoned simulation failed: {first_fault}" if first_fault else ""

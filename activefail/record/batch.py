@@ -135,12 +135,12 @@ def answers_of(results: Results) -> dict[str, NDArray[Any]]:
 
 def results_of(columns: Mapping[str, NDArray[Any]]) -> Results:
     """The results among the columns of a batch."""
-    return Results(**{name: array for name, array in columns.items() if name not in ("designs", "origin")})
+    return Results(columns["outcome"], columns["cause"], columns["margins"], columns["seconds"])
 
 
 def copy_results(results: Results) -> Results:
-    """A copy of results that shares no arrays with them."""
-    return Results(**{name: array.copy() for name, array in answers_of(results).items()})
+    """A copy of results, without their faults, that shares no arrays with them."""
+    return results_of({name: array.copy() for name, array in answers_of(results).items()})
 
 
 def columns_of(batch: Batch) -> dict[str, NDArray[Any]]:

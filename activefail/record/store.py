@@ -35,7 +35,7 @@ class Store(Protocol):
 
     **Arrays.** A store copies its arguments before it returns; the caller keeps its arrays. The arrays of `batches`
     belong to the store and are read-only. The caller owns the arrays that `latest_state` and `read_set` return. All
-    arrays keep their bits, including NaN payloads and signed zeros.
+    arrays keep their bits, including NaN payloads and signed zeros. The faults of results are not kept.
 
     **Exceptions.** After InputError nothing has changed, and the store stays usable. After StoreError the record holds
     all acknowledged data and nothing else, and the call can be repeated, with one exception: if fsync failed

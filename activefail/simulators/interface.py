@@ -1,7 +1,7 @@
 """The simulator interface: designs in, outcomes and margins out."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 import numpy as np
@@ -45,36 +45,50 @@ class Results:
         cause: (n,) int8, index into the simulator's causes, or one of EXECUTION_CAUSES.
         margins: (n, k) float64, one column for each of the simulator's margins; NaN where a margin is undefined.
         seconds: (n,) float64, wall time of each simulation [s]; finite, at least 0.
+        faults: by row, why each simulation with one of EXECUTION_CAUSES failed; every text names its design. Slices and
+            concatenations keep it with its row. Only executors fill it, and no record keeps it: a simulator and a store
+            give none.
 
     Raises:
-        ValueError: if the columns differ in length, or the margins do not have two axes.
+        ValueError: if the columns differ in length, the margins do not have two axes, or a fault has no row.
     """
 
     outcome: NDArray[np.int8]
     cause: NDArray[np.int8]
     margins: Array
     seconds: Array
+    faults: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.outcome)
         shapes = (self.outcome.shape, self.cause.shape, self.margins.shape[:1], self.seconds.shape)
         if any(shape != (n,) for shape in shapes) or self.margins.ndim != 2:
             raise ValueError(f"Results need n outcomes, causes, rows of margins and times, got shapes {shapes}.")
+        if not all(0 <= row < n for row in self.faults):
+            raise ValueError(f"`0 <= row < {n}` must hold for the faults, got rows {sorted(self.faults)}.")
 
     def __len__(self) -> int:
         return len(self.outcome)
 
     def __getitem__(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Self:
-        return type(self)(self.outcome[rows], self.cause[rows], self.margins[rows], self.seconds[rows])
+        kept = enumerate(np.arange(len(self))[rows].tolist())
+        faults = {row: self.faults[old] for row, old in kept if old in self.faults}
+        return type(self)(self.outcome[rows], self.cause[rows], self.margins[rows], self.seconds[rows], faults)
 
     @classmethod
     def concatenate(cls, parts: list[Self]) -> Self:
         """The rows of several results, in order."""
+        firsts = np.cumsum([0, *map(len, parts[:-1])]).tolist()
         return cls(
             np.concatenate([part.outcome for part in parts]),
             np.concatenate([part.cause for part in parts]),
             np.concatenate([part.margins for part in parts]),
             np.concatenate([part.seconds for part in parts]),
+            {
+                first + row: fault
+                for first, part in zip(firsts, parts, strict=True)
+                for row, fault in part.faults.items()
+            },
         )
 
 
@@ -132,11 +146,12 @@ class Simulator(Protocol):
         ...
 
 
-def unanswered(simulator: Simulator, n: int, cause: int = 0) -> Results:
-    """Results of n simulations that failed with a cause."""
+def unanswered(simulator: Simulator, n: int, cause: int = 0, fault: str = "") -> Results:
+    """Results of n simulations that failed with a cause, and with a fault unless it is empty."""
     return Results(
         np.full(n, NUMERICAL_FAILURE, dtype=np.int8),
         np.full(n, cause, dtype=np.int8),
         np.full((n, len(simulator.margins)), np.nan),
         np.zeros(n),
+        dict.fromkeys(range(n), fault) if fault else {},
     )

@@ -10,7 +10,7 @@ A set is stored in parts, `<name>-<part>`, so that an interruption loses at most
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -103,6 +103,7 @@ def simulated_outcomes(
     X: Array,
     stop: Callable[[], bool] = lambda: False,
     twin: str = "",
+    faults: list[str] | None = None,
 ) -> NDArray[np.int8] | None:
     """Outcomes, (n,), of the designs of a set, (n, d); -1 for a numerical failure. None if stopped.
 
@@ -116,6 +117,7 @@ def simulated_outcomes(
         X: its designs.
         stop: whether to stop before the next part.
         twin: name of a set that may hold the same designs; its parts are copied instead of simulated.
+        faults: receives the faults of the new simulations.
 
     Raises:
         SimulationError: if every simulation of a part fails, which is a fault of the simulator. That part is not
@@ -130,19 +132,23 @@ def simulated_outcomes(
         if saved is None:
             if stop():
                 return None
-            saved = (rows, executor.run(campaign.simulator, rows))
-            if (saved[1].outcome == NUMERICAL_FAILURE).all():
-                fault = (
-                    f" Why the first abandoned simulation failed: {executor.first_fault}"
-                    if executor.first_fault
-                    else ""
-                )
+            results = executor.run(campaign.simulator, rows)
+            if (results.outcome == NUMERICAL_FAILURE).all():
                 raise SimulationError(
-                    f"None of the {len(rows)} simulations for {name} gave an outcome; they are not kept.{fault}"
+                    f"None of the {len(rows)} simulations for {name} gave an outcome; they are not kept."
+                    + first_fault_text(results.faults.values())
                 )
+            if faults is not None:
+                faults.extend(results.faults.values())
+            saved = (rows, results)
             store.write_set(key, *saved)
         outcomes.append(saved[1].outcome)
     return np.concatenate(outcomes)
+
+
+def first_fault_text(faults: Iterable[str]) -> str:
+    """The end of a message, which quotes the first fault; empty if there is none."""
+    return next((f" Why the first abandoned simulation failed: {fault}" for fault in faults), "")
 
 
 def _same(saved: tuple[Array, Results] | None, X: Array) -> tuple[Array, Results] | None:
@@ -157,9 +163,10 @@ def simulated_set(
     name: str,
     X: Array,
     stop: Callable[[], bool] = lambda: False,
+    faults: list[str] | None = None,
 ) -> tuple[Array, NDArray[np.int8]] | None:
-    """Designs and outcomes of a set, without numerical failures; None if stopped."""
-    outcome = simulated_outcomes(campaign, store, executor, name, X, stop)
+    """Designs and outcomes of a set, without numerical failures; None if stopped (see `simulated_outcomes`)."""
+    outcome = simulated_outcomes(campaign, store, executor, name, X, stop, faults=faults)
     if outcome is None:
         return None
     answered = outcome != NUMERICAL_FAILURE

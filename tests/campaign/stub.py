@@ -63,6 +63,16 @@ class Brittle(Disc):
         return Results(outcome, np.where(failed, 2, 0).astype(np.int8), margin[:, None], np.zeros(len(X)))
 
 
+class Raising(Disc):
+    """A disc that raises for the designs on its right."""
+
+    def run(self, X: Array) -> Results:
+        """Answer designs (x, y), shape (n, 2)."""
+        if (X[:, 0] > 1.5).any():
+            raise ZeroDivisionError("the stiffness vanished")
+        return super().run(X)
+
+
 class Counting:
     """A disc that counts the designs it is asked about."""
 

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -230,10 +231,12 @@ def executor(request: pytest.FixtureRequest) -> Iterator[AsynchronousExecutor]:
 
 
 def given_up(results: Results, X: Array, rows: list[int], cause: str) -> None:
-    """Assert that these rows, and no others, are numerical failures with a cause."""
+    """Assert that these rows, and no others, are numerical failures with a cause and a fault that names the design."""
     failed = results.outcome == NUMERICAL_FAILURE
     assert np.flatnonzero(failed).tolist() == rows
     assert {cause_name(Disc.causes, code) for code in results.cause[failed].tolist()} == {cause}
+    assert sorted(results.faults) == rows
+    assert all(fault.startswith(f"design {X[row].tolist()}: ") for row, fault in results.faults.items())
     assert np.isnan(results.margins[failed]).all()
     assert bits(results[~failed]) == bits(Disc().run(X[~failed]))
     Schema(PLANE.names, Disc.outcomes, Disc.causes, Disc.margins).check(X, results)
@@ -359,12 +362,65 @@ def test_a_simulation_without_a_usable_answer_is_one_numerical_failure_with_its_
         results = executor.run(simulator, X, steps.append)
         given_up(results, X, [20], cause)
         assert sum(steps) == 40
-        assert executor.first_fault.startswith(f"design {X[20].tolist()}: ")
-        assert says in executor.first_fault
-        # Of the first one only, and the executor goes on working.
-        executor.run(Raising(), X[20:21])
-        assert says in executor.first_fault
-        assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
+        assert says in results.faults[20]
+        # The executor goes on working, and what failed before is not in its later results.
+        again = executor.run(Disc(), X)
+        assert bits(again) == bits(Disc().run(X))
+        assert again.faults == {}
+
+
+def test_the_faults_of_a_batch_and_of_single_designs_at_the_same_time_come_with_their_own_results(
+    executor: AsynchronousExecutor,
+) -> None:
+    X = designs(24)
+    X[::5, 0] = 0.0
+    for ticket in range(12):
+        executor.start(Raising(), ticket, X[ticket])
+    batch = executor.run(Lying(outcome=7.0), X)
+    answers: dict[int, Results] = {}
+    with within(600):
+        while len(answers) < 12:
+            answers |= dict(executor.answered(0.5))
+    single = Results.concatenate([answers[ticket] for ticket in range(12)])
+    given_up(batch, X, [0, 5, 10, 15, 20], "unusable_answer")
+    given_up(single, X[:12], [0, 5, 10], "raised")
+    assert all("got outcome 7.0" in fault for fault in batch.faults.values())
+    assert all("ZeroDivisionError: the stiffness vanished" in fault for fault in single.faults.values())
+
+
+@pytest.mark.parametrize("make", EXECUTORS.values(), ids=EXECUTORS.keys())
+def test_two_batches_at_once_have_their_own_faults(make: Callable[[], Executor]) -> None:
+    X = designs(24)
+    X[::5, 0] = 0.0
+    with within(600), make() as executor, ThreadPoolExecutor(2) as callers:
+        raised, unusable = callers.map(lambda simulator: executor.run(simulator, X), (Raising(), Lying(outcome=7.0)))
+    given_up(raised, X, [0, 5, 10, 15, 20], "raised")
+    given_up(unusable, X, [0, 5, 10, 15, 20], "unusable_answer")
+    assert all("ZeroDivisionError: the stiffness vanished" in fault for fault in raised.faults.values())
+    assert all("got outcome 7.0" in fault for fault in unusable.faults.values())
+
+
+class Loud(Acting):
+    def act(self) -> None:
+        raise ValueError("\x1b[2J\n" + "x" * 10_000)
+
+
+def test_a_fault_is_visible_and_no_longer_than_can_be_read(executor: Executor) -> None:
+    fault = executor.run(Loud(), np.zeros((1, 2))).faults[0]
+    assert r"ValueError: \x1b[2J" in fault
+    assert fault.isprintable()
+    assert len(fault) < 2100
+
+
+class Quoting(Disc):
+    """A disc whose own results bring a fault."""
+
+    def run(self, X: Array) -> Results:
+        return replace(super().run(X), faults={0: "of the simulator"})
+
+
+def test_only_the_executor_gives_faults(executor: Executor) -> None:
+    assert executor.run(Quoting(), designs(3)).faults == {}
 
 
 @pytest.mark.parametrize("make", EXECUTORS.values(), ids=EXECUTORS.keys())
@@ -448,8 +504,9 @@ def test_a_worker_that_dies_or_hangs_twice_costs_one_simulation(
     before = started_here()
     # Short only where it is reached: on a busy machine a process takes a while to die.
     with within(600), ProcessExecutor(2, time_limit=2.0 if cause == "time_limit" else 300.0) as executor:
-        given_up(executor.run(simulator, X), X, rows, cause)
-        assert says in executor.first_fault
+        results = executor.run(simulator, X)
+        given_up(results, X, rows, cause)
+        assert all(says in fault for fault in results.faults.values())
         assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
     assert started_here() <= before
 
@@ -461,8 +518,9 @@ def test_a_worker_that_dies_or_hangs_once_costs_nothing(simulator: type[Disc], t
     once = Once(other=simulator(), note=str(tmp_path / "done"))
     hangs = simulator in (Hanging, Stopped)
     with within(600), ProcessExecutor(2, time_limit=2.0 if hangs else 300.0) as executor:
-        assert bits(executor.run(once, X)) == bits(Disc().run(X))
-        assert executor.first_fault == ""
+        results = executor.run(once, X)
+    assert bits(results) == bits(Disc().run(X))
+    assert results.faults == {}
     assert (tmp_path / "done").exists()
 
 

@@ -3,7 +3,7 @@
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -152,6 +152,21 @@ def test_results_cut_and_put_together_are_the_results() -> None:
     whole = Disc(blind=0.0).run(PLANE.latin_hypercube(9, np.random.default_rng(0)))
     assert bits(Results.concatenate([whole[:4], whole[4:4], whole[4:]])) == bits(whole)
     assert len(whole[whole.outcome == 1]) == int((whole.outcome == 1).sum())
+
+
+def test_faults_stay_with_their_rows_where_results_are_cut_and_put_together() -> None:
+    whole = replace(Disc().run(PLANE.latin_hypercube(9, np.random.default_rng(0))), faults={2: "a", 5: "b", 8: "c"})
+    assert whole[3:].faults == {2: "b", 5: "c"}
+    assert whole[::-1].faults == {0: "c", 3: "b", 6: "a"}
+    assert whole[np.array([5, 0, 2, 5])].faults == {0: "b", 2: "a", 3: "b"}
+    assert whole[np.arange(9) % 2 == 0].faults == {1: "a", 4: "c"}
+    assert Results.concatenate([whole[:3], whole[3:3], whole[3:6], whole[6:]]).faults == whole.faults
+
+
+@pytest.mark.parametrize("row", [-1, 2])
+def test_a_fault_without_a_row_is_refused(row: int) -> None:
+    with pytest.raises(ValueError, match=rf"`0 <= row < 2` must hold for the faults, got rows \[{row}\]"):
+        replace(Disc().run(np.zeros((2, 2))), faults={row: "of none"})
 
 
 @pytest.mark.parametrize(

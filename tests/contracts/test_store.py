@@ -1,7 +1,7 @@
 """What every Store must do, whatever it is made of."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +75,16 @@ def test_committed_batches_come_back_in_order_and_bit_for_bit(kind: Kind) -> Non
     for one in given:
         kind.store.commit(one)
     assert [batch_bits(one) for one in kind.reopen().batches] == [batch_bits(one) for one in given]
+
+
+def test_the_faults_of_results_are_not_kept(kind: Kind) -> None:
+    one = batch(4, 0)
+    kind.store.commit(replace(one, results=replace(one.results, faults={1: "the stiffness vanished"})))
+    kind.store.write_set("test", one.designs, replace(one.results, faults={1: "the stiffness vanished"}))
+    for store in (kind.store, kind.reopen()):
+        kept = store.read_set("test")
+        assert kept is not None
+        assert (store.batches[0].results.faults, kept[1].faults) == ({}, {})
 
 
 def test_a_new_store_has_neither_batches_nor_states_nor_sets(kind: Kind) -> None:

@@ -170,8 +170,9 @@ def test_a_worker_that_is_killed_without_batches_costs_no_simulation(cluster: Cl
             cluster.workers["one"].wait()
 
     with DaskExecutor(cluster.address) as executor:
-        assert run(campaign, store, executor, 28, Observer(kill))
-        assert executor.first_fault == ""
+        faults: list[str] = []
+        assert run(campaign, store, executor, 28, Observer(kill), faults=faults)
+        assert faults == []
     check_whole(campaign, store)
     assert cluster.workers["one"].returncode == -signal.SIGKILL
 
@@ -200,9 +201,10 @@ def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_ba
     with ThreadExecutor(2) as here:
         assert run(disc(), undisturbed, here, 28)
     design = tuple(undisturbed.batches[batch].designs[1].tolist())
+    faults: list[str] = []
     with DaskExecutor(cluster.address) as executor:
-        assert run(disc(Ambush(folder=str(tmp_path), design=design)), store, executor, 28)
-        assert executor.first_fault == ""
+        assert run(disc(Ambush(folder=str(tmp_path), design=design)), store, executor, 28, faults=faults)
+        assert faults == []
     cluster_bits, bits = (
         [(one.iteration, *(array.tobytes() for array in columns_of(one).values())) for one in kept.batches]
         for kept in (store, undisturbed)
@@ -229,16 +231,17 @@ def test_a_simulation_that_ends_its_process_costs_itself_and_not_the_worker(clus
     X = np.array([[0.0, 20.0], [2.5, 20.0], [1.0, 20.0], [2.9, 30.0]])
     with DaskExecutor(cluster.address) as executor:
         results = executor.run(Fatal(), X)
-        assert "its worker process died (SIGKILL" in executor.first_fault
     assert (results.cause == WORKER_DIED).tolist() == [False, True, False, True]
+    assert sorted(results.faults) == [1, 3]
+    assert all("its worker process died (SIGKILL" in fault for fault in results.faults.values())
     assert all(worker.poll() is None for worker in cluster.workers.values())
 
 
 def test_a_hung_simulation_is_ended_by_its_limit_on_the_worker(cluster: Cluster) -> None:
     with DaskExecutor(cluster.address, time_limit=3.0) as executor:
         results = executor.run(Sleeping(), np.array([[-1.9, 11.0], [2.5, 20.0]]))
-        assert "it took longer than 3 s, twice" in executor.first_fault
     assert results.outcome.tolist() == [0, -1]
+    assert "it took longer than 3 s, twice" in results.faults[1]
 
 
 def test_a_simulation_that_earlier_ones_of_its_process_spoil_is_tried_again_in_a_fresh_one(cluster: Cluster) -> None:
@@ -247,7 +250,7 @@ def test_a_simulation_that_earlier_ones_of_its_process_spoil_is_tried_again_in_a
     with DaskExecutor(cluster.address) as executor:
         for simulator in (Remembering(most=2), Meddling(how="forks_and_returns")):
             results = executor.run(simulator, X)
-            assert (results.outcome.tolist(), executor.first_fault) == (Disc().run(X).outcome.tolist(), "")
+            assert (results.outcome.tolist(), results.faults) == (Disc().run(X).outcome.tolist(), {})
 
 
 class Sleeping(Disc):
@@ -348,7 +351,8 @@ def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds
     cluster.workers["two"].wait()
     folder = str(tmp_path)
     monkeypatch.setattr(
-        "activefail.execution.dask._answer_there", lambda simulator, X, *_: (simulator.run(X), Grave(folder))
+        "activefail.execution.dask._answer_there",
+        lambda simulator, X, *_: replace(simulator.run(X), faults={0: Grave(folder)}),
     )
     x = np.array([0.0, 20.0])
     answers: list[tuple[int, Results]] = []
@@ -375,9 +379,8 @@ def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds
             return len(answers) > 0
 
         until(come)
-        assert executor.first_fault == ""
     ((ticket, results),) = answers
-    assert (ticket, results.outcome.tolist()) == (7, Disc().run(x[None]).outcome.tolist())
+    assert (ticket, results.outcome.tolist(), results.faults) == (7, Disc().run(x[None]).outcome.tolist(), {0: ""})
 
 
 class Unknown(Disc):
@@ -401,7 +404,7 @@ def test_a_design_that_costs_worker_after_worker_is_given_up(cluster: Cluster, t
         for name in ("three", "four"):
             cluster.add(name)
         results = executor.run(Deadly(), np.array([[2.5, 20.0]]))
-        assert "its workers were lost" in executor.first_fault
+    assert "its workers were lost" in results.faults[0]
     assert results.cause.tolist() == [WORKER_DIED]
 
 
@@ -537,7 +540,7 @@ def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(
             (tmp_path / "limit.py").write_text(f"def judged(x):\n    return 'failure' if x > {least} else 'safe'\n")
             simulator = PythonSimulator(space, "mine:run", tmp_path, ("safe", "failure"), ())
             results = executor.run(replace(simulator, source=simulator.load()), np.array([[0.0], [1.0], [2.0]]))
-            assert executor.first_fault == ""
+            assert results.faults == {}
             assert results.outcome.tolist() == [0, int(least < 1.0), 1]
 
 

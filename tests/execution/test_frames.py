@@ -102,20 +102,25 @@ NAN = struct.unpack("<d", b"\1\2\3\4\5\6\xf8\xff")[0]
 
 @pytest.mark.parametrize("margin", [0.1, -0.0, np.inf, NAN, 5e-324])
 def test_an_answer_arrives_bit_for_bit(margin: float) -> None:
-    results = replace(Disc().run(np.array([[0.5, 20.0]])), margins=np.array([[margin]]), seconds=np.array([0.1]))
-    there, fault = unpack_answer(pack_answer(results, "größer \ud800"), Disc())
+    results = replace(
+        Disc().run(np.array([[0.5, 20.0]])),
+        margins=np.array([[margin]]),
+        seconds=np.array([0.1]),
+        faults={0: "größer \ud800"},
+    )
+    there = unpack_answer(pack_answer(results), Disc())
     for name in ("outcome", "cause", "margins", "seconds"):
         one, other = getattr(there, name), getattr(results, name)
         assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes())
-    assert fault == "größer \\ud800"
-    there, _ = unpack_answer(pack_answer(unanswered(Disc(), 1, RAISED), ""), Disc())
-    assert there.cause.tolist() == [RAISED]
+    assert there.faults == {0: "größer \\ud800"}
+    there = unpack_answer(pack_answer(unanswered(Disc(), 1, RAISED)), Disc())
+    assert (there.cause.tolist(), there.faults) == ([RAISED], {})
 
 
 def test_a_long_text_is_cut_and_is_a_text_still() -> None:
-    payload = pack_answer(Disc().run(np.array([[0.5, 20.0]])), "ä" * MOST_TEXT)
+    payload = pack_answer(unanswered(Disc(), 1, RAISED, "ä" * MOST_TEXT))
     assert len(payload) <= longest_answer(Disc())
-    assert set(unpack_answer(payload, Disc())[1]) == {"ä"}
+    assert set(unpack_answer(payload, Disc()).faults[0]) == {"ä"}
     assert len(pack_text("ab" * MOST_TEXT)) == MOST_TEXT
 
 
@@ -136,11 +141,11 @@ def test_an_answer_that_the_simulator_cannot_give_is_refused(wrong: dict[str, fl
     kinds = {"outcome": np.int8, "cause": np.int8, "seconds": np.float64}
     results: Results = replace(good, **{name: np.array([value], kinds[name]) for name, value in wrong.items()})
     with pytest.raises(BrokenFrameError, match="out of range"):
-        unpack_answer(pack_answer(results, ""), Disc())
+        unpack_answer(pack_answer(results), Disc())
 
 
 def test_an_answer_that_is_too_short_or_no_text_is_refused() -> None:
-    payload = pack_answer(Disc().run(np.array([[0.5, 20.0]])), "")
+    payload = pack_answer(Disc().run(np.array([[0.5, 20.0]])))
     for length in range(len(payload)):
         with pytest.raises(BrokenFrameError, match="too short"):
             unpack_answer(payload[:length], Disc())

@@ -156,7 +156,7 @@ def answers_late(X: Array) -> None:
 def answers_twice(X: Array) -> None:
     """The right answer, before the one that the worker gives."""
     line = _line()
-    line["connection"].sendall(encode_frame(*_sealing(line), pack_answer(Disc().run(X), "")))
+    line["connection"].sendall(encode_frame(*_sealing(line), pack_answer(Disc().run(X))))
 
 
 def answers_at_all_times(X: Array) -> None:
@@ -164,7 +164,7 @@ def answers_at_all_times(X: Array) -> None:
     from threading import Thread
 
     line = _line()
-    frame = encode_frame(*_sealing(line), pack_answer(Disc().run(X), ""))
+    frame = encode_frame(*_sealing(line), pack_answer(Disc().run(X)))
 
     def repeat() -> None:
         with suppress(OSError):
@@ -261,7 +261,7 @@ def _sealing(line: dict[str, Any]) -> tuple[Any, ...]:
 def _forged(line: dict[str, Any], X: Array) -> bytes:
     """A whole frame with an answer that the disc does not give."""
     wrong = replace(Disc().run(X), margins=np.full((1, 1), 7.0))
-    return encode_frame(*_sealing(line), pack_answer(wrong, ""))
+    return encode_frame(*_sealing(line), pack_answer(wrong))
 
 
 # --- that depend on the simulations before them ------------------------------------------------------------------

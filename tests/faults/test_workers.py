@@ -45,12 +45,13 @@ def test_workers_that_die_or_hang_now_and_then_change_no_bit_of_the_campaign(
         FolderStore.create(tmp_path / "run", campaign().settings.text(), one.schema) as store,
         ProcessExecutor(2, time_limit=2.0) as executor,
     ):
-        assert run(one, store, executor, BUDGET)
+        faults: list[str] = []
+        assert run(one, store, executor, BUDGET, faults=faults)
         assert Course.of(store) == uninterrupted
-        assert executor.first_fault == ""
-    faults = len(list(tmp_path.glob("at-*")))
-    assert faults > 2
-    survived(faults)
+        assert faults == []
+    injected = len(list(tmp_path.glob("at-*")))
+    assert injected > 2
+    survived(injected)
 
 
 @pytest.mark.parametrize(
@@ -128,12 +129,13 @@ def test_a_simulator_that_meddles_with_its_worker_now_and_then_changes_no_bit_of
         FolderStore.create(tmp_path / "run", campaign().settings.text(), one.schema) as store,
         ProcessExecutor(2) as executor,
     ):
-        assert run(one, store, executor, BUDGET)
+        faults: list[str] = []
+        assert run(one, store, executor, BUDGET, faults=faults)
         assert Course.of(store) == uninterrupted
-        assert executor.first_fault == ""
-    faults = len(list(tmp_path.glob("at-*")))
-    assert faults > 2
-    survived(faults)
+        assert faults == []
+    injected = len(list(tmp_path.glob("at-*")))
+    assert injected > 2
+    survived(injected)
 
 
 @LINUX
@@ -147,10 +149,10 @@ def test_a_simulator_that_always_meddles_costs_at_most_the_simulations_where_it_
         results = executor.run(Meddling(how=how), X)
         if how in HARMFUL:
             given_up(results, X, rows, "worker_died")
-            assert executor.first_fault.endswith(f": {HARMFUL[how]}")
+            assert all(fault.endswith(f": {HARMFUL[how]}") for fault in results.faults.values())
         else:
             assert bits(results) == bits(Disc().run(X))
-            assert executor.first_fault == ""
+            assert results.faults == {}
         assert bits(executor.run(Disc(), X)) == bits(Disc().run(X))
     assert "Traceback" not in capfd.readouterr().err
     survived(len(rows))
@@ -228,8 +230,9 @@ def test_a_worker_that_cannot_be_started_is_an_error_with_the_reason(monkeypatch
 def test_what_fails_because_of_earlier_simulations_of_its_process_is_no_failure(simulator: Disc) -> None:
     X = designs(20)
     with within(600), ProcessExecutor(1) as executor:
-        assert bits(executor.run(simulator, X)) == bits(Disc().run(X))
-        assert executor.first_fault == ""
+        results = executor.run(simulator, X)
+    assert bits(results) == bits(Disc().run(X))
+    assert results.faults == {}
 
 
 def noted(folder: Path) -> list[tuple[str, int]]:
@@ -242,9 +245,10 @@ def test_a_simulation_that_fails_is_tried_once_more_in_a_fresh_process_and_the_n
     X = at([2, 4, 5], 7)
     simulator = Remembering(other=Meddling(how="raises"), folder=str(tmp_path))
     with within(600), ProcessExecutor(1) as executor:
-        given_up(executor.run(simulator, X), X, [2, 4, 5], "raised")
-        assert "ValueError: no convergence (" in executor.first_fault
-        assert executor.first_fault.endswith("), twice")
+        results = executor.run(simulator, X)
+    given_up(results, X, [2, 4, 5], "raised")
+    assert all("ValueError: no convergence (" in fault for fault in results.faults.values())
+    assert [fault.endswith("), twice") for fault in results.faults.values()] == [True, True, False]
     # The third fails after two others, and alone; the fourth has a fresh process; the sixth fails in one at once.
     assert [number for _, number in noted(tmp_path)] == [0, 1, 2, 0, 0, 1, 0, 0, 0]
     assert len({process for process, _ in noted(tmp_path)}) == 6
@@ -253,9 +257,10 @@ def test_a_simulation_that_fails_is_tried_once_more_in_a_fresh_process_and_the_n
 def test_tries_that_fail_differently_are_both_reported() -> None:
     X = at([2], 5)
     with within(600), ProcessExecutor(1) as executor:
-        given_up(executor.run(Remembering(other=Meddling(how="dies_after_it_raised")), X), X, [2], "worker_died")
-        assert "ValueError: no convergence (" in executor.first_fault
-        assert executor.first_fault.endswith("; then, in a fresh process: its worker process died (exit code 3)")
+        results = executor.run(Remembering(other=Meddling(how="dies_after_it_raised")), X)
+    given_up(results, X, [2], "worker_died")
+    assert "ValueError: no convergence (" in results.faults[2]
+    assert results.faults[2].endswith("; then, in a fresh process: its worker process died (exit code 3)")
 
 
 @pytest.mark.parametrize(("renew", "numbers"), [(1, [0] * 7), (3, [0, 1, 2, 0, 1, 2, 0]), (None, list(range(7)))])

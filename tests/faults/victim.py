@@ -46,8 +46,6 @@ STATES_KEPT = 2
 class Inline:
     """Simulates in the calling thread: a second thread would have system calls of its own."""
 
-    first_fault = ""
-
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         return simulator.run(X)
 

@@ -44,8 +44,6 @@ def plan(
 class Arbitrary:
     """Answers some of the designs that it has, in an order that looks like chance and hangs on the designs alone."""
 
-    first_fault = ""
-
     def __init__(self) -> None:
         self.waiting: dict[int, Array] = {}
         self.simulator: Simulator = Disc()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaign.stub import Brittle, Counting, Disc, disc, distance
+from campaign.stub import Brittle, Counting, Disc, Raising, disc, distance
 from numpy.typing import NDArray
 from patience import PATIENCE
 
@@ -270,6 +270,25 @@ def test_a_simulator_that_raises_stops_the_campaign_with_what_it_raised_and_wher
     fault = f"design {first}: ZeroDivisionError: the stiffness vanished ({__file__}:"
     assert f"Why the first abandoned simulation failed: {fault}" in str(stopped.value)
     assert {cause_name(Disc.causes, int(c)) for one in store.batches for c in one.results.cause} == {"raised"}
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_the_caller_receives_the_faults_of_all_simulations_of_a_call_and_of_no_earlier_one(asynchronous: bool) -> None:
+    more = "validation.size = 20\nlimits.numerical_failures = 0.9"
+    campaign = disc(Raising(), budget=BUDGET, asynchronous=asynchronous, more=more)
+    store, faults = MemoryStore(campaign.schema), ([], [])
+    with ThreadExecutor(2) as executor:
+        for budget, received in zip((BUDGET - BATCH, BUDGET), faults, strict=True):
+            assert run(campaign, store, executor, budget, faults=received)
+    validation = store.read_set("validation-0")
+    assert validation is not None
+    X = np.concatenate([validation[0], *(batch.designs for batch in store.batches)])
+    failed = X[X[:, 0] > 1.5]
+    assert len(failed) > 3
+    assert [fault.split(": ")[0] for received in faults for fault in received] == [
+        f"design {x.tolist()}" for x in failed
+    ]
 
 
 def test_a_share_of_numerical_failures_up_to_the_limit_is_borne() -> None:

@@ -14,7 +14,7 @@ import pytest
 from commandline import activefail
 
 from activefail.record import segment as segment_module
-from activefail.record.batch import ACTIVE, COLUMNS, SEED, Batch, Schema
+from activefail.record.batch import ACTIVE, COLUMNS, SEED, Batch, Schema, answers_of
 from activefail.record.hdf5 import encode
 from activefail.record.run_folder import FolderStore
 from activefail.record.segment import Segment, decode_segment, encode_segment
@@ -87,7 +87,7 @@ def batch(n, seed):
 def same(batches, store):
     """Whether the page's reader and the program see the same batches, bit for bit."""
     expected = [
-        {"iteration": one.iteration, "designs": one.designs, "origin": one.origin, **vars(one.results)}
+        {"iteration": one.iteration, "designs": one.designs, "origin": one.origin, **answers_of(one.results)}
         for one in store.batches
     ]
     assert len(batches) == len(expected)

@@ -116,8 +116,8 @@ def no_module_stays(tmp_path: Path) -> Iterator[None]:
 
 
 def test_a_function_is_told_the_variables_and_what_is_fixed_and_answers_outcome_and_margins(tmp_path: Path) -> None:
-    results, fault = answer(python(tmp_path), X)
-    assert fault == ""
+    results = answer(python(tmp_path), X)
+    assert results.faults == {}
     assert results.outcome.tolist() == [0, 1, 2]
     assert results.margins[:, 0].tolist() == (3.0 - X[:, 0]).tolist()
     assert np.isnan(results.margins[:, 1]).all()
@@ -125,7 +125,7 @@ def test_a_function_is_told_the_variables_and_what_is_fixed_and_answers_outcome_
 
 
 def test_an_outcome_alone_is_an_answer(tmp_path: Path) -> None:
-    assert answer(python(tmp_path, "plain"), X)[0].outcome.tolist() == [1, 1, 1]
+    assert answer(python(tmp_path, "plain"), X).outcome.tolist() == [1, 1, 1]
 
 
 UNUSABLE = {
@@ -149,7 +149,8 @@ UNUSABLE = {
 @pytest.mark.parametrize("said", UNUSABLE)
 def test_what_is_no_answer_is_a_numerical_failure_that_says_why(tmp_path: Path, said: str) -> None:
     (tmp_path / "said").write_text(said)
-    results, fault = answer(python(tmp_path, "broken"), X[:1])
+    results = answer(python(tmp_path, "broken"), X[:1])
+    fault = results.faults[0]
     assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [UNUSABLE_ANSWER])
     assert fault.startswith("design [0.333")
     assert re.search(UNUSABLE[said], fault), fault
@@ -160,9 +161,10 @@ def test_the_place_of_an_error_that_a_library_raises_is_the_last_line_of_the_use
     (tmp_path / "helper.py").write_text("import numpy\n\ndef factor():\n    return numpy.linalg.cholesky([[-1.0]])\n")
     simulator = python(tmp_path, source="import helper\n\ndef run(design):\n    return helper.factor()\n")
     with ProcessExecutor(1) as executor:
-        assert executor.run(simulator, X[:1]).cause.tolist() == [RAISED]
-        assert "LinAlgError: Matrix is not positive definite" in executor.first_fault
-        assert f" ({tmp_path / 'helper.py'}:4)" in executor.first_fault
+        results = executor.run(simulator, X[:1])
+    assert results.cause.tolist() == [RAISED]
+    assert "LinAlgError: Matrix is not positive definite" in results.faults[0]
+    assert f" ({tmp_path / 'helper.py'}:4)" in results.faults[0]
 
 
 def test_the_place_of_an_error_without_a_line_of_the_user_s_code_is_the_innermost_line() -> None:
@@ -187,9 +189,10 @@ def run(design):
 def test_an_error_whose_message_cannot_be_read_is_a_simulation_that_raised(tmp_path: Path, kind: str, how: str) -> None:
     simulator = python(tmp_path, source=f"import activefail.errors\n{MUTE.format(kind=kind, how=how)}")
     with ProcessExecutor(1) as executor:
-        assert executor.run(simulator, X[:1]).cause.tolist() == [RAISED]
-        assert "Mute, whose message cannot be read (" in executor.first_fault
-        assert f"{tmp_path / 'model.py'}:8" in executor.first_fault
+        results = executor.run(simulator, X[:1])
+    assert results.cause.tolist() == [RAISED]
+    assert "Mute, whose message cannot be read (" in results.faults[0]
+    assert f"{tmp_path / 'model.py'}:8" in results.faults[0]
 
 
 @pytest.mark.faults
@@ -210,10 +213,10 @@ def test_a_function_may_not_be_run_where_no_folder_was_named(tmp_path: Path) -> 
 def test_a_worker_that_has_another_source_refuses_and_a_new_source_is_loaded_anew(tmp_path: Path) -> None:
     first = python(tmp_path)
     first = replace(first, source=first.load())
-    assert answer(first, X)[0].outcome.tolist() == [0, 1, 2]
+    assert answer(first, X).outcome.tolist() == [0, 1, 2]
     python(tmp_path, source=MODEL.replace("> 1.0", "> 0.1"))
     second = replace(first, source=first.load())
-    assert answer(second, X)[0].outcome.tolist() == [1, 1, 2]
+    assert answer(second, X).outcome.tolist() == [1, 1, 2]
     with pytest.raises(InputError, match=r"the module of model:run, or one that it .* differs from the one where"):
         answer(replace(first, source="0" * 64), X)
 
@@ -221,7 +224,7 @@ def test_a_worker_that_has_another_source_refuses_and_a_new_source_is_loaded_ane
 def test_a_simulator_of_one_s_own_goes_to_a_worker_process_and_gives_the_same_there(tmp_path: Path) -> None:
     with ProcessExecutor(2) as executor:
         results = executor.run(python(tmp_path), X)
-    expected, _ = answer(python(tmp_path), X)
+    expected = answer(python(tmp_path), X)
     assert results.outcome.tobytes() == expected.outcome.tobytes()
     assert results.margins.tobytes() == expected.margins.tobytes()
 
@@ -264,10 +267,10 @@ def with_helpers(folder: Path, damage: float = 1.0, failure: float = 3.0, more: 
 
 def test_a_function_may_import_modules_beside_its_own_here_and_in_worker_processes(tmp_path: Path) -> None:
     simulator = with_helpers(tmp_path)
-    assert answer(simulator, X)[0].outcome.tolist() == [0, 1, 2]
+    assert answer(simulator, X).outcome.tolist() == [0, 1, 2]
     with ProcessExecutor(1) as executor:
-        assert executor.run(simulator, X).outcome.tolist() == [0, 1, 2]
-        assert executor.first_fault == ""
+        results = executor.run(simulator, X)
+    assert (results.outcome.tolist(), results.faults) == ([0, 1, 2], {})
 
 
 def test_modules_beside_a_function_hide_none_of_a_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -275,7 +278,7 @@ def test_modules_beside_a_function_hide_none_of_a_library(tmp_path: Path, monkey
     (tmp_path / "colorsys.py").write_text("raise AssertionError('this is not the library')\n")
     (tmp_path / "numpy.py").write_text("raise AssertionError('this is not the library')\n")
     simulator = python(tmp_path, source=f"import colorsys, numpy\n{MODEL}\ncolorsys.rgb_to_hsv(0, 0, numpy.pi)\n")
-    assert answer(simulator, X)[0].outcome.tolist() == [0, 1, 2]
+    assert answer(simulator, X).outcome.tolist() == [0, 1, 2]
     with ProcessExecutor(1) as executor:
         assert executor.run(simulator, X).outcome.tolist() == [0, 1, 2]
 
@@ -284,7 +287,7 @@ def test_functions_of_two_folders_each_have_their_own_of_two_modules_of_one_name
     one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", damage=0.1, failure=2.0)
     for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2, 2]), (one, [0, 1, 2])):
         simulator.prepare()
-        assert answer(simulator, X)[0].outcome.tolist() == outcome
+        assert answer(simulator, X).outcome.tolist() == outcome
     assert [folder for folder in sys.path if Path(folder).is_relative_to(tmp_path)] == [str(tmp_path / "one")]
 
 
@@ -292,7 +295,7 @@ def test_an_import_as_a_function_runs_finds_its_own_folder_s_module_after_anothe
     one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", more=True)
     for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2]), (one, [0, 1, 2])):
         simulator.prepare()
-        assert answer(simulator, X[: len(outcome)])[0].outcome.tolist() == outcome
+        assert answer(simulator, X[: len(outcome)]).outcome.tolist() == outcome
 
 
 def test_modules_of_a_folder_that_the_program_itself_has_imported_stay_as_they_are(
@@ -306,7 +309,7 @@ def test_modules_of_a_folder_that_the_program_itself_has_imported_stay_as_they_a
     monkeypatch.setitem(sys.modules, "imported_before", before)
     for simulator in (one, other):
         simulator.prepare()
-        assert answer(simulator, X)[0].outcome.tolist() == [0, 1, 2]
+        assert answer(simulator, X).outcome.tolist() == [0, 1, 2]
     assert sys.modules["imported_before"] is before
     assert "limits" not in sys.modules or Path(sys.modules["limits"].__file__).parent == tmp_path / "other"
 
@@ -320,7 +323,7 @@ def test_a_module_that_a_function_imports_is_part_of_its_source(tmp_path: Path, 
     second = with_helpers(tmp_path, **changed)
     assert second.source != first.source
     expected = {"damage": [1, 1, 2], "failure": [0, 2, 2], "more": [1, 2]}[next(iter(changed))]
-    assert answer(second, X[: len(expected)])[0].outcome.tolist() == expected
+    assert answer(second, X[: len(expected)]).outcome.tolist() == expected
     with pytest.raises(InputError, match=r"or one that it imports from its folder, differs from the one where"):
         answer(replace(first, source="0" * 64), X)
 
@@ -335,7 +338,7 @@ def test_a_module_beside_that_is_changed_within_a_second_is_not_run_as_it_was(
         source = MODEL.replace("> 1.0", "> limits.DAMAGE")
         simulator = python(tmp_path, source=f"import limits\n{source}")
         now = replace(simulator, source=simulator.load())
-        assert answer(now, X)[0].outcome.tolist() == expected
+        assert answer(now, X).outcome.tolist() == expected
         assert list((tmp_path / "__pycache__").glob("limits.*"))
 
 
@@ -346,7 +349,7 @@ def test_a_package_s_modules_are_part_of_the_source_of_a_function_that_it_names(
     for outcome, name in enumerate(simulator.outcomes):
         (tmp_path / "model" / "physics.py").write_text(f"def run(design):\n    return {name!r}\n")
         now = replace(simulator, source=simulator.load())
-        assert answer(now, X)[0].outcome.tolist() == [outcome] * 3
+        assert answer(now, X).outcome.tolist() == [outcome] * 3
         sources.add(now.source)
     assert len(sources) == 3
 
@@ -406,8 +409,7 @@ def test_a_function_may_use_multiprocessing_itself(tmp_path: Path, method: str) 
     (tmp_path / "helper.py").write_text(HELPER)
     with ProcessExecutor(1, time_limit=120.0) as executor:
         results = executor.run(python(tmp_path, source=PARALLEL.format(method=method)), X[:2])
-        assert executor.first_fault == ""
-    assert results.outcome.tolist() == [0, 0]
+    assert (results.outcome.tolist(), results.faults) == ([0, 0], {})
 
 
 PROCESSES = """
@@ -453,8 +455,8 @@ def test_a_number_of_simulations_that_no_process_can_run_is_refused(tmp_path: Pa
 
 def test_a_program_is_run_once_a_design_in_a_folder_of_its_own(tmp_path: Path) -> None:
     simulator = program(tmp_path, ANSWERS)
-    results, fault = answer(pickle.loads(pickle.dumps(simulator)), X)
-    assert fault == ""
+    results = answer(pickle.loads(pickle.dumps(simulator)), X)
+    assert results.faults == {}
     assert results.outcome.tolist() == [0, 1, 1]
     assert results.margins[:, 0].tolist() == X[:, 0].tolist()  # every digit was told
     folders = list((tmp_path / "work").iterdir())
@@ -476,7 +478,7 @@ def test_no_shell_reads_the_command(tmp_path: Path) -> None:
 
 def test_the_folders_of_what_was_answered_go_where_they_are_not_kept(tmp_path: Path) -> None:
     source = ANSWERS.replace("drift, T", "if float(sys.argv[1]) > 3: sys.exit(4)\ndrift, T")
-    results, _ = answer(program(tmp_path, source, keep=False), X)
+    results = answer(program(tmp_path, source, keep=False), X)
     assert results.outcome.tolist() == [0, 1, -1]
     (left,) = (tmp_path / "work").iterdir()
     assert json.loads((left / "design.json").read_text())["drift"] == 3.7
@@ -498,16 +500,16 @@ FAILING = {
 @pytest.mark.parametrize("source", FAILING)
 def test_a_program_that_fails_is_a_numerical_failure_that_says_why(tmp_path: Path, source: str) -> None:
     cause, says = FAILING[source]
-    results, fault = answer(program(tmp_path, source), X[:1])
+    results = answer(program(tmp_path, source), X[:1])
     assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [cause])
-    assert re.search(says, fault), fault
+    assert re.search(says, results.faults[0]), results.faults[0]
 
 
 @pytest.mark.faults
 def test_a_program_that_cannot_be_started_is_a_numerical_failure_that_says_why(tmp_path: Path) -> None:
-    results, fault = answer(program(tmp_path, "", command="no_such_program {out}"), X[:1])
+    results = answer(program(tmp_path, "", command="no_such_program {out}"), X[:1])
     assert results.cause.tolist() == [RAISED]
-    assert "No such file or directory: 'no_such_program'" in fault
+    assert "No such file or directory: 'no_such_program'" in results.faults[0]
 
 
 @pytest.mark.faults
@@ -520,7 +522,7 @@ if os.path.getsize({str(tmp_path / "tries")!r}) < 3:
     json.dump({{"outcome": "failure"}}, open(sys.argv[-1], "w"))  # must not be taken for the next one's answer
     sys.exit(1)
 {ANSWERS}"""
-    results, _ = answer(program(tmp_path, source, retries=retries), X[:1])
+    results = answer(program(tmp_path, source, retries=retries), X[:1])
     assert results.outcome.tolist() == [outcome]
     assert len((tmp_path / "tries").read_text()) == 1 + retries
 
@@ -535,8 +537,9 @@ if float(sys.argv[1]) > 2:
 {ANSWERS}"""
     with ProcessExecutor(1) as executor:
         results = executor.run(program(tmp_path, source, retries=2), X)
-        assert "exit code 1" in executor.first_fault
     assert results.outcome.tolist() == [0, -1, -1]
+    assert sorted(results.faults) == [1, 2]
+    assert all("exit code 1" in fault for fault in results.faults.values())
     assert len((tmp_path / "tries").read_text()) == 2 * 3
 
 
@@ -559,8 +562,8 @@ if float(sys.argv[1]) > 3:
 {ANSWERS}"""
     with ProcessExecutor(1) as executor:
         results = executor.run(program(tmp_path, source, largest_file=1_000_000), X)
-        assert says in executor.first_fault
     assert results.outcome.tolist() == [0, 1, -1]
+    assert says in results.faults[2]
     assert max(path.stat().st_size for path in (tmp_path / "work").rglob("*")) == 1_000_000
 
 
@@ -585,10 +588,9 @@ if float(sys.argv[1]) > 3:
 {ANSWERS}"""
     with ProcessExecutor(1, time_limit=1.0) as executor:
         results = executor.run(program(tmp_path, source), X)
-        fault = executor.first_fault
     assert results.outcome.tolist() == [0, 1, -1]
     assert results.cause[2] == TIME_LIMIT
-    assert "it took longer than 1 s, twice" in fault
+    assert "it took longer than 1 s, twice" in results.faults[2]
     pids = notes.read_text().split()
     assert len(pids) == 4
     for pid in pids:
