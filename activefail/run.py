@@ -10,7 +10,6 @@ from activefail.campaign.opening import create_folder, opened, read_campaign
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.findings.summary import Summary
-from activefail.loop.batches import run as run_loop
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.layout import COMPARISON, REPORT, SETTINGS
@@ -165,15 +164,15 @@ class Run:
             SimulationError: if the workers or too many of the simulations fail.
             StoreError: if a batch cannot be recorded.
         """
+        from activefail.loop.batches import run
+
         self.check_budget(budget)
         if executor is None:
             with self._local_executor() as local:
                 return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
         target = self.settings.sampling.budget if budget is None else budget
         command = self.resume_command(ignore_stop=ignore_stop, executor=executor_options)
-        finished = run_loop(
-            self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, command
-        )
+        finished = run(self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, command)
         self._classifier = None
         return Taken(finished, standing(self.campaign, self.store.batches, target), executor.first_fault)
 
