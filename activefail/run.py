@@ -10,7 +10,6 @@ from activefail.campaign.opening import create_folder, opened, read_campaign
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.findings.summary import Summary
-from activefail.loop.batches import run as run_loop
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.layout import COMPARISON, REPORT, SETTINGS
@@ -165,6 +164,8 @@ class Run:
             SimulationError: if the workers or too many of the simulations fail.
             StoreError: if a batch cannot be recorded.
         """
+        from activefail.loop.batches import run
+
         self.check_budget(budget)
         if executor is None:
             with self._local_executor() as local:
@@ -172,7 +173,7 @@ class Run:
         target = self.settings.sampling.budget if budget is None else budget
         command = self.resume_command(ignore_stop=ignore_stop, executor=executor_options)
         faults: list[str] = []
-        finished = run_loop(
+        finished = run(
             self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, command, faults
         )
         self._classifier = None

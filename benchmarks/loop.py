@@ -47,7 +47,8 @@ from activefail.bearing.outcome import FAILURE
 from activefail.features import feature_map
 from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Latent
-from activefail.surrogate.covariance import JITTER, covariance_module
+from activefail.surrogate.covariance import JITTER
+from activefail.surrogate.gpytorch_model import covariance_module
 from activefail.surrogate.inducing import choose, project
 from activefail.surrogate.sites import Sites, solve_sites
 from activefail.surrogate.threads import one_thread

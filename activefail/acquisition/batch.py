@@ -128,7 +128,8 @@ def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion:
 
     def evaluate(rows: NDArray[np.intp]) -> Array:
         sd = np.sqrt(np.clip(covariance.diagonal(), 0.0, None))
-        return criterion.gain(mean[rows], sd[rows], mean[n:], sd[n:], covariance[rows, n:])
+        gain: Array = criterion.gain(mean[rows], sd[rows], mean[n:], sd[n:], covariance[rows, n:])
+        return gain
 
     value, current = evaluate(np.arange(n)), np.ones(n, dtype=bool)
     chosen: list[int] = []

@@ -1,15 +1,13 @@
 """The criteria as BoTorch acquisition functions of a design, with gradients for BoTorch's optimisers.
 
 A design is a point of the unit cube over the physical variables (`DesignSpace.from_unit`). The features are computed in
-torch, which needs a feature map with a `formula`. The values are those of `criteria`.
+torch, which needs a feature map with a `formula`. The criteria are those of `criteria`, on tensors.
 
 The campaign's loop does not use this module: it proposes designs with `activefail.acquisition.batch`, which needs no
 gradients. The module is for users of BoTorch. The model is `Latent.model`, a BoTorch `ApproximateGPyTorchModel`.
 """
 
-import math
 from abc import abstractmethod
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,15 +16,11 @@ from botorch.utils.transforms import t_batch_mode_transform
 from torch import Tensor
 
 from activefail.acquisition.batch import REFERENCES, fantasised
-from activefail.acquisition.bivariate import label_covariance
-from activefail.acquisition.criteria import Criterion
+from activefail.acquisition.criteria import Criterion, LookAhead, Pointwise, criterion
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Latent
-
-_C2 = 0.5 * math.pi * math.log(2.0)
-_LEAST = 1e-12
 
 
 class TorchFeatures(torch.nn.Module):
@@ -56,42 +50,6 @@ class TorchFeatures(torch.nn.Module):
         F = torch.stack(self._formula(columns), dim=-1)
         F = torch.where(self._logarithmic, torch.where(self._logarithmic, F, 1.0).log(), F)
         return (F - self._center) / self._spread
-
-
-class _LabelCovariance(torch.autograd.Function):
-    """`bivariate.label_covariance` with its closed derivatives (those of BVN: [Genz2004, section 2])."""
-
-    @staticmethod
-    def forward(ctx: Any, a: Tensor, b: Tensor, rho: Tensor) -> Tensor:
-        a, b, rho = torch.broadcast_tensors(a, b, rho)
-        ctx.save_for_backward(a, b, rho)
-        return torch.from_numpy(label_covariance(*(x.detach().numpy() for x in (a, b, rho))))
-
-    @staticmethod
-    def backward(ctx: Any, *by_value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        a, b, rho = ctx.saved_tensors
-        rest = ((1.0 - rho) * (1.0 + rho)).clamp_min(1e-15)
-        root = rest.sqrt()
-        by_a = _density(a) * (torch.special.ndtr((b - rho * a) / root) - torch.special.ndtr(b))
-        by_b = _density(b) * (torch.special.ndtr((a - rho * b) / root) - torch.special.ndtr(a))
-        by_rho = torch.exp(-0.5 * (a * a + b * b - 2.0 * rho * a * b) / rest) / (2.0 * math.pi * root)
-        (by,) = by_value
-        return by * by_a, by * by_b, by * by_rho
-
-
-def _density(x: Tensor) -> Tensor:
-    return torch.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
-
-
-def _binary_entropy(p: Tensor) -> Tensor:
-    # At p = 0 and p = 1 the entropy is 0; its slope there is infinite and taken as 0.
-    inside = (p > 0.0) & (p < 1.0)
-    q = torch.where(inside, p, 0.5)
-    return torch.where(inside, -(q * q.log2() + (1.0 - q) * (1.0 - q).log2()), 0.0)
-
-
-def _misclassification(p: Tensor) -> Tensor:
-    return torch.minimum(p, 1.0 - p)
 
 
 class DesignAcquisition(AcquisitionFunction):
@@ -142,31 +100,19 @@ class _Pointwise(DesignAcquisition):
 
     def __init__(
         self,
-        name: Criterion,
+        value: Pointwise,
         latent: Latent,
         features: FeatureMap,
         space: DesignSpace,
         X_pending: Tensor | None = None,
     ) -> None:
         super().__init__(latent, features, space, X_pending)
-        self._name = name
+        self._criterion = value
 
     def _value(self, F: Tensor) -> Tensor:
         # One joint posterior of all designs: a batch of posteriors would repeat the training points' covariance.
         distribution = self.model.posterior(F).distribution
-        mean, variance = distribution.mean, distribution.variance
-        sd = variance.sqrt()
-        match self._name:
-            case "entropy":
-                value: Tensor = -mean.abs() / (1.0 + variance).sqrt()
-            case "u":
-                value = -mean.abs() / sd.clamp_min(_LEAST)
-            case "straddle":
-                value = 1.96 * sd - mean.abs()
-            case _:
-                p = torch.special.ndtr(mean / (1.0 + variance).sqrt())
-                wide = variance + _C2
-                value = _binary_entropy(p) - (_C2 / wide).sqrt() * torch.exp(-(mean**2) / (2.0 * wide))
+        value: Tensor = self._criterion(distribution.mean, distribution.variance.sqrt())
         return value
 
 
@@ -179,21 +125,20 @@ class _LookAhead(DesignAcquisition):
 
     def __init__(
         self,
-        name: Criterion,
+        value: LookAhead,
         latent: Latent,
         features: FeatureMap,
         space: DesignSpace,
         references: Array,
         X_pending: Tensor | None = None,
     ) -> None:
-        self._name = name
+        self._criterion = value
         self._reference_features = torch.from_numpy(features(references))
         super().__init__(latent, features, space, X_pending)
 
     def _condition(self, latent: Latent) -> None:
         mean, sd = latent.moments(self._reference_features.numpy())
-        self._reference_sd = torch.from_numpy(sd).clamp_min(_LEAST)
-        self._b = -torch.from_numpy(mean) / self._reference_sd
+        self._reference_mean, self._reference_sd = torch.from_numpy(mean), torch.from_numpy(sd)
         # Σ_xq = k(x, q) − k(x, Z) M, M = CᵀC k(Z, q), with the support points Z: a value costs k(x, Z) and k(x, q)
         # instead of a joint posterior of all references.
         readout, kernel = latent.readout, self.model.model.covar_module
@@ -212,20 +157,12 @@ class _LookAhead(DesignAcquisition):
 
     def _value(self, F: Tensor) -> Tensor:
         distribution = self.model.posterior(F).distribution
-        label_sd = (1.0 + distribution.variance).sqrt()
-        a = distribution.mean / label_sd
-        rho = -self._covariance(F) / (label_sd.unsqueeze(-1) * self._reference_sd)
-        D: Tensor = _LabelCovariance.apply(a.unsqueeze(-1), self._b, rho)  # b x R
-        if self._name == "eavc":
-            change: Tensor = 2.0 * D.mean(-1).abs()
-            return change
-        uncertainty = _binary_entropy if self._name == "globalmi" else _misclassification
-        probability, safe = torch.special.ndtr(a).clamp(_LEAST, 1.0 - _LEAST).unsqueeze(-1), torch.special.ndtr(self._b)
-        one = (safe + D / probability).clamp(0.0, 1.0)
-        zero = (safe - D / (1.0 - probability)).clamp(0.0, 1.0)
-        expected: Tensor = probability * uncertainty(one) + (1.0 - probability) * uncertainty(zero)
-        fall: Tensor = (uncertainty(safe) - expected).mean(-1)
-        return fall
+        sd = distribution.variance.sqrt()
+        covariance = self._covariance(F)
+        value: Tensor = self._criterion.gain(
+            distribution.mean, sd, self._reference_mean, self._reference_sd, covariance
+        )
+        return value
 
 
 def acquisition_function(
@@ -246,10 +183,7 @@ def acquisition_function(
         InputError: if the features have no formula.
         ValueError: if the name is unknown.
     """
-    match name:
-        case "entropy" | "u" | "straddle" | "bald":
-            return _Pointwise(name, latent, features, space, X_pending)
-        case "eavc" | "globalmi" | "sur":
-            return _LookAhead(name, latent, features, space, space.sobol(REFERENCES, rng), X_pending)
-        case _:
-            raise ValueError(f"The criterion must be entropy, u, straddle, bald, eavc, globalmi or sur, got {name!r}.")
+    value = criterion(name)
+    if isinstance(value, LookAhead):
+        return _LookAhead(value, latent, features, space, space.sobol(REFERENCES, rng), X_pending)
+    return _Pointwise(value, latent, features, space, X_pending)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from activefail.record.batch import SEED
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier
+
+if TYPE_CHECKING:
+    from activefail.surrogate.classifier import Classifier
 
 Advance = Callable[[int], None]
 
@@ -85,7 +88,7 @@ def simulate_table(
 
 def predict_table(
     campaign: Campaign,
-    classifier: Classifier,
+    classifier: "Classifier",
     source: Path,
     target: Path,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +10,10 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.record.batch import Batch
-from activefail.verification.error import ErrorEstimate
 from activefail.verification.unseen import unseen_outcomes
+
+if TYPE_CHECKING:
+    from activefail.verification.error import ErrorEstimate
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Progress:
     numerical_failures: int
     accuracy: float | None = None
     seconds_left: float | None = None
-    error: ErrorEstimate | None = None
+    error: "ErrorEstimate | None" = None
     unseen: tuple[str, ...] = ()
     stop_rule_met: bool = False
 

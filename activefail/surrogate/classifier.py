@@ -1,20 +1,18 @@
 """The campaign's classifier: a variational GP for each boundary between outcomes, and their probabilities.
 
 Training (`fitting`) and prediction (`Readout`) are implemented here, with dense matrices. `Latent.model` is the same
-posterior as a BoTorch `ApproximateGPyTorchModel` around a GPyTorch `ApproximateGP`; tests compare the two. The
-campaign's loop does not use it; BoTorch's acquisition functions do (`activefail.acquisition.botorch`).
+posterior as a BoTorch model around a GPyTorch model (`gpytorch_model`); tests compare the two. The campaign's loop does
+not use it; BoTorch's acquisition functions do (`activefail.acquisition.botorch`).
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import gpytorch
 import numpy as np
 import torch
-from botorch.models.approximate_gp import ApproximateGPyTorchModel
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr, softmax
 from torch import Tensor
@@ -22,9 +20,10 @@ from torch import Tensor
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.covariance import JITTER, covariance_module, set_hyperparameters
 from activefail.surrogate.fitting import Fit, Readout, fit, predict, predict_jointly, readout
-from activefail.surrogate.sites import Projection
+
+if TYPE_CHECKING:
+    from botorch.models.approximate_gp import ApproximateGPyTorchModel
 
 Kernel = Literal["rbf", "matern52"]
 
@@ -40,51 +39,6 @@ def _bounded(F: Array) -> Tensor:
     # Far outside the space nothing is known, and one huge number would dominate the sums of squares in the covariance
     # of the other rows.
     return torch.from_numpy(np.clip(F, -_FARTHEST, _FARTHEST))
-
-
-class _VariationalGP(gpytorch.models.ApproximateGP):
-    """The trained posterior in GPyTorch's whitened form. Without inducing points, all training points serve as such."""
-
-    def __init__(self, trained: Fit) -> None:
-        Z = trained.features if trained.inducing is None else trained.features[trained.inducing]
-        n, m = Z.shape
-        distribution = gpytorch.variational.CholeskyVariationalDistribution(n).double()
-        strategy = gpytorch.variational.VariationalStrategy(
-            self, Z, distribution, learn_inducing_locations=False, jitter_val=JITTER
-        )
-        super().__init__(strategy)
-        self.mean_module = gpytorch.means.ConstantMean().double()
-        self.covar_module = covariance_module(trained.kernel, m)
-        self._load(trained, distribution, strategy)
-        self.eval()
-
-    def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
-        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
-
-    def _load(
-        self,
-        trained: Fit,
-        distribution: gpytorch.variational.CholeskyVariationalDistribution,
-        strategy: gpytorch.variational.VariationalStrategy,
-    ) -> None:
-        """Whiten the posterior of the sites: precision W, linear term b about the prior mean, at the training points X.
-
-        With LLᵀ = k(Z, Z) and V = L⁻¹ k(Z, X), u ~ N(A⁻¹ V b, A⁻¹), where A = I + V W Vᵀ; V = Lᵀ if Z = X.
-        """
-        set_hyperparameters(self.covar_module, trained.hyperparameters)
-        linear, precision = trained.sites
-        with torch.no_grad():
-            self.mean_module.constant.fill_(trained.hyperparameters.mean)
-            prior = trained.prior
-            V = prior.whitened if isinstance(prior, Projection) else torch.linalg.cholesky(prior).mT
-            A = V @ (precision.unsqueeze(1) * V.mT)
-            A.diagonal().add_(1.0)
-            R = torch.linalg.cholesky(A)
-            right = V @ (linear - precision * trained.hyperparameters.mean)
-            distribution.variational_mean.copy_(torch.cholesky_solve(right.unsqueeze(1), R).squeeze(1))
-            distribution.chol_variational_covar.copy_(torch.linalg.cholesky(torch.cholesky_inverse(R)))
-            strategy.variational_params_initialized.fill_(1)
-        self.requires_grad_(False)
 
 
 class Moments(NamedTuple):
@@ -115,11 +69,11 @@ class Latent:
     trained: Fit
 
     @cached_property
-    def model(self) -> ApproximateGPyTorchModel:
+    def model(self) -> "ApproximateGPyTorchModel":
         """The posterior as a BoTorch model over the scaled features, (..., q, m)."""
-        return ApproximateGPyTorchModel(
-            model=_VariationalGP(self.trained), likelihood=gpytorch.likelihoods.BernoulliLikelihood()
-        )
+        from activefail.surrogate.gpytorch_model import botorch_model
+
+        return botorch_model(self.trained)
 
     @cached_property
     def readout(self) -> Readout:

@@ -1,14 +1,12 @@
 """The prior of a latent: a constant mean and an ARD covariance, with priors for its scales.
 
-Training and prediction use the values and derivatives of this module. `covariance_module` is the same covariance in
-GPyTorch, for BoTorch's model; GPyTorch takes five times as long for the same numbers. Tests compare the values and
-derivatives with GPyTorch's.
+Training and prediction use the values and derivatives of this module. `gpytorch_model.covariance_module` is the same
+covariance in GPyTorch, for BoTorch's model; tests compare the two.
 """
 
 import math
 from typing import NamedTuple
 
-import gpytorch
 import numpy as np
 import torch
 from scipy.spatial.distance import cdist
@@ -17,12 +15,12 @@ from torch import Tensor
 JITTER = 1e-6
 """Added to the diagonal of K, as in the GPyTorch model of the result."""
 
-_OUTPUTSCALE_PRIOR = (math.log(10.0), 2.0)
+OUTPUTSCALE_PRIOR = (math.log(10.0), 2.0)
 """Mean and standard deviation of the output scale's logarithm. Flat, because a sharp boundary needs a latent many times
 as large as the likelihood's unit width."""
 
 
-def _lengthscale_prior(dimension: int) -> tuple[float, float]:
+def lengthscale_prior(dimension: int) -> tuple[float, float]:
     """Mean and standard deviation of a length scale's logarithm, in units of the features' spread.
 
     The length scale grows with the root of the dimension [HvarfnerEtAl2024].
@@ -38,42 +36,14 @@ class Hyperparameters(NamedTuple):
     log_lengthscale: Tensor  # (m,)
 
 
-def _check(kernel: str) -> None:
-    if kernel not in ("rbf", "matern52"):
-        raise ValueError(f"The covariance must be rbf or matern52, got {kernel!r}.")
-
-
-def covariance_module(kernel: str, dimension: int) -> gpytorch.kernels.Kernel:
-    """An ARD covariance with a free output scale and the priors that the training uses, in double precision.
-
-    Args:
-        kernel: "rbf" (squared exponential, the paper's) or "matern52".
-        dimension: number of features.
+def check_kernel(kernel: str) -> None:
+    """Check the name of a kernel.
 
     Raises:
-        ValueError: if the kernel is unknown.
+        ValueError: if it is unknown.
     """
-    # exp, not softplus: L-BFGS then steps in the logarithm of each scale.
-    positive = gpytorch.constraints.Positive(transform=torch.exp, inv_transform=torch.log)
-    lengthscale_prior = gpytorch.priors.LogNormalPrior(*_lengthscale_prior(dimension))
-    _check(kernel)
-    common = {
-        "ard_num_dims": dimension,
-        "lengthscale_constraint": positive,
-        "lengthscale_prior": lengthscale_prior,
-    }
-    base = gpytorch.kernels.RBFKernel(**common) if kernel == "rbf" else gpytorch.kernels.MaternKernel(nu=2.5, **common)
-    outputscale_prior = gpytorch.priors.LogNormalPrior(*_OUTPUTSCALE_PRIOR)
-    return gpytorch.kernels.ScaleKernel(
-        base, outputscale_constraint=positive, outputscale_prior=outputscale_prior
-    ).double()
-
-
-def set_hyperparameters(covariance: gpytorch.kernels.Kernel, hyperparameters: Hyperparameters) -> None:
-    """Write the scales into a covariance from `covariance_module`."""
-    with torch.no_grad():
-        covariance.raw_outputscale.fill_(hyperparameters.log_outputscale)
-        covariance.base_kernel.raw_lengthscale.copy_(hyperparameters.log_lengthscale.reshape(1, -1))
+    if kernel not in ("rbf", "matern52"):
+        raise ValueError(f"The covariance must be rbf or matern52, got {kernel!r}.")
 
 
 def log_prior(hyperparameters: Hyperparameters) -> tuple[float, Tensor]:
@@ -84,7 +54,7 @@ def log_prior(hyperparameters: Hyperparameters) -> tuple[float, Tensor]:
     log_lengthscale = hyperparameters.log_lengthscale
     scales = torch.cat([log_lengthscale.new_tensor([hyperparameters.log_outputscale]), log_lengthscale])
     m = len(log_lengthscale)
-    mean, sd = torch.tensor([_OUTPUTSCALE_PRIOR, *[_lengthscale_prior(m)] * m], dtype=torch.float64).T
+    mean, sd = torch.tensor([OUTPUTSCALE_PRIOR, *[lengthscale_prior(m)] * m], dtype=torch.float64).T
     away = (scales - mean) / sd
     return float((-0.5 * away**2 - sd.log() - 0.5 * math.log(2.0 * math.pi)).sum()), -away / sd
 
@@ -98,12 +68,12 @@ def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tens
     """k(f, g) of features, (n, m) and (l, m) -> (n, l).
 
     Args:
-        kernel: as for `covariance_module`.
+        kernel: "rbf" (squared exponential, the paper's) or "matern52".
 
     Raises:
         ValueError: if the kernel is unknown.
     """
-    _check(kernel)
+    check_kernel(kernel)
     F_scaled, G_scaled = _scaled(hyperparameters, F, G)
     s2 = math.exp(hyperparameters.log_outputscale)
     if kernel == "rbf":

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from scipy.linalg.lapack import dtrtri
-from scipy.optimize import minimize
 from torch import Tensor
 
 from activefail.surrogate.covariance import (
@@ -291,7 +290,7 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
     Args:
         features: (n, m) in standard units, float64.
         labels: (n,) of -1 and 1, float64.
-        kernel: as for `covariance_module`.
+        kernel: as for `covariance`.
         warm: an earlier fit to the first of these points, as the starting point; if few points were added, its
             hyperparameters are kept.
         tolerance: tolerance of the objective [nats] for up to `EXACT` points; the sites of a step are solved to a tenth
@@ -388,6 +387,8 @@ def _learn_hyperparameters(
     inducing: Tensor | None,
 ) -> tuple[Hyperparameters, Sites, int]:
     """The best hyperparameters by L-BFGS, their sites, and the number of evaluations of the objective."""
+    from scipy.optimize import minimize
+
     evaluations = 0
 
     def negative(packed: np.ndarray) -> tuple[float, np.ndarray]:

@@ -1,5 +1,9 @@
 import numpy as np
 import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.stats import norm
 
 from activefail.acquisition.criteria import (
@@ -165,3 +169,27 @@ def test_each_criterion_is_found_by_its_name(name):
 def test_an_unknown_criterion_is_refused():
     with pytest.raises(ValueError, match="entropy, u, straddle, bald, eavc, globalmi or sur, got 'hunch'"):
         criterion("hunch")
+
+
+@st.composite
+def posteriors(draw):
+    """Means from one side of the boundary to the other, and a covariance of any rank, of candidates and references."""
+    n, references, rank = draw(st.integers(1, 5)), draw(st.integers(1, 6)), draw(st.integers(1, 4))
+    mean = draw(arrays(float, n + references, elements=st.floats(-40.0, 40.0)))
+    root = draw(arrays(float, (n + references, rank), elements=st.floats(-5.0, 5.0)))
+    covariance = root @ root.T
+    sd = np.sqrt(covariance.diagonal())
+    return mean[:n], sd[:n], mean[n:], sd[n:], covariance[:n, n:]
+
+
+@pytest.mark.parametrize("value", [*POINTWISE, *LOOK_AHEAD])
+@given(posterior=posteriors())
+def test_a_criterion_of_tensors_is_that_of_arrays_and_has_a_gradient(value, posterior):
+    arguments = posterior[:2] if value in POINTWISE else posterior
+    tensors = [torch.from_numpy(array).requires_grad_() for array in arguments]
+    values = value(*tensors)
+    # The libraries round Φ and log differently, in the last digits.
+    assert values.detach().numpy() == pytest.approx(value(*arguments), rel=1e-9, abs=1e-9)
+    values.sum().backward()
+    for tensor in tensors:
+        assert tensor.grad is None or tensor.grad.isfinite().all()

@@ -11,10 +11,9 @@ from activefail.surrogate.covariance import (
     Hyperparameters,
     covariance,
     covariance_gradient,
-    covariance_module,
     log_prior,
-    set_hyperparameters,
 )
+from activefail.surrogate.gpytorch_model import covariance_module, set_hyperparameters
 
 SCALES = Hyperparameters(0.3, 2.1, torch.tensor([-0.4, 0.9, 0.1], dtype=torch.float64))
 

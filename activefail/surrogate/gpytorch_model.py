@@ -1,0 +1,105 @@
+"""The trained posterior of a latent as a BoTorch model around a GPyTorch model.
+
+Only BoTorch's acquisition functions (`activefail.acquisition.botorch`) need it. Training and prediction use the
+matrices of `fitting`: GPyTorch takes five times as long for the same numbers. Tests compare covariance, posterior and
+bound. `Latent.model` imports this module when it is first read; the commands load neither GPyTorch nor BoTorch.
+"""
+
+import gpytorch
+import torch
+from botorch.models.approximate_gp import ApproximateGPyTorchModel
+from torch import Tensor
+
+from activefail.surrogate.covariance import (
+    JITTER,
+    OUTPUTSCALE_PRIOR,
+    Hyperparameters,
+    check_kernel,
+    lengthscale_prior,
+)
+from activefail.surrogate.fitting import Fit
+from activefail.surrogate.sites import Projection
+
+
+def covariance_module(kernel: str, dimension: int) -> gpytorch.kernels.Kernel:
+    """An ARD covariance with a free output scale and the priors that the training uses, in double precision.
+
+    Args:
+        kernel: as for `covariance`.
+        dimension: number of features.
+
+    Raises:
+        ValueError: if the kernel is unknown.
+    """
+    check_kernel(kernel)
+    # exp, not softplus: L-BFGS then steps in the logarithm of each scale.
+    positive = gpytorch.constraints.Positive(transform=torch.exp, inv_transform=torch.log)
+    common = {
+        "ard_num_dims": dimension,
+        "lengthscale_constraint": positive,
+        "lengthscale_prior": gpytorch.priors.LogNormalPrior(*lengthscale_prior(dimension)),
+    }
+    base = gpytorch.kernels.RBFKernel(**common) if kernel == "rbf" else gpytorch.kernels.MaternKernel(nu=2.5, **common)
+    outputscale_prior = gpytorch.priors.LogNormalPrior(*OUTPUTSCALE_PRIOR)
+    return gpytorch.kernels.ScaleKernel(
+        base, outputscale_constraint=positive, outputscale_prior=outputscale_prior
+    ).double()
+
+
+def set_hyperparameters(covariance: gpytorch.kernels.Kernel, hyperparameters: Hyperparameters) -> None:
+    """Write the scales into a covariance from `covariance_module`."""
+    with torch.no_grad():
+        covariance.raw_outputscale.fill_(hyperparameters.log_outputscale)
+        covariance.base_kernel.raw_lengthscale.copy_(hyperparameters.log_lengthscale.reshape(1, -1))
+
+
+class _VariationalGP(gpytorch.models.ApproximateGP):
+    """The trained posterior in GPyTorch's whitened form. Without inducing points, all training points serve as such."""
+
+    def __init__(self, trained: Fit) -> None:
+        Z = trained.features if trained.inducing is None else trained.features[trained.inducing]
+        n, m = Z.shape
+        distribution = gpytorch.variational.CholeskyVariationalDistribution(n).double()
+        strategy = gpytorch.variational.VariationalStrategy(
+            self, Z, distribution, learn_inducing_locations=False, jitter_val=JITTER
+        )
+        super().__init__(strategy)
+        self.mean_module = gpytorch.means.ConstantMean().double()
+        self.covar_module = covariance_module(trained.kernel, m)
+        self._load(trained, distribution, strategy)
+        self.eval()
+
+    def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+    def _load(
+        self,
+        trained: Fit,
+        distribution: gpytorch.variational.CholeskyVariationalDistribution,
+        strategy: gpytorch.variational.VariationalStrategy,
+    ) -> None:
+        """Whiten the posterior of the sites: precision W, linear term b about the prior mean, at the training points X.
+
+        With LLᵀ = k(Z, Z) and V = L⁻¹ k(Z, X), u ~ N(A⁻¹ V b, A⁻¹), where A = I + V W Vᵀ; V = Lᵀ if Z = X.
+        """
+        set_hyperparameters(self.covar_module, trained.hyperparameters)
+        linear, precision = trained.sites
+        with torch.no_grad():
+            self.mean_module.constant.fill_(trained.hyperparameters.mean)
+            prior = trained.prior
+            V = prior.whitened if isinstance(prior, Projection) else torch.linalg.cholesky(prior).mT
+            A = V @ (precision.unsqueeze(1) * V.mT)
+            A.diagonal().add_(1.0)
+            R = torch.linalg.cholesky(A)
+            right = V @ (linear - precision * trained.hyperparameters.mean)
+            distribution.variational_mean.copy_(torch.cholesky_solve(right.unsqueeze(1), R).squeeze(1))
+            distribution.chol_variational_covar.copy_(torch.linalg.cholesky(torch.cholesky_inverse(R)))
+            strategy.variational_params_initialized.fill_(1)
+        self.requires_grad_(False)
+
+
+def botorch_model(trained: Fit) -> ApproximateGPyTorchModel:
+    """The posterior of a fit as a BoTorch model over the scaled features, (..., q, m)."""
+    return ApproximateGPyTorchModel(
+        model=_VariationalGP(trained), likelihood=gpytorch.likelihoods.BernoulliLikelihood()
+    )
