@@ -51,7 +51,8 @@ def _held(weight, plate, half_width):
 @njit(cache=True, **KERNEL)
 def _lost(weight, plate, half_width, rim_height):
     """The bounds for a plate if both vertices are at least the rim's height away from its dish."""
-    depth = math.sqrt((plate.radius - rim_height) ** 2 - half_width * half_width)
+    rest = plate.radius - rim_height
+    depth = math.sqrt(rest * rest - half_width * half_width)
     turn = weight * half_width * half_width / depth
     return Side(weight * (plate.radius - depth), turn, weight * rim_height, weight * half_width)
 
@@ -101,7 +102,8 @@ def barrier(system, confinement):
     limit = system.tilt_limit
     bottom, top = _held(on_bottom, plate, half_width), _held(on_top, plate, half_width)
 
-    cosine = math.sqrt(1.0 - (plate.rim_distance / plate.radius) ** 2)
+    sine = plate.rim_distance / plate.radius
+    cosine = math.sqrt(1.0 - sine * sine)
     edge = plate.radius * (1.0 - cosine)
     at_rim_below = on_bottom * edge - _give(on_bottom / cosine, plate.stiffness)
     at_rim_above = on_top * edge - _give(on_top / cosine, plate.stiffness)

@@ -51,7 +51,8 @@ def touching_displacement(half_dish, half_width, length, slider_height):
     x = 2.0 * (half_dish - half_width)
     # A contraction, with a factor of at most 0.15 over Table 1.
     for _ in range(12):
-        cosine = math.sqrt(max(1.0 - (x / length) ** 2, 0.0))
+        sine = x / length
+        cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
         x = 2.0 * (half_dish - half_width * cosine) / (1.0 + slider_height / length)
     return x
 
@@ -143,7 +144,8 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
 def _severities(X, slider_diameter, density, restitution, damping_ratio, assembly, steps, out):
     for row in range(len(X)):
         T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p = X[row]
-        radius = 0.5 * GRAVITY * (T_b / (2.0 * math.pi)) ** 2
+        rate = T_b / (2.0 * math.pi)
+        radius = 0.5 * GRAVITY * (rate * rate)
         half_width, half_dish = 0.5 * slider_diameter, 0.5 * (D_tot + slider_diameter)
         slider_height, rim_height = h_sl_ratio * slider_diameter, h_rim_ratio * slider_diameter
         length = 2.0 * math.sqrt(radius * radius - half_width * half_width) - slider_height

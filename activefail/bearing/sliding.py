@@ -119,8 +119,11 @@ def drift(stiffness, friction, amplitude, period, steps, until):
 def _features(X, slider_diameter, restitution, steps, out):
     for row in range(len(X)):
         T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, _, _, T_p, A_p = X[row]
-        radius = 0.5 * GRAVITY * (T_b / (2.0 * math.pi)) ** 2
-        length = 2.0 * math.sqrt(radius * radius - 0.25 * slider_diameter**2) - h_sl_ratio * slider_diameter
+        rate = T_b / (2.0 * math.pi)
+        radius = 0.5 * GRAVITY * (rate * rate)
+        length = (
+            2.0 * math.sqrt(radius * radius - 0.25 * (slider_diameter * slider_diameter)) - h_sl_ratio * slider_diameter
+        )
         # Also for NaN.
         if not (length > 0.0 and mu >= 0.0 and D_tot > 0.0 and h_rim_ratio > 0.0 and 0.0 < T_p < math.inf):
             continue

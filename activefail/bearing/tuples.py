@@ -5,6 +5,7 @@ the rest. The compiler resolves the recursion by the tuples' types, so that neit
 With arrays, the integrator's algebra takes three times as long.
 """
 
+from numba import njit
 from numba.extending import overload
 
 from activefail.bearing.kernels import KERNEL
@@ -180,11 +181,16 @@ def _solve(factors, x):
     return substitute
 
 
+@njit(**INLINE)
+def _square(x):
+    return x * x
+
+
 @overload(error_sum, jit_options=INLINE)
 def _error_sum(error, before, after, scale):
     if _is_last(error):
-        return lambda error, before, after, scale: (error[0] / (scale[0] + max(abs(before[0]), abs(after[0])))) ** 2
+        return lambda error, before, after, scale: _square(error[0] / (scale[0] + max(abs(before[0]), abs(after[0]))))
     return lambda error, before, after, scale: (
-        (error[0] / (scale[0] + max(abs(before[0]), abs(after[0])))) ** 2
+        _square(error[0] / (scale[0] + max(abs(before[0]), abs(after[0]))))
         + error_sum(error[1:], before[1:], after[1:], scale[1:])
     )

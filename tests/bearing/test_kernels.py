@@ -1,4 +1,7 @@
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 from activefail.bearing.kernels import remove_stale_kernels, sources_digest
 
@@ -37,3 +40,41 @@ def test_the_digest_changes_with_a_source(tmp_path):
     before = sources_digest(tmp_path)
     (tmp_path / "contact.py").write_text("y")
     assert sources_digest(tmp_path) != before
+
+
+ANSWERS = """
+import hashlib
+import numpy as np
+from activefail.bearing.collision import collision_features
+from activefail.bearing.design import TABLE_1
+from activefail.bearing.simulation import simulate
+from activefail.bearing.sliding import sliding_features
+
+X = TABLE_1.from_unit(np.random.default_rng(3).random((300, 9)))
+digest = hashlib.sha256()
+for answers in (simulate(X).columns, sliding_features(X), collision_features(X)):
+    digest.update(answers.tobytes())
+print(digest.hexdigest())
+"""
+
+COMPILED_BEFORE = """
+import math
+from numba import njit
+
+for fastmath in (False, True):
+    # numba compiles some operations once a process, with the options of the first kernel that uses them.
+    for operate in (
+        lambda x, n: x**2 + x**n,
+        lambda x, n: math.copysign(math.ceil(x), x) + round(x) + x % 2.0 + x // 2.0,
+        lambda x, n: min(max(abs(x), 1.0), math.hypot(x, 2.0)) + (n % 3) ** 2 + n // 2,
+    ):
+        njit(error_model="numpy", fastmath=fastmath)(operate)(2.5, 3)
+"""
+
+
+def test_kernels_give_the_same_bits_whatever_was_compiled_before_them(tmp_path: Path) -> None:
+    def answers(code: str, **environment: str) -> str:
+        command = [sys.executable, "-c", code]
+        return subprocess.run(command, env=os.environ | environment, check=True, capture_output=True, text=True).stdout
+
+    assert answers(COMPILED_BEFORE + ANSWERS, NUMBA_CACHE_DIR=str(tmp_path)) == answers(ANSWERS)
