@@ -28,10 +28,10 @@ TOLERANCE = 1e-4
 """Relative error of a step."""
 
 SCALE_D = 0.005
-"""A mode's displacement [m] below which errors are absolute; ten times that a second for its velocity."""
+"""A mode's displacement [m] below which errors are absolute; ten times that per second for its velocity."""
 
 LONGEST_STEP = 0.05
-"""[s]; and T_s/20 at most: peaks are looked for at the ends and the middles of steps."""
+"""[s]; and T_s/20 at most: peaks are detected at the ends and the middles of steps."""
 
 MOST_STEPS = 1_000_000
 
@@ -134,7 +134,7 @@ def linearise(building, t, q, v, by_q, by_v, by_t):
     _, bearing_q, bearing_v, bearing_t = dfp_linearisation(bearing, t, place, speed)
     for i in range(5):
         by_t[i] = bearing_t[i]
-        # Sideways the base is lighter than what the bearing's kernel takes for its plate.
+        # Horizontally the base is lighter than the plate that the bearing's kernel assumes.
         ratio = bearing.plate_mass / building.base if i == 3 else 1.0
         for j in range(5):
             by_q[i, j], by_v[i, j] = ratio * bearing_q[i][j], ratio * bearing_v[i][j]
@@ -153,7 +153,7 @@ def linearise(building, t, q, v, by_q, by_v, by_t):
 
 @njit(error_model="numpy")
 def solve(factors, x):
-    """Solve a linear system in place, with the LU factors, without pivots, of `rosenbrock_step`."""
+    """Solve a linear system in place with the LU factors of `rosenbrock_step` (no pivoting)."""
     size = len(x)
     for i in range(size):
         for j in range(i):
@@ -249,7 +249,7 @@ def energy_and_events(building, t, q, v):
     stored, dissipation, work = energy
     ground = ground_acceleration(t, bearing.amplitude, bearing.period)
     for j in range(len(building.mass)):
-        # The bearing's own account has M*_j at the plate's velocity; the oscillator moves relative to that.
+        # The bearing's kinetic energy has M*_j at the plate's velocity; the oscillator moves relative to that.
         mass, D, rate = building.mass[j], q[5 + j], v[5 + j]
         stored += mass * (rate * (v[3] + 0.5 * rate) + 0.5 * building.stiffness[j] * D * D)
         dissipation += mass * building.damping[j] * rate * rate
@@ -259,7 +259,7 @@ def energy_and_events(building, t, q, v):
 
 @njit(error_model="numpy")
 def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, history):
-    """Integrate a building from (q, v), which become the end, until its bearing fails or its time is over.
+    """Integrate a building from (q, v) until its bearing fails or the time is over; (q, v) then hold the final state.
 
     Returns a status, then as in `Response`: the index of the cause, whether a rim was touched, the four peaks, the
     error of the energy balance and the steps; and how many rows (t, q, v) were written into `history`, one a step as
@@ -282,7 +282,7 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
             rows += 1
         if t >= end or cause != o.NONE:
             break
-        # A tenth of the pulse, lest a step strides over it from rest.
+        # A tenth of the pulse, so that no step from rest skips the pulse.
         bound = min(longest, 0.1 * bearing.period) if t < pulse_end else longest
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
@@ -301,7 +301,7 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
             h, rejected = h * factor, True
         if status != DONE:
             break
-        # The middle by the cubic that has the values and slopes of both ends.
+        # The middle of the step from the cubic with the values and slopes of both ends.
         for i in range(size):
             middle_q[i] = 0.5 * (q[i] + q_end[i]) + h / 8.0 * (v[i] - v_end[i])
             middle_v[i] = 1.5 / h * (q_end[i] - q[i]) - 0.25 * (v[i] + v_end[i])
@@ -321,7 +321,7 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
         lost += h / 6.0 * (dissipation + 4.0 * dissipation_middle + dissipation_end)
         peak_work = max(peak_work, abs(work))
         cause = o.failure_cause(seen, bearing, True)
-        if cause != o.ESCAPE:  # which takes the rim's elastic energy out of the account
+        if cause != o.ESCAPE:  # an escape removes the rim's elastic energy from the balance
             imbalance = max(imbalance, abs(stored - at_rest - work + lost))
         dissipation, power, seen_before = dissipation_end, power_end, seen
         h *= min(factor, 1.0) if rejected else factor
@@ -330,24 +330,24 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
 
 
 class Response(NamedTuple):
-    """What a building did; peaks are those until its bearing failed."""
+    """The response of a building; peaks are those until its bearing failed."""
 
-    cause: str  # of the bearing's failure; empty if it held
-    touched: bool  # whether the slider met a rim
+    cause: str  # of the bearing's failure; empty if it did not fail
+    touched: bool  # whether the slider touched a rim
     peak_drift: float  # interstorey drift over the storey's height [-]
     peak_displacement: float  # of the base relative to the ground [m]
     peak_floor_acceleration: float  # absolute, of a floor [m/s²]
     peak_rim_force: float  # on the rim of one plate [N]
     energy_error: float  # largest imbalance over the larger of the ground's peak work and M g · 1 mm [-]
     steps: int
-    history: np.ndarray  # (rows, 1 + 2 (5 + n)): t, coordinates, velocities; empty where none was asked for
+    history: np.ndarray  # (rows, 1 + 2 (5 + n)): t, coordinates, velocities; empty if not requested
 
 
 def simulate(design, tolerance=TOLERANCE, rows=0):
     """The `Response` of a design, by the names and in the units of `building.toml`, with a history of so many rows.
 
     Raises:
-        RuntimeError: if the integration gives up.
+        RuntimeError: if the integration fails.
     """
     building, n = building_of(design), int(design["storeys"])
     history = np.empty((rows, 1 + 2 * (5 + n)))
@@ -363,12 +363,12 @@ def simulate(design, tolerance=TOLERANCE, rows=0):
         history,
     )
     if status != DONE or not math.isfinite(error):
-        raise RuntimeError(f"the integration gave up after {steps} steps with status {status}")
+        raise RuntimeError(f"the integration failed after {steps} steps with status {status}")
     return Response(o.CAUSES[cause], touched, drift, displacement, floor, rim, error, steps, history[:recorded])
 
 
 def run(design):
-    """The outcome of a design and its margins, as a campaign asks for them."""
+    """The outcome of a design and its margins, as a campaign reads them."""
     response = simulate(design)
     if response.cause or response.peak_drift > FAILURE_DRIFT:
         outcome = "failure"

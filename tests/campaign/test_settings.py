@@ -182,19 +182,19 @@ BROKEN = {
     "a section that is none": ("stop = 0.05", ["stop: must be a table, got 0.05"]),
     "a mean without sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
-        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; missing: sd"],
+        ["space.mu: truncated_normal, and only truncated_normal, requires `mean` and `sd`; missing: sd"],
     ),
     "neither mean nor sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal" }',
-        ["and to it alone; missing: mean, sd"],
+        ["requires `mean` and `sd`; missing: mean, sd"],
     ),
     "a mean alone": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",
-        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got uniform with mean 0.15"],
+        ["space.mu: truncated_normal, and only truncated_normal, requires `mean` and `sd`; got uniform with mean 0.15"],
     ),
     "an sd alone": (
         "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
-        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got log_uniform with sd 0.1"],
+        ["space.mu: truncated_normal, and only truncated_normal, requires `mean` and `sd`; got log_uniform with sd 0.1"],
     ),
     "no variables of a simulator of one's own": (
         'simulator.python = "a:b"',
@@ -308,7 +308,7 @@ def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, say
 
 
 def test_a_whole_number_of_more_digits_than_are_read_is_refused_naming_the_file() -> None:
-    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: an integer with thousands of digits."
+    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: an integer has thousands of digits."
 
 
 @pytest.mark.parametrize(

@@ -928,7 +928,7 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
     assert said.code == 1
     assert "None of the 16 simulations gave an outcome" in said.err
     assert f"`activefail resume {run} --code {mine}` continues" in said.err
-    assert "The cause of the first is raised." in said.err
+    assert "The first failed with cause `raised`." in said.err
     assert {row["cause"] for row in record(run)} == {"raised"}
     designs.write_text("drift,T\n1.0,2.0\n")
     predict = ("predict", run, "--csv", designs, "--out", tmp_path / "out.csv")

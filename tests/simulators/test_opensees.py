@@ -117,7 +117,7 @@ def test_impact_is_a_displacement_that_reaches_the_rim(opensees: str) -> None:
     ("changed", "code", "says"),
     [
         ({"t_b": 1.0}, 1, "a dish must be less than a hemisphere"),
-        ({"h_sl_ratio": 30.0}, 1, "the slider must be lower than the distance of the dishes' centres"),
+        ({"h_sl_ratio": 30.0}, 1, "the slider's height must be less than the distance between the dishes' centres"),
         ({"mu": -0.1}, 2, "must be positive and finite, got -0.1"),
         ({"a_p": math.nan}, 2, "must be positive and finite, got nan"),
     ],
