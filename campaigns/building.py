@@ -1,8 +1,8 @@
 """A base-isolated shear building on double friction pendulum bearings: the simulator of `building.toml`.
 
-The bearing is activefail's own: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). What it
-carries is no rigid mass here but a base slab and storeys, whose horizontal motion goes back to the bearing. The
-equations and their sources are in docs/building.md. SI units, unless a name says otherwise.
+The bearing is activefail's own: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
+carries a base slab and storeys instead of a rigid mass, and their horizontal motion acts back on the bearing.
+docs/building.md gives the equations and their sources. SI units, unless a name says otherwise.
 """
 
 import math
@@ -70,7 +70,7 @@ class Building(NamedTuple):
     stiffness: np.ndarray  # (n,) ω_j² [1/s²]
     damping: np.ndarray  # (n,) 2ζω_j [1/s]
     drift: np.ndarray  # (n, n) from the D_j to interstorey drifts over the storey's height [1/m]
-    floor: np.ndarray  # (n, n) from the pulls s_j to the floors' absolute accelerations [-]
+    floor: np.ndarray  # (n, n) from the s_j to the floors' absolute accelerations [-]
 
 
 def building_of(design):
@@ -112,7 +112,7 @@ def pull(building, j, q, v):
 def accelerate(building, t, q, v, out):
     """Write the accelerations of all coordinates, (5 + n,), into `out`.
 
-    The bearing's kernel takes its plate for a rigid mass M: M (a + ü_g) is the force on it, whatever it carries.
+    The bearing's kernel assumes a plate of rigid mass M. M (a + ü_g) is the force on the plate, whatever it carries.
     """
     bearing = building.bearing
     ground = ground_acceleration(t, bearing.amplitude, bearing.period)
@@ -175,10 +175,10 @@ C = np.array([[0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
 
 @njit(error_model="numpy")
 def rosenbrock_step(building, t, q, v, h, q_end, v_end):
-    """One step on q'' = a(t, q, q') by a method of order 3, L-stable, with an embedded one of order 2.
+    """One step on q'' = a(t, q, q') by an L-stable method of order 3 with an embedded method of order 2.
 
-    A stage solves (1/γh − J) u = f + Σ C_j u_j / h + h γ_i ∂f/∂t for its (u_q, u_v), of which u_q is eliminated. The
-    end is written into `q_end` and `v_end`; returned are its errors.
+    A stage solves (1/γh − J) u = f + Σ C_j u_j / h + h γ_i ∂f/∂t for its (u_q, u_v); u_q is eliminated. The final
+    state is written into `q_end` and `v_end`. Returns its errors.
     """
     size, gh = len(q), GAMMA * h
     by_q, by_v, by_t = np.empty((size, size)), np.empty((size, size)), np.empty(size)
@@ -262,8 +262,8 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
     """Integrate a building from (q, v) until its bearing fails or the time is over; (q, v) then hold the final state.
 
     Returns a status, then as in `Response`: the index of the cause, whether a rim was touched, the four peaks, the
-    error of the energy balance and the steps; and how many rows (t, q, v) were written into `history`, one a step as
-    far as it reaches.
+    error of the energy balance and the steps; and how many rows (t, q, v) were written into `history`, one per step
+    until it is full.
     """
     bearing, size = building.bearing, len(q)
     t = -HALF_DURATION * bearing.period

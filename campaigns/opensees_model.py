@@ -219,7 +219,7 @@ def main() -> None:
     parser.add_argument("--slider-diameter", type=positive, default=0.30, help="[m]")
     parser.add_argument("--t-p", type=positive, required=True, help="period of the pulse [s]")
     parser.add_argument("--a-p", type=positive, required=True, help="amplitude of the pulse [g]")
-    parser.add_argument("--steps", type=int, default=400, help="steps per pulse period, or per second if that is shorter")
+    parser.add_argument("--steps", type=int, default=400, help="per pulse period, or per second if that is shorter")
     parser.add_argument("--stick", type=positive, default=1e-6, help="displacement that mobilises friction [m]")
     parser.add_argument("--level", action="store_true", help="let the mass move only horizontally")
     parser.add_argument("--out", type=Path, help="file for the answer, JSON; by default it is printed")

@@ -194,7 +194,7 @@ BROKEN = {
     ),
     "an sd alone": (
         "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
-        ["space.mu: truncated_normal, and only truncated_normal, requires `mean` and `sd`; got log_uniform with sd 0.1"],
+        ["truncated_normal, and only truncated_normal, requires `mean` and `sd`; got log_uniform with sd 0.1"],
     ),
     "no variables of a simulator of one's own": (
         'simulator.python = "a:b"',

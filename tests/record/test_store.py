@@ -677,7 +677,7 @@ def test_without_the_lock_the_link_fences_a_second_writer(tmp_path: Path, sizes:
     first.commit(batch(sizes[0], 1))
     held = contents(first)
     for _ in range(2):
-        with pytest.raises(StoreError, match="another writer (created it|was faster)"):
+        with pytest.raises(StoreError, match=r"another writer (created it|was faster)"):
             second.commit(batch(sizes[1], 2))
     assert len(second.batches) == 1
     assert len(segments(tmp_path / "run")) == 2
@@ -698,7 +698,7 @@ def test_of_two_writers_that_link_at_the_same_time_at_most_one_is_acknowledged(
             second.commit(batch(sizes[1], 2))
 
     faults(overtaken)
-    with pytest.raises(StoreError, match="another writer (created it|was faster)"):
+    with pytest.raises(StoreError, match=r"another writer (created it|was faster)"):
         first.commit(batch(sizes[0], 1))
     assert read(tmp_path / "run") == contents(second)
     assert len(second.batches) == 2
