@@ -228,7 +228,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _write_temporary(path: Path, data: bytes) -> Path:
-    """Write and fsync `data` under a temporary name beside `path`; removed if that fails."""
+    """Write and fsync `data` under a temporary name in the folder of `path`; removed if that fails."""
     temporary = temporary_beside(path)
     try:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)

@@ -33,7 +33,7 @@ from activefail.errors import InputError
 from activefail.explorer.answers import Answer, Answers
 
 LONGEST_BODY = 4096
-"""Longest question [bytes]; a design has some hundred."""
+"""Longest question [bytes]; a design has about a hundred."""
 
 MOST_CONNECTIONS = 512
 """Most open connections; each has a thread."""

@@ -1,4 +1,4 @@
-"""The paper's claims beside our results: intervals and a verdict for each."""
+"""The paper's claims compared with activefail's results: intervals and a verdict for each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -106,11 +106,11 @@ BROKEN = {
     ),
     "a mean of a uniform variable": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
-        ["space.mu: a mean and an sd belong to a truncated normal"],
+        ["space.mu: truncated_normal, and only truncated_normal, requires"],
     ),
     "a normal without its spread": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, distribution = 'truncated_normal'}",
-        ["space.mu: a mean and an sd belong to a truncated normal"],
+        ["space.mu: truncated_normal, and only truncated_normal, requires"],
     ),
     "a normal far from its bounds": (
         "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
