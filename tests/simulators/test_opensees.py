@@ -1,6 +1,6 @@
-"""The campaign on OpenSees: its program, the campaign itself, and our bearing beside OpenSees' pendulum element.
+"""The campaign on OpenSees: its program, the campaign itself, and the bearing compared with OpenSees' element.
 
-What needs openseespy runs it under the interpreter that ACTIVEFAIL_OPENSEES_PYTHON names, or under this one.
+Tests that need openseespy run it under the interpreter that ACTIVEFAIL_OPENSEES_PYTHON names, or under this one.
 """
 
 import json
@@ -173,7 +173,7 @@ def test_the_campaign_runs_is_resumed_and_its_failures_are_told(opensees: str, t
     assert "no licence for it" in broken.err
 
 
-# --- our bearing beside OpenSees' element ------------------------------------------------------------------------
+# --- the bearing compared with OpenSees' element --------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
