@@ -35,7 +35,7 @@ def distribution_fault(
     if distribution == "log_uniform" and low <= 0.0:
         return f"`low > 0` must hold for log_uniform, got {low}"
     numbers = {"mean": mean, "sd": sd}
-    rule = "truncated_normal, and only truncated_normal, requires `mean` and `sd`"
+    rule = "a mean and an sd belong to a truncated normal, and to it alone"
     missing = [name for name, number in numbers.items() if number is None]
     if distribution == "truncated_normal" and missing:
         return f"{rule}; missing: {', '.join(missing)}"

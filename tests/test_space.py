@@ -113,8 +113,8 @@ def test_a_uniform_variable_is_sampled_to_the_bit_as_low_plus_u_times_the_width(
     ("given", "says"),
     [
         ({"distribution": "log_uniform", "low": 0.0}, "'x': `low > 0` must hold for log_uniform, got 0.0"),
-        ({"distribution": "truncated_normal"}, "requires `mean` and `sd`"),
-        ({"mean": 0.5, "sd": 0.1}, "requires `mean` and `sd`"),
+        ({"distribution": "truncated_normal"}, "belong to a truncated normal"),
+        ({"mean": 0.5, "sd": 0.1}, "belong to a truncated normal"),
         ({"distribution": "truncated_normal", "mean": 0.5, "sd": 0.0}, "'x': `sd > 0` must hold, got 0.0"),
         ({"distribution": "truncated_normal", "mean": 50.0, "sd": 0.5}, "must contain at least 1e-06 of the normal"),
     ],

@@ -106,11 +106,11 @@ BROKEN = {
     ),
     "a mean of a uniform variable": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
-        ["space.mu: truncated_normal, and only truncated_normal, requires"],
+        ["space.mu: a mean and an sd belong to a truncated normal"],
     ),
     "a normal without its spread": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, distribution = 'truncated_normal'}",
-        ["space.mu: truncated_normal, and only truncated_normal, requires"],
+        ["space.mu: a mean and an sd belong to a truncated normal"],
     ),
     "a normal far from its bounds": (
         "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
@@ -182,19 +182,19 @@ BROKEN = {
     "a section that is none": ("stop = 0.05", ["stop: must be a table, got 0.05"]),
     "a mean without sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
-        ["space.mu: truncated_normal, and only truncated_normal, requires `mean` and `sd`; missing: sd"],
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; missing: sd"],
     ),
     "neither mean nor sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal" }',
-        ["requires `mean` and `sd`; missing: mean, sd"],
+        ["and to it alone; missing: mean, sd"],
     ),
     "a mean alone": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",
-        ["space.mu: truncated_normal, and only truncated_normal, requires `mean` and `sd`; got uniform with mean 0.15"],
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got uniform with mean 0.15"],
     ),
     "an sd alone": (
         "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
-        ["truncated_normal, and only truncated_normal, requires `mean` and `sd`; got log_uniform with sd 0.1"],
+        ["space.mu: a mean and an sd belong to a truncated normal, and to it alone; got log_uniform with sd 0.1"],
     ),
     "no variables of a simulator of one's own": (
         'simulator.python = "a:b"',
