@@ -76,7 +76,7 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
     def enter(name: str) -> None:
         below.plain = f"{line} | {name}" if line else name
 
-    # Text on separate lines: beside the bar, a narrow terminal would truncate it.
+    # Text on separate lines: next to the bar, a narrow terminal would truncate it.
     with Live(Group(bar, below), console=console, refresh_per_second=8):
         yield Observer(update, enter, stop)
         below.plain = line

@@ -233,7 +233,8 @@ def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
     X = space.sobol(64, np.random.default_rng(1))
     if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
         raise InputError(
-            f"classifier.features: {custom.name} must give a design the same features, whatever the other designs are."
+            f"classifier.features: {custom.name} must return the same features for a design, "
+            "whatever the other designs are."
         )
     return scaled
 

@@ -157,7 +157,7 @@ def publish(path: Path, data: bytes) -> None:
         # Unlike a rename, a link fails if the name exists: it stops a second writer even without the lock.
         os.link(temporary, path)
     except FileExistsError:
-        raise StoreError(f"{path} already exists: another writer got there first. Open the folder again.") from None
+        raise StoreError(f"{path} already exists: another writer created it. Open the folder again.") from None
     except OSError as error:
         hint = " The folder's file system must support hard links." if error.errno in NO_LINKS else ""
         raise StoreError(_refused(path, error) + hint) from error
@@ -228,7 +228,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _write_temporary(path: Path, data: bytes) -> Path:
-    """Write and fsync `data` under a temporary name beside `path`; removed if that fails."""
+    """Write and fsync `data` under a temporary name in the folder of `path`; removed if that fails."""
     temporary = temporary_beside(path)
     try:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
@@ -254,7 +254,7 @@ def _write_all(descriptor: int, data: bytes) -> None:
     while rest:
         written = os.write(descriptor, rest[:WRITE_BYTES])
         if written == 0:
-            raise OSError(errno.EIO, "the system writes nothing more")
+            raise OSError(errno.EIO, "the system accepted no more bytes")
         rest = rest[written:]
 
 

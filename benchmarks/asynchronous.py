@@ -1,16 +1,15 @@
-"""Campaigns in batches and without: how busy they keep their workers, and what they know after as many simulations.
+"""Campaigns in batches and asynchronous: how busy their workers are, and the accuracy after the same simulations.
 
     python benchmarks/asynchronous.py --busy --workers 8
     python benchmarks/asynchronous.py --accuracy --seeds 5 --features collision
 
-Busy: a simulator that sleeps for a time that hangs on the design (from a tenth of twice the mean to twice the mean,
-uniformly), on real threads; the share of the workers' time that they slept, from the first simulation to the last.
-Learning and proposing are done in between, as in any campaign.
+Busy: a simulator sleeps for a time that depends on the design (uniform from a tenth of twice the mean to twice the
+mean), on real threads. Printed is the share of the workers' time that they slept, from the first simulation to the
+last. Learning and proposing take place in between, as in any campaign.
 
-Accuracy: the bearing model, on workers whose clock is imagined: a simulation takes as long as the lognormal
-distribution (deviation of the logarithm 0.7) says for its design, and learning takes no time; answers come in the order
-of that clock.
-Judged on fresh designs, with the difference of the two ways over seeds.
+Accuracy: the bearing model runs on workers with an imagined clock. A simulation takes a time that a lognormal
+distribution (deviation of the logarithm 0.7) gives for its design, and learning takes no time. Results arrive in the
+order of that clock. Scores are on fresh designs, with the difference of the two modes over seeds.
 """
 
 import argparse
@@ -40,12 +39,12 @@ MEASURES = {"accuracy": "failure accuracy", "log_score": "log score", "outcome_a
 
 
 def share_of(design: Array) -> float:
-    """A number between 0 and 1 that looks like chance and hangs on the design alone."""
+    """A pseudo-random number between 0 and 1 that depends only on the design."""
     return (int.from_bytes(hashlib.sha256(design.tobytes()).digest()[:6], "big") + 0.5) / 2.0**48
 
 
 class Sleeping:
-    """A ball in the unit cube, whose simulation is a sleep; notes when each begins and ends."""
+    """A ball in the unit cube whose simulation sleeps; records when each begins and ends."""
 
     outcomes, causes, margins, releases_gil = ("safe", "failure"), ("",), (), True
 
@@ -65,7 +64,7 @@ class Sleeping:
 
 
 class ImaginedWorkers:
-    """Workers whose simulations take an imagined time, and no more of the real one than they need."""
+    """Workers whose simulations take an imagined time; real time passes only for the computation."""
 
     def __init__(self, workers: int) -> None:
         self._now = 0.0

@@ -1,10 +1,10 @@
-"""How long the explorer's page waits for an answer: a prediction, a plane, a fragility curve, a simulation.
+"""Response times of the explorer: a prediction, a plane, a fragility curve, a simulation.
 
     python benchmarks/explorer.py --run runs/bearing --n 50
 
-Designs are drawn from the campaign's space. Each question is asked n times (a plane and a curve a fifth of that), with
-nothing else asked meanwhile; the prediction also while planes are asked for without a pause, as a moved slider does.
-Times are those of the answer [ms], without HTTP and the browser, which take a few more.
+Designs are drawn from the campaign's space. Each request is sent n times (a plane and a curve a fifth of that) with
+no other request in progress. Predictions are also timed while planes are requested without a pause, as by a moving
+slider. Times are those of the answer [ms], without HTTP and the browser, which take a few more.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def waited(ask, designs):
 
 
 def waited_among_planes(answers, designs):
-    """The same of predictions, a twentieth of a second apart, while another thread asks for planes."""
+    """The same for predictions, a twentieth of a second apart, while another thread requests planes."""
     over = threading.Event()
 
     def planes():

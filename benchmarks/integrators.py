@@ -1,8 +1,8 @@
-"""The simulator with other integrators in the place of its own: steps, time, outcomes and energy errors.
+"""The simulator with other integrators in place of its own: steps, time, outcomes and energy errors.
 
-A Rosenbrock method is another tableau for the simulator's own step. A diagonally implicit method brings the attempt of
-a step and a copy of the step control. The loop with its events and the weights of errors are the simulator's. The
-outcomes of the simulator at a tolerance of 1e-6 count as right. Coefficients and their sources: integrators.toml.
+A Rosenbrock method is another tableau for the simulator's own step. A diagonally implicit method has its own attempt of
+a step and a copy of the step control. The loop, its events and the weights of errors are the simulator's. The outcomes
+of the simulator at a tolerance of 1e-6 count as right. integrators.toml has the coefficients and their sources.
 
     python benchmarks/integrators.py --n 2000
     python benchmarks/integrators.py --n 5000 --only RODAS4P2 --tolerances 1e-4
@@ -42,7 +42,7 @@ NEWTON_SHARE, MOST_ITERATIONS = 0.05, 8
 
 
 class Attempt(NamedTuple):
-    """The end of a diagonally implicit method's attempted step, its error, its middle, and what it took."""
+    """The end of a diagonally implicit method's attempted step, its error, its middle, and its cost."""
 
     q: Any
     v: Any
@@ -152,13 +152,13 @@ def advancing(attempt, order):
 
 
 def recompiled(kernel: Any, **changed: Any) -> FunctionType:
-    """A kernel's Python function with other globals, to be compiled anew."""
+    """A kernel's Python function with other globals, to be recompiled."""
     function = kernel.py_func
     return FunctionType(function.__code__, {**function.__globals__, **changed})
 
 
 def rosenbrock(tableau: Tableau) -> Any:
-    """`activefail.bearing.integrator.advance` by another tableau."""
+    """`activefail.bearing.integrator.advance` with another tableau."""
     changed = {
         "attempt": step_of(tableau),
         "error_root": root_of(tableau.error_order + 1),
@@ -168,7 +168,7 @@ def rosenbrock(tableau: Tableau) -> Any:
 
 
 def measure(name: str, run: Any, X: Array, relative: float, reference: Responses) -> None:
-    """Simulate all designs by a kernel in the place of the product's, and print what it took."""
+    """Simulate all designs with a kernel in place of activefail's, and print its cost."""
     with patch.object(simulation, "_run", run):
         simulate(X[:1], threads=1)  # compiled before the clock runs
         began = time.process_time()

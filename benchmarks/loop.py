@@ -1,32 +1,33 @@
-"""What the loop costs without its simulations: learning a boundary, and proposing ten designs; ours and others'.
+"""The cost of the loop without its simulations: learning a boundary and proposing ten designs, compared with others.
 
     python benchmarks/loop.py --n 250 1000 4000 16000 50000
     python benchmarks/loop.py --n 500 --peers lbfgs,svgp,aepsych --limit 120
 
-The boundary of failure, designs of a Latin hypercube of Table 1, labels from the bearing model, Matérn-5/2, fresh
-uniform designs to judge by. Seconds are processor time of this process, all its threads together. Ours is measured
+The problem is the failure boundary, with designs of a Latin hypercube of Table 1, labels from the bearing model,
+Matérn-5/2, and fresh uniform designs for the scores. Seconds are processor time of this process over all its threads.
+activefail is measured
 
-    cold       from nothing;
-    warm       ten designs more than an earlier fit;
-    relearned  hyperparameters anew, as a campaign does when it has grown by a twentieth;
-    propose    a batch of ten by entropy.
+    cold       from scratch;
+    warm       with ten designs more than an earlier fit;
+    relearned  with new hyperparameters, as a campaign does when it has grown by a twentieth;
+    propose    for a batch of ten by entropy.
 
-What is learned is timed until it can predict.
+Learning is timed until the model can predict.
 
-Peers, each with a limit of processor time, learn cold from the same designs; ours comes first, since it says where they
-may stop. The objective is the bound plus the log prior of mean and scales, which lbfgs and svgp share with ours.
+Peers, each with a limit of processor time, learn cold from the same designs. activefail comes first, since its
+objective decides when they may stop: the bound plus the log prior of mean and scales, which lbfgs and svgp share.
 
-    lbfgs      GPyTorch's whitened strategy, every point an inducing point (so of at most 1,000), by SciPy's L-BFGS;
+    lbfgs      GPyTorch's whitened strategy, every point an inducing point (so at most 1,000), by SciPy's L-BFGS;
     svgp       GPyTorch's whitened strategy, 500 inducing points that move, by Adam on batches of 1,000, at a rate of
                0.05 for half of the time and then 0.01;
-    aepsych    AEPsych's classifier with its output scale learned, its own objective, and a batch by EAVC.
+    aepsych    AEPsych's classifier with a learned output scale, its own objective, and a batch by EAVC.
 
-With --inducing, the posterior with inducing points beside the exact one at the same hyperparameters instead: what their
-number costs, chosen by site precision times unexplained variance, or by the latter alone.
+--inducing compares the posterior with inducing points and the exact one at the same hyperparameters instead, with
+inducing points chosen by site precision times unexplained variance, or by the latter alone.
 
     python benchmarks/loop.py --n 2000 --inducing 250 500 1000
 
-lbfgs and svgp stop when they are within --short nats of our objective. Those not installed are left out.
+lbfgs and svgp stop when they are within --short nats of activefail's objective. Missing packages are skipped.
 """
 
 import argparse
@@ -113,7 +114,7 @@ class Problem:
 
 
 def ours(problem):
-    """Print what ours costs; the cold fit's objective."""
+    """Print the cost of activefail's learning; returns the objective of the cold fit."""
     n = problem.n
 
     def ready(*of):
@@ -159,7 +160,7 @@ def inducing_points(problem, numbers):
 
 
 class Variational(gpytorch.models.ApproximateGP):
-    """GPyTorch's own, with our covariance and priors."""
+    """GPyTorch's model with activefail's covariance and priors."""
 
     def __init__(self, Z, move):
         q = gpytorch.variational.CholeskyVariationalDistribution(len(Z)).double()
@@ -198,7 +199,7 @@ class Variational(gpytorch.models.ApproximateGP):
 
 
 class DoneError(Exception):
-    """A peer is there, or out of time."""
+    """A peer has reached the objective, or its time limit."""
 
 
 def lbfgs(problem, target, limit):
@@ -268,7 +269,7 @@ def aepsych(problem, target, limit):
             mean, variance = peer.model.predict(peer._unit(problem.F_fresh))
         _, choosing = timed(lambda: peer.choose(problem.features, BATCH, np.random.default_rng(1)))
     judged = verdict((mean / (1.0 + variance).sqrt()).numpy(), problem.y_fresh)
-    line(n, "aepsych", None, seconds, judged, f"a batch {choosing:.2f} s")
+    line(n, "aepsych", None, seconds, judged, f"{choosing:.2f} s per batch")
 
 
 PEERS = {"lbfgs": lbfgs, "svgp": svgp, "aepsych": aepsych}

@@ -1,14 +1,14 @@
-"""The bearing before any rim touch beside OpenSees' friction pendulum element, and both beside a rigid pendulum.
+"""Compares the bearing before any rim touch with OpenSees' friction pendulum element, and both with a rigid pendulum.
 
     python benchmarks/opensees.py --python /path/to/python/with/openseespy
     python benchmarks/opensees.py --n 400 --seed 2 --outcomes 500
 
-Designs of Table 1 that meet no rim, drawn at random. Each is simulated as it is, with slow creep (friction regularised
-over 10^-5 m/s instead of 10^-3) and, besides, as nearly rigid (contacts 10^4 times as stiff); by OpenSees
-(campaigns/opensees_model.py, in the interpreter that is named, by default this one) as it is, without the rise of the
-mass, and with friction mobilised over the displacement that the bearing's elastic contacts allow; and by the equation
-of a rigid pendulum, integrated here. What is compared is the peak displacement, and the largest difference of the
-histories over that peak. docs/opensees.md says what comes out.
+The designs are random designs of Table 1 that touch no rim. The bearing is simulated as it is, with slow creep
+(friction regularised over 10^-5 m/s instead of 10^-3), and nearly rigid (contacts 10^4 times as stiff). OpenSees
+(campaigns/opensees_model.py, in the interpreter given by --python, by default this one) runs as it is, without the rise
+of the mass, and with friction mobilised over the displacement that the bearing's elastic contacts allow. The equation
+of a rigid pendulum is integrated here. Compared are the peak displacement and the largest difference of the histories
+over that peak. docs/opensees.md reports the results.
 """
 
 import argparse
@@ -45,7 +45,7 @@ class Path1D(NamedTuple):
         return np.abs(self.x).max()
 
     def difference(self, other):
-        """Largest difference of the histories over the other's peak, at the other's times as far as both go."""
+        """Largest difference of the histories over the other's peak, at the other's times until the shorter ends."""
         within = (other.t >= self.t[0]) & (other.t <= self.t[-1])
         return np.abs(np.interp(other.t[within], self.t, self.x) - other.x[within]).max() / other.peak
 
@@ -74,7 +74,7 @@ def _swing(length, friction, amplitude, period, step, count):
 
 
 def pendulum(length, friction, pulse, free_time, steps=6400):
-    """A point mass on a circle with Coulomb friction, at whatever displacement: what a rigid bearing is.
+    """A point mass on a circle with Coulomb friction, at any displacement: the limit of a rigid bearing.
 
         L φ'' = −g sin φ − ü_g cos φ − μ n sgn φ',    n = L φ'² + g cos φ − ü_g sin φ,    x = L sin φ
 
@@ -86,7 +86,7 @@ def pendulum(length, friction, pulse, free_time, steps=6400):
 
 
 def ours(row, model=MODEL, stiffness=1.0, tolerance=None):
-    """The bearing itself, to the end; None where it meets a rim."""
+    """The bearing itself, to the end; None if it touches a rim."""
     stiff = np.array(row)
     stiff[6] *= stiffness
     response = simulate_one(
@@ -100,7 +100,7 @@ def ours(row, model=MODEL, stiffness=1.0, tolerance=None):
 
 
 def opensees(python, row, *options):
-    """OpenSees' element, by the program of the campaign; None where it meets a rim."""
+    """OpenSees' element, by the program of the campaign; None if it touches a rim."""
     T_b, mu, D_tot, h_sl_ratio, _, _, _, T_p, A_p = map(repr, row)
     with tempfile.TemporaryDirectory() as folder:
         history = Path(folder, "history.csv")
@@ -120,7 +120,7 @@ def arbiter(row):
 
 
 def elastic_slip(bearing):
-    """Displacement [m] of the plate by the slider's rocking on its contacts when friction gives way.
+    """Displacement [m] of the plate, due to the slider's rocking on its contacts, when sliding begins.
 
     Of each plate's two vertices one is pressed in and one relieved: a moment k_n D_sl²/2 per plate and radian, k_n the
     stiffness of a contact that carries half of the weight. The shear μW has the arm h_sl, and so has the displacement.
@@ -149,7 +149,7 @@ def compare(python, n, seed, least):
         if len(found) == n:
             break
         motions = {name: maker(row) for name, maker in makers.items()}
-        # One of them meets the rim that the others just miss, or hardly anything moves.
+        # One of them touches the rim that the others just miss, or the motion is tiny.
         if any(motion is None for motion in motions.values()) or motions["rigid pendulum"].peak < least:
             left_out += 1
             continue
@@ -157,7 +157,7 @@ def compare(python, n, seed, least):
     print(f"{len(found)} designs without a rim touch, {left_out} left out (a peak below {least:g} m, or a touch)")
     peaks = [motions["rigid pendulum"].peak for motions in found]
     print(f"peak displacement {min(peaks):.3f} to {max(peaks):.3f} m, median {np.median(peaks):.3f} m\n")
-    print("| motion | beside | peak: mean | median | 90 % | largest | history: median | 90 % | largest |")
+    print("| motion | compared with | peak: mean | median | 90 % | largest | history: median | 90 % | largest |")
     print("|---|---|---|---|---|---|---|---|---|")
     for one, other in (
         ("bearing", "OpenSees"),
@@ -178,7 +178,7 @@ def compare(python, n, seed, least):
 
 
 def compare_outcomes(python, n, seed):
-    """Whether OpenSees says `impact` where the bearing meets a rim, over all of Table 1."""
+    """Whether OpenSees returns `impact` if the bearing touches a rim, over all of Table 1."""
     X = TABLE_1.latin_hypercube(n, np.random.default_rng(seed + 1))
     touched = simulate(X).outcome >= 1
     said = np.array([opensees(python, row) is None for row in X.tolist()])

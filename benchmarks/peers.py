@@ -1,16 +1,16 @@
-"""activefail beside what else could be taken: the same bearing simulations, the same budget, the same judge.
+"""Compares activefail with other libraries: the same bearing simulations, the same budget, the same scores.
 
-Every peer starts from the same Latin hypercube of a seed, asks for the rest in batches, and is judged on the same fresh
-designs: the share on the right side of the failure boundary, and the mean log probability [nat] of the true side. Each
-sees the same scaled features; all but activefail, which searches the design space, choose from the same fresh Sobol'
-pool of designs (AEPsych from its first quarter), since features are no independent variables over which an optimiser of
-theirs could run. activefail's EAVC does without its search, and chooses from the pool, too.
+Every peer starts from the same Latin hypercube of a seed and requests the rest in batches. Scores are on the same fresh
+designs: the share on the right side of the failure boundary, and the mean log probability [nat] of the true side. All
+use the same scaled features. Features are not independent variables over which a peer's optimiser could run, so all
+peers choose from the same fresh Sobol' pool of designs (AEPsych from its first quarter); only activefail searches the
+design space. activefail's EAVC does not use this search and also chooses from the pool.
 
     python benchmarks/peers.py --seeds 3 --cache fresh.npz --results peers.jsonl
     python benchmarks/peers.py --peers activefail,activefail-eavc --features collision --results peers.jsonl
 
-Peers are optional (benchmarks/requirements-peers.txt): one that is not installed is left out. Finished campaigns are
-lines of the results file and are not run again, so that a run that was interrupted goes on where it stopped.
+Peers are optional (benchmarks/requirements-peers.txt): one that is not installed is skipped. Finished campaigns are
+lines of the results file and are not run again, so an interrupted run continues where it stopped.
 """
 
 import argparse
@@ -48,7 +48,7 @@ FRESH = (778, 1)
 
 
 class Answers(NamedTuple):
-    """Simulated designs, numerical failures left out."""
+    """Simulated designs without numerical failures."""
 
     X: Array  # (n, 9)
     failed: NDArray[np.bool_]  # (n,)
@@ -76,10 +76,10 @@ def joined(*parts: Answers) -> Answers:
 
 
 class Peer(Protocol):
-    """Something that learns a boundary and says where to look next."""
+    """A method that learns a boundary and chooses the next designs."""
 
     def learn(self, F: Array, answers: Answers, last: bool) -> None:
-        """Learn from scaled features, (n, m), and answers; `last` where nothing is chosen any more."""
+        """Learn from scaled features, (n, m), and answers; `last` after the last batch."""
 
     def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
         """The q designs, (q, d), to simulate next."""
@@ -89,7 +89,7 @@ class Peer(Protocol):
 
 
 def pool(features: FeatureMap, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Candidates that all peers have in common, and their features."""
+    """The candidates, common to all peers, and their features."""
     X = TABLE_1.sobol(POOL, rng)
     return X, features(X)
 
@@ -270,7 +270,7 @@ class AdaptiveKriging:
         return X[rows[:, -1].astype(int)]
 
     def predict(self, numbered: Array, return_std: bool) -> tuple[Array, Array]:
-        """What UQpy asks: mean and standard deviation, without the nugget's."""
+        """Mean and standard deviation for UQpy, without the nugget's."""
         mean, sd = self.surrogate.predict(numbered[:, :-1], return_std=True)
         nugget = self.surrogate.kernel_.k2.noise_level * self.margin_sd**2
         return mean, np.sqrt(np.maximum(sd**2 - nugget, 1e-12))
@@ -329,7 +329,7 @@ def entries(fit_seconds: float) -> dict[str, Entry]:
 
 
 def missing(entry: Entry) -> str | None:
-    """Why a peer cannot be run here; None where it can."""
+    """Why a peer cannot be run here; None if it can."""
     for module in entry.needs:
         try:
             with warnings.catch_warnings():
@@ -356,7 +356,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Sizes:
-    """How many simulations, and how they are shared out."""
+    """Numbers of simulations: initial, total and per batch."""
 
     initial: int
     budget: int
@@ -386,7 +386,7 @@ def campaign(entry: Entry, features: FeatureMap, seed: int, sizes: Sizes) -> tup
 
 
 def fresh_answers(n: int, cache: Path | None) -> Answers:
-    """n uniform designs and their answers, kept in a file between runs where one is named."""
+    """n uniform designs and their answers, kept in a file between runs if one is named."""
     if cache is not None and cache.exists():
         with np.load(cache) as saved:
             if saved["asked"] == n:
@@ -451,7 +451,7 @@ def main() -> None:
     parser.add_argument("--initial", type=int, default=250)
     parser.add_argument("--budget", type=int, default=500)
     parser.add_argument("--batch", type=int, default=10)
-    parser.add_argument("--fresh", type=int, default=5000, help="designs to judge by")
+    parser.add_argument("--fresh", type=int, default=5000, help="fresh designs for the scores")
     parser.add_argument("--fit-seconds", type=float, default=5.0, help="limit of AEPsych's fits between batches")
     parser.add_argument("--cache", type=Path, help="file (.npz) that keeps the fresh designs")
     parser.add_argument("--results", type=Path, default=Path("peers.jsonl"), help="file of finished campaigns")

@@ -1,10 +1,10 @@
-"""What the driver of a campaign costs as it grows: many workers, a simulator that takes no time, up to 10⁵ simulations.
+"""The cost of a campaign's driver as the campaign grows, with many workers and a simulator that takes no time.
 
     python benchmarks/scale.py --workers 64 --simulations 100000 --batch 500 --folder DIR
 
-A ball in four variables, one boundary, an initial design of 1,000. Printed at each doubling: milliseconds a simulation,
-of the wall clock and of the processor, since the last line, and how they are shared out among proposing, simulating and
-recording, and learning; memory; size of the run folder. The record is on the file system of --folder.
+The problem is a ball in four variables, with one boundary and an initial design of 1,000. At each doubling it prints
+the milliseconds per simulation since the last line, wall clock and processor, divided into proposing, simulating and
+recording, and learning; the memory; and the size of the run folder. The record is on the file system of --folder.
 """
 
 import argparse
@@ -38,7 +38,7 @@ class Ball:
 
 
 class Account:
-    """Where the time went since the last line."""
+    """The division of the time since the last line."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -1,13 +1,13 @@
-"""Speed and correctness of the simulator beside other ways to integrate the same equations, in one run, on one thread.
+"""Speed and correctness of the simulator compared with other integrators of the same equations, on one thread.
 
-All solve the same equations of motion with the same compiled right-hand side and analytical Jacobian, weigh errors
-alike, check the same event functions at accepted steps and stop by the same rules. The longest step is ours, except
-that ours shortens it to 10 ms while a plate is off the slider, which the peers are spared. What an outcome should be is
-said by our integrator at a tolerance 100 times tighter. SciPy's solvers step in Python, so the times compare what a
-user would wait for; the evaluations of the right-hand side compare the methods. They run as fast as can be, each by its
-solver class and one compiled look at a step's end, and LSODA also as a user would call it, by solve_ivp with event
-functions. Semi-implicit Euler is compiled as ours is, and so is LSODA in numbalsoda, which is skipped where it is not
-installed (it is built from source: `pip install numbalsoda` with CMake and a Fortran compiler).
+All integrate the same equations of motion with the same compiled right-hand side and analytical Jacobian, the same
+weights of errors, the same event functions at accepted steps and the same rules for stopping. The longest step is also
+the same, except that only activefail shortens it to 10 ms while a plate is off the slider. The outcomes of activefail's
+integrator at a tolerance 100 times tighter count as right. SciPy's solvers step in Python, so the times compare what a
+user would wait for, and the evaluations of the right-hand side compare the methods. Each runs in its fastest form, by
+its solver class and one compiled check at a step's end; LSODA also runs as a user would call it, by solve_ivp with
+event functions. Semi-implicit Euler is compiled, and so is LSODA in numbalsoda, which is skipped if it is not installed
+(it is built from source: `pip install numbalsoda` with CMake and a Fortran compiler).
 
     python benchmarks/simulator.py --n 500 --peers 20
 
@@ -90,7 +90,7 @@ def jacobian(t, y, p):
 
 @njit(error_model="numpy")
 def look(t, y, p):
-    """Whether a rim is touched, the cause of failure or none, and the stored energy [J]."""
+    """Whether a rim is touched, the cause of failure if any, and the stored energy [J]."""
     constants = _unpack(p)
     q, v = _halves(y)
     seen = o.observe(constants, q, v)
@@ -110,7 +110,7 @@ def settled(t, touched, stored, constants, levels):
 
 @njit(error_model="numpy")
 def euler(constants, q, v, end, step, levels):
-    """Label by semi-implicit Euler with a fixed step, and the steps; events are looked for every 0.5 ms."""
+    """Label by semi-implicit Euler with a fixed step, and the steps; events are checked every 0.5 ms."""
     t, touched = -HALF_DURATION * constants.period, False
     steps, every = 0, max(1, round(5e-4 / step))
     while t < end:
@@ -133,7 +133,7 @@ def euler(constants, q, v, end, step, levels):
 
 
 class Answer(NamedTuple):
-    """What a peer gave for one design; what it does not count is NaN."""
+    """A peer's answer for one design; NaN for what it does not count."""
 
     outcome: int
     seconds: float
@@ -143,7 +143,7 @@ class Answer(NamedTuple):
 
 
 def problem(row: Array) -> tuple[System, Barrier, float]:
-    """A design's constants, energy levels and the end of its time."""
+    """A design's constants, energy levels and end time."""
     constants = system(Bearing.from_row(row.tolist(), 0.30), Pulse.from_table(*row[7:].tolist()), Model())
     return constants, barrier(constants, True), HALF_DURATION * constants.period + FREE_PERIODS * float(row[0])
 
@@ -184,7 +184,7 @@ def solve(solver: type[OdeSolver], row: Array, relative: float) -> Answer:
 
 @njit(error_model="numpy")
 def events(t, y, p, touched, levels):
-    """What solve_ivp looks for a root of: touch, escape, loss of confinement, overturning, a settled outcome."""
+    """The event functions for solve_ivp: touch, escape, loss of confinement, overturning, a settled outcome."""
     constants = _unpack(p)
     q, v = _halves(y)
     seen = o.observe(constants, q, v)
@@ -236,7 +236,7 @@ def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
 
 
 def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
-    """How numbalsoda solves one design; None where it is not installed.
+    """A function that solves one design with numbalsoda; None if it is not installed.
 
     It integrates to given times, without a Jacobian, a bound on its steps or events. So the end is given: 0.1 s after
     the end of our own run, whose time does not count. Events are looked for in the states every `OUTPUT_STEP`. The
@@ -333,7 +333,7 @@ def print_ours(X: Array, tolerance: Tolerance) -> NDArray[np.int8]:
 
 
 def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[np.int8], only: list[str]) -> None:
-    """Run the peers, or `only` those, and print them beside ours; looser tolerances first, until outcomes agree."""
+    """Run the peers, or `only` those, and print their results; looser tolerances first, until outcomes agree."""
 
     def line(name: str, relative: float, means: Array, equal: int, base: Array) -> None:
         counts = "".join(f"{count:>10.0f}" for count in means[1:])
@@ -390,7 +390,7 @@ def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[
 
 
 def print_settled(n: int) -> None:
-    """Whether any run that was ended because its outcome was settled would have gone on to another one."""
+    """Whether any run that ended with a settled outcome would have reached another one."""
     X = TABLE_1.latin_hypercube(n, np.random.default_rng(n))
     answers = simulate(X)
     rows = np.flatnonzero((answers.outcome == o.NO_IMPACT) | (answers.outcome == o.IMPACT))
@@ -416,12 +416,12 @@ def print_scaling(X: Array, threads: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The simulator's speed beside other integrators.")
+    parser = argparse.ArgumentParser(description="The simulator's speed compared with other integrators.")
     parser.add_argument("--n", type=int, default=500, help="designs of Table 1 for ours")
     parser.add_argument("--peers", type=int, default=20, help="how many of them for the peers; 0: none")
     parser.add_argument("--only", nargs="+", default=[], metavar="SOLVER", help="some of the peers, by name")
     parser.add_argument("--seed", type=int, default=0, help="of the Latin hypercube")
-    parser.add_argument("--settled", type=int, default=0, help="look at this many designs for runs ended too early")
+    parser.add_argument("--settled", type=int, default=0, help="check this many designs for runs that ended too early")
     parser.add_argument("--threads", type=int, default=0, help="measure the scaling to this many threads")
     arguments = parser.parse_args()
     if arguments.settled:

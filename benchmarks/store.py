@@ -1,11 +1,11 @@
-"""What the record costs as it grows: a commit at 10³ and at 10⁶ stored simulations, opening it, and `status`.
+"""The cost of the record as it grows: a commit at 10³ and at 10⁶ stored simulations, opening it, and `status`.
 
     python benchmarks/store.py [--batch 100] [--folder DIR]
 
-Campaigns of the bearing's columns (nine variables, twelve numbers more) with made-up numbers are laid out as compaction
-would have left them. Commits are timed at the end of such a record, those that merge included, in turn with commits at
-the end of a small one, so that both meet the same machine. Openings and `status` are the least of three, by the wall
-clock and of the processor.
+Campaigns with the bearing's columns (nine variables, twelve other numbers) and made-up numbers are written as
+compaction would leave them. Commits, including those that merge, are timed at the end of such a record and of a small
+one in turn, so that both run under the same load. Openings and `status` are the fastest of three, by wall clock and
+processor time.
 """
 
 import argparse
@@ -36,7 +36,7 @@ COMMITS = 192
 
 
 def batches(size: int, first: int) -> Iterator[Batch]:
-    """Batches without end, the first 250 simulations those of a seed."""
+    """Batches without end; the first 250 simulations are the initial design."""
     rng = np.random.default_rng(first)
     iteration = 0
     while True:

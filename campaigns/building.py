@@ -1,8 +1,8 @@
 """A base-isolated shear building on double friction pendulum bearings: the simulator of `building.toml`.
 
-The bearing is activefail's own: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). What it
-carries is no rigid mass here but a base slab and storeys, whose horizontal motion goes back to the bearing. The
-equations and their sources are in docs/building.md. SI units, unless a name says otherwise.
+The bearing is activefail's own: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
+carries a base slab and storeys instead of a rigid mass, and their horizontal motion acts back on the bearing.
+docs/building.md gives the equations and their sources. SI units, unless a name says otherwise.
 """
 
 import math
@@ -28,10 +28,10 @@ TOLERANCE = 1e-4
 """Relative error of a step."""
 
 SCALE_D = 0.005
-"""A mode's displacement [m] below which errors are absolute; ten times that a second for its velocity."""
+"""A mode's displacement [m] below which errors are absolute; ten times that per second for its velocity."""
 
 LONGEST_STEP = 0.05
-"""[s]; and T_s/20 at most: peaks are looked for at the ends and the middles of steps."""
+"""[s]; and T_s/20 at most: peaks are detected at the ends and the middles of steps."""
 
 MOST_STEPS = 1_000_000
 
@@ -70,7 +70,7 @@ class Building(NamedTuple):
     stiffness: np.ndarray  # (n,) ω_j² [1/s²]
     damping: np.ndarray  # (n,) 2ζω_j [1/s]
     drift: np.ndarray  # (n, n) from the D_j to interstorey drifts over the storey's height [1/m]
-    floor: np.ndarray  # (n, n) from the pulls s_j to the floors' absolute accelerations [-]
+    floor: np.ndarray  # (n, n) from the s_j to the floors' absolute accelerations [-]
 
 
 def building_of(design):
@@ -112,7 +112,7 @@ def pull(building, j, q, v):
 def accelerate(building, t, q, v, out):
     """Write the accelerations of all coordinates, (5 + n,), into `out`.
 
-    The bearing's kernel takes its plate for a rigid mass M: M (a + ü_g) is the force on it, whatever it carries.
+    The bearing's kernel assumes a plate of rigid mass M. M (a + ü_g) is the force on the plate, whatever it carries.
     """
     bearing = building.bearing
     ground = ground_acceleration(t, bearing.amplitude, bearing.period)
@@ -134,7 +134,7 @@ def linearise(building, t, q, v, by_q, by_v, by_t):
     _, bearing_q, bearing_v, bearing_t = dfp_linearisation(bearing, t, place, speed)
     for i in range(5):
         by_t[i] = bearing_t[i]
-        # Sideways the base is lighter than what the bearing's kernel takes for its plate.
+        # Horizontally the base is lighter than the plate that the bearing's kernel assumes.
         ratio = bearing.plate_mass / building.base if i == 3 else 1.0
         for j in range(5):
             by_q[i, j], by_v[i, j] = ratio * bearing_q[i][j], ratio * bearing_v[i][j]
@@ -153,7 +153,7 @@ def linearise(building, t, q, v, by_q, by_v, by_t):
 
 @njit(error_model="numpy")
 def solve(factors, x):
-    """Solve a linear system in place, with the LU factors, without pivots, of `rosenbrock_step`."""
+    """Solve a linear system in place with the LU factors of `rosenbrock_step` (no pivoting)."""
     size = len(x)
     for i in range(size):
         for j in range(i):
@@ -175,10 +175,10 @@ C = np.array([[0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
 
 @njit(error_model="numpy")
 def rosenbrock_step(building, t, q, v, h, q_end, v_end):
-    """One step on q'' = a(t, q, q') by a method of order 3, L-stable, with an embedded one of order 2.
+    """One step on q'' = a(t, q, q') by an L-stable method of order 3 with an embedded method of order 2.
 
-    A stage solves (1/γh − J) u = f + Σ C_j u_j / h + h γ_i ∂f/∂t for its (u_q, u_v), of which u_q is eliminated. The
-    end is written into `q_end` and `v_end`; returned are its errors.
+    A stage solves (1/γh − J) u = f + Σ C_j u_j / h + h γ_i ∂f/∂t for its (u_q, u_v); u_q is eliminated. The final
+    state is written into `q_end` and `v_end`. Returns its errors.
     """
     size, gh = len(q), GAMMA * h
     by_q, by_v, by_t = np.empty((size, size)), np.empty((size, size)), np.empty(size)
@@ -249,7 +249,7 @@ def energy_and_events(building, t, q, v):
     stored, dissipation, work = energy
     ground = ground_acceleration(t, bearing.amplitude, bearing.period)
     for j in range(len(building.mass)):
-        # The bearing's own account has M*_j at the plate's velocity; the oscillator moves relative to that.
+        # The bearing's kinetic energy has M*_j at the plate's velocity; the oscillator moves relative to that.
         mass, D, rate = building.mass[j], q[5 + j], v[5 + j]
         stored += mass * (rate * (v[3] + 0.5 * rate) + 0.5 * building.stiffness[j] * D * D)
         dissipation += mass * building.damping[j] * rate * rate
@@ -259,11 +259,11 @@ def energy_and_events(building, t, q, v):
 
 @njit(error_model="numpy")
 def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, history):
-    """Integrate a building from (q, v), which become the end, until its bearing fails or its time is over.
+    """Integrate a building from (q, v) until its bearing fails or the time is over; (q, v) then hold the final state.
 
     Returns a status, then as in `Response`: the index of the cause, whether a rim was touched, the four peaks, the
-    error of the energy balance and the steps; and how many rows (t, q, v) were written into `history`, one a step as
-    far as it reaches.
+    error of the energy balance and the steps; and how many rows (t, q, v) were written into `history`, one per step
+    until it is full.
     """
     bearing, size = building.bearing, len(q)
     t = -HALF_DURATION * bearing.period
@@ -282,7 +282,7 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
             rows += 1
         if t >= end or cause != o.NONE:
             break
-        # A tenth of the pulse, lest a step strides over it from rest.
+        # A tenth of the pulse, so that no step from rest skips the pulse.
         bound = min(longest, 0.1 * bearing.period) if t < pulse_end else longest
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
@@ -301,7 +301,7 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
             h, rejected = h * factor, True
         if status != DONE:
             break
-        # The middle by the cubic that has the values and slopes of both ends.
+        # The middle of the step from the cubic with the values and slopes of both ends.
         for i in range(size):
             middle_q[i] = 0.5 * (q[i] + q_end[i]) + h / 8.0 * (v[i] - v_end[i])
             middle_v[i] = 1.5 / h * (q_end[i] - q[i]) - 0.25 * (v[i] + v_end[i])
@@ -321,7 +321,7 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
         lost += h / 6.0 * (dissipation + 4.0 * dissipation_middle + dissipation_end)
         peak_work = max(peak_work, abs(work))
         cause = o.failure_cause(seen, bearing, True)
-        if cause != o.ESCAPE:  # which takes the rim's elastic energy out of the account
+        if cause != o.ESCAPE:  # an escape removes the rim's elastic energy from the balance
             imbalance = max(imbalance, abs(stored - at_rest - work + lost))
         dissipation, power, seen_before = dissipation_end, power_end, seen
         h *= min(factor, 1.0) if rejected else factor
@@ -330,24 +330,24 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
 
 
 class Response(NamedTuple):
-    """What a building did; peaks are those until its bearing failed."""
+    """The response of a building; peaks are those until its bearing failed."""
 
-    cause: str  # of the bearing's failure; empty if it held
-    touched: bool  # whether the slider met a rim
+    cause: str  # of the bearing's failure; empty if it did not fail
+    touched: bool  # whether the slider touched a rim
     peak_drift: float  # interstorey drift over the storey's height [-]
     peak_displacement: float  # of the base relative to the ground [m]
     peak_floor_acceleration: float  # absolute, of a floor [m/s²]
     peak_rim_force: float  # on the rim of one plate [N]
     energy_error: float  # largest imbalance over the larger of the ground's peak work and M g · 1 mm [-]
     steps: int
-    history: np.ndarray  # (rows, 1 + 2 (5 + n)): t, coordinates, velocities; empty where none was asked for
+    history: np.ndarray  # (rows, 1 + 2 (5 + n)): t, coordinates, velocities; empty if not requested
 
 
 def simulate(design, tolerance=TOLERANCE, rows=0):
     """The `Response` of a design, by the names and in the units of `building.toml`, with a history of so many rows.
 
     Raises:
-        RuntimeError: if the integration gives up.
+        RuntimeError: if the integration fails.
     """
     building, n = building_of(design), int(design["storeys"])
     history = np.empty((rows, 1 + 2 * (5 + n)))
@@ -363,12 +363,12 @@ def simulate(design, tolerance=TOLERANCE, rows=0):
         history,
     )
     if status != DONE or not math.isfinite(error):
-        raise RuntimeError(f"the integration gave up after {steps} steps with status {status}")
+        raise RuntimeError(f"the integration failed after {steps} steps with status {status}")
     return Response(o.CAUSES[cause], touched, drift, displacement, floor, rim, error, steps, history[:recorded])
 
 
 def run(design):
-    """The outcome of a design and its margins, as a campaign asks for them."""
+    """The outcome of a design and its margins, as a campaign reads them."""
     response = simulate(design)
     if response.cause or response.peak_drift > FAILURE_DRIFT:
         outcome = "failure"

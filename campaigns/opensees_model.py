@@ -1,9 +1,9 @@
-"""A double friction pendulum bearing in OpenSees: answers one design a run, as a simulator of a campaign.
+"""A double friction pendulum bearing in OpenSees: each run answers one design of a campaign.
 
     python opensees_model.py --t-b 4 --mu 0.06 --d-tot 0.6 --t-p 2.5 --a-p 0.3 --out answer.json
 
-The equations, what they leave out, and what a comparison with activefail's own bearing says of both: docs/opensees.md.
-Needs openseespy and NumPy, nothing of activefail's, so that any interpreter that has the two can run it.
+docs/opensees.md describes the equations, their assumptions, and a comparison with activefail's own bearing. The program
+needs openseespy and NumPy but nothing from activefail, so any interpreter that has these two can run it.
 """
 
 import argparse
@@ -17,26 +17,26 @@ import numpy as np
 
 try:
     import openseespy.opensees as ops
-except (ImportError, RuntimeError) as error:  # a RuntimeError where a library that it needs is missing
+except (ImportError, RuntimeError) as error:  # a RuntimeError if a library that it needs is missing
     sys.exit(
         f"opensees_model.py: {sys.executable} cannot import openseespy ({error}). Install it there with `pip install "
-        f"openseespy`; on Debian it needs the packages libblas3, liblapack3 and libgfortran5, too."
+        f"openseespy`. On Debian it also needs the packages libblas3, liblapack3 and libgfortran5."
     )
 
 GRAVITY = 9.81
 """g [m/s²]."""
 
 MASS = 1.0
-"""Mass on the bearing [kg]. All forces are in proportion to it, so that the motion does not depend on it."""
+"""Mass on the bearing [kg]. All forces are proportional to it, so the motion does not depend on it."""
 
 SHORTENING = 1e-4
-"""By which the weight shortens the bearing [m]: a vertical period of 20 ms."""
+"""Shortening of the bearing by the weight [m]; it gives a vertical period of 20 ms."""
 
 SETTLING = 2.5
 """The motion is followed for this many T_b after the pulse."""
 
 HALVINGS = 12
-"""How often a step that does not converge is halved before the run is given up."""
+"""How often a step that does not converge is halved before the run is abandoned."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Pendulum:
     Attributes:
         length: L between the centres of the circles on which the slider's edges move [m].
         friction: coefficient that acts on the pendulum's own surface [-].
-        capacity: displacement of the top plate at which the slider's edge meets a rim [m].
+        capacity: displacement of the top plate at which the slider's edge reaches a rim [m].
     """
 
     length: float
@@ -71,7 +71,7 @@ class Pendulum:
         lever = 2.0 * radius * math.sin(math.atan(mu)) / (length * math.cos(half_angle)) if length > 0.0 else math.inf
         if not lever < 1.0:
             raise ValueError(
-                f"the slider must be lower than the distance of the dishes' centres, got {slider_height} m"
+                f"the slider's height must be less than the distance between the dishes' centres, got {slider_height} m"
             )
         return cls(length, math.tan(math.asin(lever)), length * math.sin(math.asin(rim / radius) - half_angle))
 
@@ -106,13 +106,13 @@ def respond(
     stick: float = 1e-6,
     vertical: bool = True,
 ) -> Motion:
-    """The motion of a mass on a friction pendulum until it meets a rim, or the end.
+    """The motion of a mass on a friction pendulum, until it reaches a rim or the time is over.
 
     Args:
-        pendulum: on which it lies.
+        pendulum: the pendulum that carries the mass.
         T_p, A_p: of the pulse [s, g].
         settling: time after the pulse [s].
-        steps: steps a pulse period, or a second where that is shorter.
+        steps: steps per pulse period, or per second if that is shorter.
         stick: displacement at which friction is fully mobilised [m].
         vertical: whether the mass rises as it moves out.
 
@@ -131,16 +131,16 @@ def respond(
     ops.node(2, 0.0, 0.0)
     ops.fix(1, 1, 1, 1)
     ops.fix(2, 0, 0, 1)
-    # Without inertia where the mass does not rise: the vertical force is the weight.
+    # No vertical inertia if the mass does not rise: the vertical force is the weight.
     ops.mass(2, MASS, MASS if vertical else 1e-9 * MASS, 0.0)
     ops.frictionModel("Coulomb", 1, pendulum.friction)
     ops.uniaxialMaterial("Elastic", 1, weight / SHORTENING)
     ops.uniaxialMaterial("Elastic", 2, 1.0)  # against rotation, which is fixed
     bearing = ["-P", 1, "-Mz", 2, "-orient", 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, "-iter", 100, 1e-10 * weight]
     if vertical:
-        # With a small d: so OpenSeesPy reads it (version 3.7), and it ignores the manual's "-inclVertDisp".
+        # With a small d: OpenSeesPy 3.7 accepts this spelling and ignores the manual's "-inclVertDisp".
         bearing.append("-inclVertdisp")
-    # The element takes the pendulum's stiffness off the initial one; the rest is that of friction.
+    # The element subtracts the pendulum's stiffness from the initial one; the rest is that of friction.
     initial = weight * (pendulum.friction / stick + 1.0 / pendulum.length)
     ops.element("singleFPBearing", 1, 1, 2, 1, pendulum.length, initial, *bearing)
 
@@ -151,7 +151,7 @@ def respond(
     ops.integrator("LoadControl", 1.0)
     ops.analysis("Static")
     if ops.analyze(1) != 0:
-        raise RuntimeError("the bearing does not carry its weight")
+        raise RuntimeError("no static equilibrium under the weight")
     ops.loadConst("-time", 0.0)
     ops.wipeAnalysis()
 
@@ -165,7 +165,7 @@ def respond(
         if not _advance(step, HALVINGS):
             raise RuntimeError(f"no convergence {t[i]:.4f} s after the pulse's centre")
         x[i] = ops.nodeDisp(2, 1)
-        # The reaction is what the bearing does to the ground: the force of its plastic and its pendulum part.
+        # The reaction on the ground: the force of the bearing's plastic and pendulum parts.
         shear[i] = ops.eleForce(1, 1) / weight
         if abs(x[i]) >= pendulum.capacity:
             return Motion(t[: i + 1], x[: i + 1], shear[: i + 1])
@@ -181,14 +181,14 @@ def _solve_by_newton() -> None:
 
 
 def _advance(step: float, halvings: int) -> bool:
-    """Take a step, in halves where it does not converge: where sliding turns within it Newton's method may cycle."""
+    """Take a step, in halves if it does not converge: Newton's method may cycle if sliding reverses within the step."""
     if ops.analyze(1, step) == 0:
         return True
     return halvings > 0 and _advance(0.5 * step, halvings - 1) and _advance(0.5 * step, halvings - 1)
 
 
 def answer(pendulum: Pendulum, motion: Motion) -> dict[str, object]:
-    """What a campaign is told of a motion."""
+    """Outcome and margins of a motion, as a campaign reads them."""
     peak = float(np.abs(motion.x).max())
     margins = {
         "peak_displacement_ratio": peak / pendulum.capacity,
@@ -219,9 +219,9 @@ def main() -> None:
     parser.add_argument("--slider-diameter", type=positive, default=0.30, help="[m]")
     parser.add_argument("--t-p", type=positive, required=True, help="period of the pulse [s]")
     parser.add_argument("--a-p", type=positive, required=True, help="amplitude of the pulse [g]")
-    parser.add_argument("--steps", type=int, default=400, help="a pulse period, or a second where that is shorter")
+    parser.add_argument("--steps", type=int, default=400, help="per pulse period, or per second if that is shorter")
     parser.add_argument("--stick", type=positive, default=1e-6, help="displacement that mobilises friction [m]")
-    parser.add_argument("--level", action="store_true", help="the mass does not rise as it moves out")
+    parser.add_argument("--level", action="store_true", help="let the mass move only horizontally")
     parser.add_argument("--out", type=Path, help="file for the answer, JSON; by default it is printed")
     parser.add_argument(
         "--history", type=Path, help="file for the motion: CSV with time [s], displacement [m], shear/W"

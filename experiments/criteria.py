@@ -1,6 +1,6 @@
-"""Which criterion learns most from the same number of bearing simulations.
+"""Compares criteria by what the classifier learns from the same number of bearing simulations.
 
-Campaigns that differ in nothing but the criterion (and the seed), judged on the same fresh designs. A static Latin
+The campaigns differ only in the criterion (and the seed) and are scored on the same fresh designs. A static Latin
 hypercube of the same size is the reference.
 
     python experiments/criteria.py --seeds 3 --fresh 8000 --criteria static,entropy,globalmi
@@ -29,14 +29,14 @@ CRITERIA = "static,entropy,u,straddle,bald,eavc,globalmi,sur"
 
 
 def answered(campaign: Campaign, X: Array) -> tuple[Array, NDArray[np.int8]]:
-    """Designs and outcomes, numerical failures left out."""
+    """Designs and outcomes without numerical failures."""
     outcome = campaign.simulator.run(X).outcome
     kept = outcome != NUMERICAL_FAILURE
     return X[kept], outcome[kept]
 
 
 def fresh_designs(campaign: Campaign, n: int, cache: Path | None) -> tuple[Array, NDArray[np.int8]]:
-    """n uniform designs and their outcomes, kept in a file between runs where one is named."""
+    """n uniform designs and their outcomes, kept in a file between runs if one is named."""
     if cache is not None and cache.exists():
         with np.load(cache) as saved:
             return saved["X"], saved["outcome"]
@@ -86,7 +86,9 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--fresh", type=int, default=8000)
     parser.add_argument("--features", default="paper")
-    parser.add_argument("--settings", default="", help="more TOML, as `acquisition.exploration = 0.1`")
+    parser.add_argument(
+        "--settings", default="", help="additional settings in TOML, such as `acquisition.exploration = 0.1`"
+    )
     parser.add_argument("--cache", type=Path, help="file (.npz) that keeps the fresh designs")
     arguments = parser.parse_args()
     budgets = [300, 400, 500]

@@ -1,16 +1,18 @@
-"""How often could any classifier be right that sees a bearing by the paper's six features alone?
+"""The highest accuracy of any classifier that uses only the paper's six features.
 
     python experiments/feature_limit.py --n 10000 --copies 32
 
-Six features leave three of Table 1's nine variables free: bearings with the same six may differ in what happens to
-them. Each of n designs, uniform over Table 1, gets copies with the same features, drawn from the uniform measure given
-these, and all are simulated. In logarithms the features are linear and the density is exponential, so that steps of
-hit-and-run are drawn exactly; a design is a draw given its own features, so that walks from it are in equilibrium from
-the start. What is left of where they began makes both figures too high rather than too low: more --steps show how much.
+Six features leave three of Table 1's nine variables free, so bearings with the same six features may have different
+outcomes. Each of n designs, uniform over Table 1, gets copies with the same features, drawn from the uniform measure
+given these, and all are simulated. In logarithms the features are linear and the density is exponential, so steps of
+hit-and-run are drawn exactly. A design is a draw given its own features, so walks from it are in equilibrium from the
+start. The remaining correlation with the start makes both figures too high rather than too low; more --steps show by
+how much.
 
-    vote     right where the majority of the copies says what happens to the design itself: a classifier on the six
-             features, so the limit is not below it;
-    share    mean share of the most frequent outcome among copies and design: the limit is not above it, but for chance.
+    vote     accuracy of predicting a design by the majority of its copies: a classifier on the six features, so the
+             limit is not below it;
+    share    mean share of the most frequent outcome among copies and design: the limit is not above it, apart from
+             chance.
 
 Per cent with standard errors over designs, for the failure and the impact boundary.
 """

@@ -1,12 +1,11 @@
-"""What features are worth: accuracy at the failure boundary by feature set and number of simulations.
+"""Compares feature sets by accuracy at the failure boundary and number of simulations.
 
     python experiments/features.py --static 500 --active 500 --seeds 3000 3001 paper sliding collision
 
-For each seed a Latin hypercube is simulated and learned from (static), or one of 250 that entropy sampling extends in
-batches of 10 (active); options name another kernel, criterion or batch, or a share of each batch that is drawn at
-random. Every classifier is judged on the same 8,000 fresh designs: the share on the right side of the failure boundary
-and the mean log2 probability given to what happened. The cost of the features is measured beside that of the bearing
-model.
+For each seed a classifier learns from a Latin hypercube (static), or from one of 250 that entropy sampling extends in
+batches of 10 (active). Options select another kernel, criterion or batch, or a share of each batch that is drawn at
+random. Every classifier is scored on the same 8,000 fresh designs: the share on the right side of the failure boundary
+and the mean log2 probability of the true label. The cost of the features is compared with that of the bearing model.
 """
 
 import argparse
@@ -48,7 +47,7 @@ def static(features, n, options, seed, F_fresh, y_fresh) -> str:
 
 
 def active(features, options, seed, F_fresh, y_fresh):
-    """Yields each budget and what has been learned by then."""
+    """Yields each budget and the classifier at that budget."""
     X = TABLE_1.latin_hypercube(INITIAL, np.random.default_rng([seed, INITIAL]))
     y, latent, budgets = fails(X), None, options.active
     at_random = round(options.exploration * options.batch)
@@ -76,7 +75,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="+", help="paper, design, sliding, collision")
     parser.add_argument("--static", nargs="*", type=int, default=[], help="sizes of static samples")
-    parser.add_argument("--active", nargs="*", type=int, default=[], help="budgets at which active learning is judged")
+    parser.add_argument("--active", nargs="*", type=int, default=[], help="budgets at which active learning is scored")
     parser.add_argument("--seeds", nargs="+", type=int, default=[3000])
     parser.add_argument("--fresh", nargs="+", type=int, default=[5151, 1], help="seed of the fresh designs")
     parser.add_argument("--kernel", default="matern52")

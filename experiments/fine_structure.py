@@ -1,12 +1,12 @@
-"""Is what a classifier gets wrong a fine structure of the boundary? Labels of designs and of their displaced copies.
+"""Are the classifier's errors a fine structure of the boundary? Compares labels of designs and of displaced copies.
 
     python experiments/fine_structure.py --n 4000
     python experiments/fine_structure.py --n 4000 --run runs/bearing
 
-Every design is moved along a random direction of the unit cube, by a share of the variables' ranges a coordinate (root
-mean square), and simulated again: the share [%] of outcomes "failure" that change. With a run folder, its classifier is
-asked too: the same shares among the designs that it gets wrong and among those it gets right, and how often a wrong one
-lies in a pocket, where most of its copies have the outcome that the classifier gave.
+Every design is moved along a random direction of the unit cube, by a share of the variables' ranges per coordinate
+(root mean square), and simulated again. Printed is the share [%] of outcomes "failure" that change. With a run folder,
+the same shares are printed for the designs that its classifier gets wrong and for those it gets right, and how often a
+wrong one is in a pocket, where most of its copies have the outcome that the classifier gave.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def percent(flags, rows=slice(None)):
 
 
 def wrong_designs(folder, X, failed):
-    """Which designs the classifier of a run folder has on the wrong side of the failure boundary, (n,) bool."""
+    """Whether the classifier of a run folder puts a design on the wrong side of the failure boundary, (n,) bool."""
     from activefail.campaign.opening import open_campaign
     from activefail.loop.learning import current_classifier
 

@@ -1,15 +1,15 @@
-"""Which covariance, which likelihood: the failure boundary learned again from the same designs.
+"""Compares covariances and likelihoods: the failure boundary learned again from the same designs.
 
     python experiments/kernels.py collision --static 500 --seeds 1000 1001 matern52 matern52+average rbf ordinal
 
-A variant is a covariance (rbf, matern32, matern52, rq), with further parts added to it: "+linear"; "+one", one of the
+A variant is a covariance (rbf, matern32, matern52, rq), with optional parts: "+linear"; "+one", a covariance of the
 last feature alone; "+lapseX", labels that are wrong with probability X whatever the latent; "+tight", a prior of the
-logarithm of the length scales of deviation 1, not 1.7; "+narrow", that of the output scale of deviation 1, not 2, with
-N(0, 1) for the mean; "+initial", hyperparameters learned on the first 250 designs alone; "+warped", every feature
-brought to a normal distribution over the design space; "+average", probabilities averaged over hyperparameters drawn
-from a Laplace approximation; "+mixed", over those learned on all designs and those learned on the first 250. "ordinal"
-is one latent and two thresholds for the three outcomes.
-Judged on fresh designs: right sides of the boundary [%], mean log probability of the side [nat, times 100]; for
+logarithm of the length scales with deviation 1 instead of 1.7; "+narrow", a prior of the output scale with deviation 1
+instead of 2, and N(0, 1) for the mean; "+initial", hyperparameters learned from the first 250 designs only; "+warped",
+every feature transformed to a normal distribution over the design space; "+average", probabilities averaged over
+hyperparameters drawn from a Laplace approximation; "+mixed", averaged over those learned from all designs and those
+learned from the first 250. "ordinal" is one latent and two thresholds for the three outcomes.
+Scores on fresh designs: right sides of the boundary [%], mean log probability of the side [nat, times 100]; for
 "ordinal" also that of the outcome.
 """
 

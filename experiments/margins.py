@@ -1,10 +1,10 @@
-"""Do margins help? Labels of the failure boundary, and how far each simulation was from failing, learned together.
+"""Do margins help? The failure boundary learned from labels together with each simulation's distance from failure.
 
     python experiments/margins.py collision --static 500 --seeds 1000 1001 1002
 
-Two outputs of one Gaussian process, correlated as they come: a latent with the probit likelihood, and the margin
-(signed root of `peers.failure_margin`, either side of one mean size) with Gaussian noise. So survivors and failures
-say how near they were. Judged as in kernels.py, beside the labels alone.
+One Gaussian process has two outputs with a free correlation: a latent with the probit likelihood, and the margin
+(signed root of `peers.failure_margin`, each side scaled by its mean size) with Gaussian noise. So survivors and
+failures also show how close they were. Scores are those of kernels.py, compared with the labels alone.
 """
 
 import argparse

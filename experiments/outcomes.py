@@ -1,12 +1,12 @@
-"""How the latents of two nested boundaries become probabilities of three outcomes.
+"""Compares ways to compute probabilities of three outcomes from the latents of two nested boundaries.
 
     python experiments/outcomes.py collision --static 500 --seeds 1000 1001 --fresh 778 8
     python experiments/outcomes.py collision --active 500 --criterion eavc --impact 0.3 --couplings consistent
 
-No impact < impact < failure. Latent 1 says P1 = P(impact or worse), latent 2 P2 = P(failure), each learned from all
-designs; Pc is a failure's probability given an impact, learned from the designs with one, and Pb that of an impact
-given no failure, learned from those without. Judged on fresh designs: mean log probability of what happened [nat, times
-100], and the shares [%] of right outcomes, of right sides of the failure boundary and of the impact boundary.
+No impact < impact < failure. Latent 1 gives P1 = P(impact or worse), latent 2 P2 = P(failure), each learned from all
+designs. Pc is the probability of failure given an impact, learned from the designs with one. Pb is that of an impact
+given no failure, learned from the designs without failure. Scores on fresh designs: mean log probability of the true
+outcome [nat, times 100], and the shares [%] of right outcomes and of right sides of the failure and impact boundaries.
 """
 
 import argparse
@@ -26,7 +26,7 @@ INITIAL, FRESH = 250, 8000
 
 
 class Sampling(NamedTuple):
-    """How active designs are chosen; of those that are no exploration, the share `impact` seeks that boundary."""
+    """How active designs are chosen; the share `impact` of those without exploration targets the impact boundary."""
 
     criterion: str = "entropy"
     impact: float = 0.0

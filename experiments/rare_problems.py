@@ -45,7 +45,7 @@ class RareProblem:
         return Results(failed, nothing.astype(np.int8), np.empty((len(X), 0)), nothing)
 
     def settings(self, **changes: object) -> CampaignSettings:
-        """A campaign on it: every variable within six standard deviations; other keys with `__` for a dot."""
+        """Settings of a campaign on it: variables within six standard deviations; other keys with `__` for a dot."""
         space = {
             f"x{number}": {"low": mean - 6.0 * sd, "high": mean + 6.0 * sd, "distribution": "truncated_normal"}
             | {"mean": mean, "sd": sd}

@@ -1,10 +1,10 @@
-"""How soon a campaign sees a failure that its initial design lacks: with its search, and by its criterion alone.
+"""How soon a campaign finds a failure that its initial design lacks, with its search and by its criterion alone.
 
     python experiments/search.py --campaigns 20
 
-Each campaign begins with 30 designs without a failure (initial designs with one are passed over) and then proposes 30
-more, five at a time. Beside the campaign's own proposals: the same criterion without the search, which is what the
-program did before, and a Latin hypercube of as many designs.
+Each campaign begins with 30 designs without a failure (initial designs with one are skipped) and then proposes 30 more,
+five at a time. The campaign's own proposals are compared with the same criterion without the search, as the program
+formerly worked, and with a Latin hypercube of the same size.
 """
 
 import argparse
@@ -25,7 +25,7 @@ INITIAL, BATCH, BATCHES = 30, 5, 6
 
 
 def first_failure(campaign: Campaign, problem: RareProblem, searching: bool) -> int | None:
-    """How many designs after the initial ones it took to see a failure; None if none was seen."""
+    """Number of designs after the initial ones until the first failure; None without a failure."""
     X = initial_designs(campaign)
     for iteration in range(1, BATCHES + 1):
         outcome = problem.run(X).outcome

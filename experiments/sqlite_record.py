@@ -44,7 +44,7 @@ COMMITS = 192
 
 
 def batch(number: int) -> Batch:
-    """The batch of a number, always the same."""
+    """The batch with a number, always the same."""
     rng = np.random.default_rng(number)
     codes = np.zeros(SIZE, dtype=np.int8)
     answers = Results(rng.integers(0, 2, SIZE).astype(np.int8), codes, rng.random((SIZE, MARGINS)), rng.random(SIZE))
@@ -105,7 +105,7 @@ class SqliteRecord:
 
 
 def read_sqlite(path: Path, checked: bool) -> bytes:
-    """SHA-256 of all rows of a database that `PRAGMA integrity_check` finds whole.
+    """SHA-256 of all rows of a database that passes `PRAGMA integrity_check`.
 
     Raises:
         sqlite3.Error: if it is not whole; with `checked` also if the chain of digests does not agree.
@@ -206,7 +206,7 @@ def at_size(place: Path, simulations: int) -> None:
     taken: dict[str, list[float]] = {kind: [] for kind in records}
     for number in range(COMMITS):
         one = batch(simulations // SIZE + number)
-        for kind, record in records.items():  # in turn: all meet the same machine
+        for kind, record in records.items():  # in turn: all run under the same load
             began = time.perf_counter()
             record.commit(one)
             taken[kind].append(time.perf_counter() - began)
@@ -220,7 +220,7 @@ def at_size(place: Path, simulations: int) -> None:
 
 
 def commit_for_ever(kind: str, path: Path) -> None:
-    """Commit batches and print the number of each once it is acknowledged."""
+    """Commit batches without end and print the number of each acknowledged one."""
     record = KINDS[kind][0](path)
     number = 0
     while True:
@@ -230,7 +230,7 @@ def commit_for_ever(kind: str, path: Path) -> None:
 
 
 def killed(place: Path, kind: str, kills: int) -> None:
-    """Print what kill -9 leaves of acknowledged batches."""
+    """Print how many acknowledged batches survive kill -9."""
     rng = np.random.default_rng(0)
     lost, partial = 0, 0
     for attempt in range(kills):
@@ -265,7 +265,7 @@ def killed(place: Path, kind: str, kills: int) -> None:
 
 
 def flipped(place: Path, kind: str, flips: int) -> None:
-    """Print what a flipped bit does to a record of 100 batches."""
+    """Print the effect of a flipped bit on a record of 100 batches."""
     path = made(place / "flips", kind, 100)
     read = KINDS[kind][1]
     expected = read(path)

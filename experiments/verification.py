@@ -1,15 +1,14 @@
-"""How often the interval of a verified error holds the true error, and what a stop by it leads to.
+"""How often the interval of a verified error covers the true error, and the error at which a stop rule ends campaigns.
 
     python experiments/verification.py parts --repetitions 4000
     python experiments/verification.py rare --campaigns 20
     python experiments/verification.py bearing --campaigns 20 --budget 350 --simulations 100 200 --stop 0.03
 
 `parts` draws answers for parts of a design space with known volumes and known shares of errors: true errors from 0.05
-to 20 %, 10 to 1,000 simulations, with and without an initial design, beside the bounds that the program had before.
-`rare` verifies classifiers of a reliability problem whose failure 30 simulations seldom show, so that most errors are
-failures that nobody saw. `bearing` runs campaigns on the bearing, each with its own seed; the true error is measured on
-fresh designs of its own. Campaigns with a stop rule run until it ends them, or to 600 simulations; they are judged the
-same way.
+to 20 %, 10 to 1,000 simulations, with and without an initial design, compared with the former bounds. `rare` verifies
+classifiers of a reliability problem whose failure 30 simulations seldom show, so most errors are unseen failures.
+`bearing` runs campaigns on the bearing, each with its own seed; the true error is measured on separate fresh designs.
+Campaigns with a stop rule run until it ends them, or to 600 simulations, and are scored in the same way.
 """
 
 import argparse
@@ -48,7 +47,7 @@ INITIAL = (0, 30, 250)
 
 
 def shares_of(where: str, volumes: np.ndarray, error: float) -> np.ndarray | None:
-    """Shares of errors in the parts that come to an error over the space; None where there is no room for it."""
+    """Shares of errors in the parts that give an error over the space; None if the parts cannot hold it."""
     match where:
         case "as expected":
             p = EXPECTED * error / (volumes @ EXPECTED)
@@ -66,7 +65,7 @@ def shares_of(where: str, volumes: np.ndarray, error: float) -> np.ndarray | Non
 
 
 def bounds_before(volumes: np.ndarray, n: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
-    """The 90 % interval that the program gave before: a posterior with the classifier's expectation as its prior."""
+    """The former 90 % interval: a posterior with the classifier's expectation as its prior."""
     shares = rng.beta(0.1 + EXPECTED + x, 0.5 + 1.0 - EXPECTED + n - x, size=(2000, 5))
     low, high = np.quantile(shares @ volumes, [0.05, 0.95])
     return float(low), float(high)

@@ -175,7 +175,7 @@ def test_the_glossary_is_in_order_and_names_no_word_twice():
     assert words == sorted(set(words))
 
 
-def test_the_map_of_the_house_has_every_package_in_the_order_that_the_layers_have():
+def test_the_map_of_the_packages_has_every_package_in_the_order_that_the_layers_have():
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     lines = re.findall(r"^    (\w+(?:\.py)?)  ", text, re.MULTILINE)
     drawn = [name.removesuffix(".py") for name in lines]

@@ -10,7 +10,7 @@ displacement x and height z and the slider's rotation θ, with two vertices inst
 with force F and torque T of the bottom plate on the slider's bottom vertices (`contact.vertex_force`). The motion until
 0.6 s before the first touch is that of the sliding block (`activefail.bearing.sliding`). The last 0.6 s are two or
 three periods of the elastic rocking, which determines tilt and speed at the rim. The slider's I is raised to
-0.005 M D_sl², still negligible beside the plate's, so that explicit steps of 0.5 to 1 ms suffice. The model alone
+0.005 M D_sl², still negligible compared with the plate's, so explicit steps of 0.5 to 1 ms suffice. The model alone
 predicts failure correctly for 98.5 % of Table 1's samples at a quarter of the bearing model's cost; most errors are
 second passes.
 """

@@ -229,7 +229,7 @@ class PythonFeatures(Section):
     """Custom features: a Python function.
 
     Attributes:
-        python: the function; its module is searched for beside the campaign file, then on Python's path.
+        python: the function; its module is searched in the folder of the campaign file, then on Python's path.
         variables: whether the variables precede the function's columns.
     """
 

@@ -164,9 +164,9 @@ def parse_settings(text: str, source: str) -> CampaignSettings:
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
     except RecursionError:
-        raise InputError(f"{source}: not valid TOML: tables or lists nested hundreds deep.") from None
+        raise InputError(f"{source}: not valid TOML: tables or lists are nested hundreds of levels deep.") from None
     except ValueError:
-        raise InputError(f"{source}: not valid TOML: an integer with thousands of digits.") from None
+        raise InputError(f"{source}: not valid TOML: an integer has thousands of digits.") from None
     return _checked(values, source)
 
 

@@ -73,7 +73,7 @@ def simulate(
     if csv is not None:
         if design_options or plot or animate:
             single = [*design_options, "--plot" if plot else "--animate"][0]
-            raise InputError(f"--csv simulates a table; {single} belongs to one design.")
+            raise InputError(f"--csv cannot be combined with {single}, which is for one design.")
         if out is None:
             raise InputError("--csv needs --out FILE for the results.")
         _simulate_table(csv, out, model, integration)
@@ -82,7 +82,7 @@ def simulate(
     if missing:
         raise InputError(f"A design needs all nine variables; missing: {', '.join(missing)}. (Or use --csv and --out.)")
     if out is not None:
-        raise InputError("--out goes with --csv; use --plot or --animate for one design.")
+        raise InputError("--out requires --csv; for one design use --plot or --animate.")
     _simulate_one([value for value in design.values() if value is not None], model, integration, plot, animate)
 
 

@@ -33,7 +33,7 @@ from activefail.errors import InputError
 from activefail.explorer.answers import Answer, Answers
 
 LONGEST_BODY = 4096
-"""Longest question [bytes]; a design has some hundred."""
+"""Longest question [bytes]; a design has about a hundred."""
 
 MOST_CONNECTIONS = 512
 """Most open connections; each has a thread."""
@@ -163,7 +163,7 @@ class ExplorerServer(ThreadingHTTPServer):
                 with suppress(OSError):
                     idle.shutdown(socket.SHUT_RD)
             if not self._fewer.wait(0.5):
-                raise BlockingIOError("There is no room for another connection yet.")
+                raise BlockingIOError("The explorer accepts no further connection yet.")
 
     def heard_from(self, connection: socket.socket) -> None:
         """Mark a connection as the most recently active."""
@@ -238,7 +238,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path in self.server.files:
             self._send(HTTPStatus.OK, *self.server.files[url.path])
         else:
-            self._refuse(HTTPStatus.NOT_FOUND, "There is nothing here.")
+            self._refuse(HTTPStatus.NOT_FOUND, "Page not found.")
 
     def do_HEAD(self) -> None:
         """Like GET, without the body."""
@@ -250,22 +250,22 @@ class _Handler(BaseHTTPRequestHandler):
             return
         handler = self.server.questions.get(self.path)
         if handler is None:
-            self._refuse(HTTPStatus.NOT_FOUND, "There is no such question.")
+            self._refuse(HTTPStatus.NOT_FOUND, "Unknown request.")
             return
         # Another site's page could send a form or plain text without a CORS preflight.
         if self.headers.get_content_type() != "application/json":
-            self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A question must be application/json.")
+            self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A request must be application/json.")
             return
         length = self.headers.get("Content-Length", "")
         if not _LENGTH.fullmatch(length) or int(length) > LONGEST_BODY:
-            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"A question is at most {LONGEST_BODY} bytes.")
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"A request must be at most {LONGEST_BODY} bytes.")
             return
         try:
             question = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
             question = None
         if not isinstance(question, dict):
-            self._refuse(HTTPStatus.BAD_REQUEST, "A question must be a JSON object.")
+            self._refuse(HTTPStatus.BAD_REQUEST, "A request must be a JSON object.")
             return
         if not self.server.turns.acquire(blocking=False):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "The explorer is busy; try again.", {"Retry-After": "1"})

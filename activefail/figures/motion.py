@@ -91,7 +91,7 @@ def plot_histories(response: Response, width: float = 5.2) -> Figure:
         labels = ("Displacement [m]", "Ground [g]", "Gap [mm]", "Tilt [°]")
         for panel, label in zip(panels, labels, strict=True):
             mark_events(panel, response)
-            # A narrow figure has no room for titles beside the legend.
+            # A narrow figure has no room for titles next to the legend.
             panel.set(title="", ylabel=label)
         _legend_above(ground)
         tilt.set_xlim(motion.stirs, motion.end + 0.01 * (motion.end - motion.stirs))
@@ -145,7 +145,7 @@ def _zoom_on_failure(response: Response, panels: Sequence[Axes]) -> None:
 
 
 def _legend_above(axes: Axes) -> None:
-    """Put the legend beside the panel's title, where it hides no curve."""
+    """Put the legend next to the panel's title, where it hides no curve."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.98), ncols=4, columnspacing=1.0, handlelength=1.8)
 

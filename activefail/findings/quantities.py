@@ -64,9 +64,9 @@ _KNOWN = {
         Quantity("h_sl/D_sl", "$h_{sl}/D_{sl}$", "h_sl/D_sl", "", "slider height over its diameter"),
         Quantity("h_rim/D_sl", "$h_{rim}/D_{sl}$", "h_rim/D_sl", "", "rim height over the slider's diameter"),
         Quantity("k_norm", "$k_{norm}$", "k_norm", "", "contact stiffness over pressure and pulse displacement"),
-        Quantity("v*", "$v*$", "v*", "", "sliding block: speed at the rim over the speed that lifts over it"),
-        Quantity("a*", "$a*$", "a*", "", "sliding block: push of the ground at the stop, outwards, over g"),
-        Quantity("m*", "$m*$", "m*", "", "reduced collision: how far it goes towards failure"),
+        Quantity("v*", "$v*$", "v*", "", "sliding block: speed at the rim over the speed needed to cross it"),
+        Quantity("a*", "$a*$", "a*", "", "sliding block: outward ground acceleration at the stop, over g"),
+        Quantity("m*", "$m*$", "m*", "", "reduced collision: severity, 0 at failure"),
     )
 }
 

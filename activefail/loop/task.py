@@ -59,7 +59,7 @@ class Task:
             needed = (progress.done // size + 1) * size
             raise SimulationError(
                 f"None of the {progress.done} simulations gave an outcome, so there is nothing to learn from. They are "
-                f"recorded; the campaign stops here. The cause of the first is {first or 'unnamed'}. Fix the "
+                f"recorded; the campaign stops here. The first failed with cause `{first or 'unnamed'}`. Fix the "
                 f"simulator, then `{self.resume_command}{f' --budget {needed}' if self.budget < needed else ''}` "
                 f"continues with other initial designs." + first_fault_text(self.faults)
             )

@@ -1,4 +1,4 @@
-"""The paper's claims beside our results: intervals and a verdict for each."""
+"""The paper's claims compared with activefail's results: intervals and a verdict for each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -217,17 +217,21 @@ def claims(study: Study) -> list[Claim]:
 
 
 CONCLUSIONS: dict[str, Callable[[list[Draw]], bool]] = {
-    "the same two features for impact": lambda draws: majority(draws, "impact") == papers_significant("impact"),
-    "the same three for failure": lambda draws: majority(draws, "failure") == papers_significant("failure"),
-    f"regression, impact: {published.LOGISTIC['impact']} in a sample's spread": lambda draws: contains(
+    "the same two significant features for impact": lambda draws: (
+        majority(draws, "impact") == papers_significant("impact")
+    ),
+    "the same three significant features for failure": lambda draws: (
+        majority(draws, "failure") == papers_significant("failure")
+    ),
+    f"logistic regression, impact: {published.LOGISTIC['impact']} within one sample's spread": lambda draws: contains(
         Estimate.over(logistic(draws, "impact", "in_sample")).of_one, published.LOGISTIC["impact"], PERCENT
     ),
-    f"regression, failure: {published.LOGISTIC['failure']} in a sample's spread": lambda draws: contains(
+    f"logistic regression, failure: {published.LOGISTIC['failure']} within one sample's spread": lambda draws: contains(
         Estimate.over(logistic(draws, "failure", "in_sample")).of_one, published.LOGISTIC["failure"], PERCENT
     ),
-    f"process: {published.HELD_OUT} held out in a sample's spread": lambda draws: contains(
+    f"Gaussian process: {published.HELD_OUT} held out within one sample's spread": lambda draws: contains(
         Estimate.over(held_out(draws)[:, :1]).of_one, published.HELD_OUT, PERCENT
     ),
-    "process ahead on fresh designs": lambda draws: Estimate.over(fresh_gain(draws)).of_mean[0] > 0.0,
+    "Gaussian process more accurate on fresh designs": lambda draws: Estimate.over(fresh_gain(draws)).of_mean[0] > 0.0,
 }
 """The paper's conclusions, each as a condition on a study's draws."""

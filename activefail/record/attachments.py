@@ -1,4 +1,4 @@
-"""Files beside the batches: states, which hold what was learned, and sets of designs outside the budget."""
+"""Files in addition to the batches: states of the classifier, and sets of designs outside the budget."""
 
 from collections.abc import Collection, Mapping
 from typing import Any

@@ -121,5 +121,5 @@ def link_in_run_folder(path: Path) -> Path | None:
 
 
 def _is_run_folder(folder: Path) -> bool:
-    # A user's campaign file may also be named campaign.toml, beside a folder named simulations.
+    # A user's campaign file may also be named campaign.toml, next to a folder named simulations.
     return (folder / SETTINGS).is_file() and ((folder / FOLDERS[0]).is_dir() or (folder / LOCK).is_file())

@@ -43,7 +43,7 @@ def reading(path: Path) -> Iterator[None]:
     except OSError as error:
         raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
     except MemoryError:
-        raise StoreError(f"Cannot read {path}: it does not fit into the memory.") from None
+        raise StoreError(f"Cannot read {path}: it does not fit into memory.") from None
 
 
 def is_segment(name: str) -> bool:

@@ -341,7 +341,7 @@ class FolderStore:
     def _publish(self, segment: Segment, data: bytes) -> None:
         """Commit a segment of new designs, protected against a writer that the lock did not stop."""
         path = self.folder / "segments" / segment.name
-        reason = f"another writer got there first. Open {self.folder} again."
+        reason = f"another writer was faster. Open {self.folder} again."
         if rival := self._rival(segment):
             raise StoreError(f"Cannot write {path}: {rival} already holds its designs; {reason}")
         publish(path, data)

@@ -63,8 +63,8 @@ class Store(Protocol):
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays, learned from the batches so far; durable when this returns.
 
-        A state of the same iteration is replaced. States of later iterations are dropped: they belong to a discarded
-        course of the campaign. The newest three states are kept. A lost state costs only time, as it can be learned
+        A state of the same iteration is replaced. States of later iterations are dropped: they belong to
+        discarded batches. The newest three states are kept. A lost state costs only time, as it can be learned
         again.
 
         Args:

@@ -1,4 +1,4 @@
-"""The reproduction page: the paper's results beside ours, as Markdown with SVG and PNG figures."""
+"""The reproduction page: the paper's results compared with activefail's, as Markdown with SVG and PNG figures."""
 
 import json
 from collections.abc import Callable

@@ -76,7 +76,7 @@ def drift() -> Callable[..., Array]:
     ) -> Array:
         control = Control(tolerance, (0.05,) * 5, (0.5,) * 5, 1_000_000)
         rows, history = _drift(system, t, tuple(map(float, q)), tuple(map(float, v)), duration, control, longest)
-        assert rows > 0, "the integration gave up"
+        assert rows > 0, "the integration failed"
         return history[:rows]
 
     return motion

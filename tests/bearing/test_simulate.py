@@ -301,7 +301,7 @@ def test_too_many_steps_are_a_numerical_failure_with_its_cause_and_never_a_beari
     kept = ~gave_up
     np.testing.assert_array_equal(some.columns[kept], production.columns[:200][kept])
     np.testing.assert_array_equal(some.outcome[kept], production.outcome[:200][kept])
-    # Failed bearings, too, come out as given up when the steps end before the failure.
+    # A failing bearing is also a numerical failure if the steps end before the failure.
     assert (production.outcome[:200][gave_up] == o.FAILURE).any()
 
     one = simulate_one(bearing_of(designs[0]), pulse_of(designs[0]), tolerance=Tolerance(most_steps=20))

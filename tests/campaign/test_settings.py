@@ -308,7 +308,7 @@ def test_a_broken_rule_is_named_with_file_key_path_rule_and_value(text: str, say
 
 
 def test_a_whole_number_of_more_digits_than_are_read_is_refused_naming_the_file() -> None:
-    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: an integer with thousands of digits."
+    assert _refusal(f"seed = {'9' * 5000}") == "mine.toml: not valid TOML: an integer has thousands of digits."
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ def test_another_site_s_page_may_not_ask(server):
         ("predict", [1], 400, "must be a JSON object"),
         ("plane", {"point": POINT, "x": "T_p", "y": "../../etc", "shown": "failure"}, 400, "variable: must be one of"),
         ("plane", {"point": POINT, "x": "T_p", "y": "T_p", "shown": "failure"}, 400, "two variables"),
-        ("delete", {"point": POINT}, 404, "no such question"),
+        ("delete", {"point": POINT}, 404, "Unknown request"),
     ],
 )
 def test_a_question_that_makes_no_sense_is_refused_in_words(server, question, what, status, says):

@@ -69,7 +69,7 @@ def finished(folder: Path) -> Course:
 
 @dataclass
 class Victim:
-    """A process at a campaign, waiting at a place of its work until it is told to go on."""
+    """A process that runs a campaign and waits at a point of its work until it is told to continue."""
 
     server: "Victims"
     pid: int

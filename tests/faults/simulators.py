@@ -160,7 +160,7 @@ def answers_twice(X: Array) -> None:
 
 
 def answers_at_all_times(X: Array) -> None:
-    """A thread goes on answering the question that it heard."""
+    """A thread continues to answer the question that it read."""
     from threading import Thread
 
     line = _line()

@@ -57,7 +57,7 @@ often = hypothesis.settings(
 
 @pytest.fixture(scope="module")
 def sent(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run folder with all that the commands put into one, and beside it the code that it names."""
+    """A run folder with everything that the commands write, and next to it the code that it names."""
     home = tmp_path_factory.mktemp("sent")
     (home / "model.py").write_text(MODEL)
     (home / "campaign.toml").write_text(CAMPAIGN)
@@ -70,7 +70,7 @@ def sent(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def received(sent: Path, tmp_path: Path) -> Path:
-    """A copy of it, beside the code and a table of designs."""
+    """A copy of it, with the code and a table of designs."""
     shutil.copy(sent.parent / "model.py", tmp_path)
     (tmp_path / "designs.csv").write_text("x,y\n0.2,0.3\n0.7,0.1\n")
     return Path(shutil.copytree(sent, tmp_path / "run"))

@@ -89,7 +89,7 @@ GOODS = (
     full(_OWN | {"simulator": {"python": "own_model:run"} | _ANSWERS}),
     full(_OWN | {"simulator": {"command": "model {here} {drift:.3f} {T} {mu} {storeys} {out}"} | _ANSWERS}),
 )
-"""Settings of a bearing, of a function of one's own and of a program."""
+"""Settings of a bearing, of a custom function and of a custom program."""
 
 texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x7f"), max_size=12)
 scalars = st.one_of(
@@ -204,7 +204,7 @@ def variables(draw: st.DrawFn) -> dict[str, Any]:
 
 @st.composite
 def own_campaigns(draw: st.DrawFn) -> dict[str, Any]:
-    """Settings of a campaign on a function or a program of one's own, that are good."""
+    """Valid settings of a campaign on a custom function or program."""
     known = draw(st.lists(names, min_size=1, max_size=8, unique_by=parsed_name))
     number = draw(st.integers(1, len(known)))
     space: dict[str, Any] = {name: draw(variables()) for name in known[:number]}

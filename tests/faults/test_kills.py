@@ -102,7 +102,7 @@ def _between(trace: list[str], name: str) -> list[Call]:
 
 
 def assert_nothing_lost(victim: Victim, folder: Path, uninterrupted: Course, alone: bool = True) -> None:
-    """Assert that all that was acknowledged is there, and that the campaign goes on as if nothing had happened.
+    """Assert that all acknowledged data exists, and that the campaign continues as if nothing had happened.
 
     Args:
         alone: whether no second writer was let in by a lock that does nothing. Two remove each other's states, which

@@ -62,7 +62,7 @@ def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_ca
     assert "No space left on device" in again.err
     (disk / "ballast").unlink()
     assert activefail("resume", disk / "run").code == 0
-    # The table beside the run folder would not fit on the disk.
+    # The table would not fit on the disk with the run folder.
     shutil.move(disk / "run", tmp_path / "run")
     assert record(tmp_path / "run") == record(tmp_path / "straight")
 

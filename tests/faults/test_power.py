@@ -75,7 +75,7 @@ Change = tuple[tuple[str, int | None], ...]
 
 @dataclass(frozen=True)
 class Moment:
-    """What is on the disk, what is under way to it, and what the program was told by then."""
+    """What is on the disk, what is being written, and what the program has been told."""
 
     names: Mapping[str, int]
     pending: tuple[Change, ...]

@@ -85,7 +85,7 @@ def test_a_simulator_that_fails_in_a_region_is_recorded_there_and_stopped_above_
         causes = np.concatenate([batch.results.cause for batch in store.batches])
         assert ((outcome == NUMERICAL_FAILURE) == (X[:, 0] < -1.0)).all()
         assert {cause_name(Disc.causes, code) for code in causes[X[:, 0] < -1.0].tolist()} == {cause}
-        # Allowed more, it goes on with what it has.
+        # With a higher limit it continues with the record that it has.
         assert run(one, store, executor, 24, failure_limit=0.9)
         assert standing(one, store.batches, 24).done == 24
 

@@ -218,7 +218,7 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
     broken, mended = plan(FOGGED, 48), plan(budget=48)
     store = MemoryStore(mended.schema)
     for done in (12, 24):
-        with pytest.raises(SimulationError, match=f"None of the {done} simulations .* cause of the first is fog"):
+        with pytest.raises(SimulationError, match=f"None of the {done} simulations .* first failed with cause `fog`"):
             take(broken, store, 48)
         assert sum(map(len, store.batches)) == done
     failed = store.batches

@@ -313,7 +313,7 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
         done, first = sets * INITIAL, initial_designs(broken, sets)[-INITIAL].tolist()
         message = str(stopped.value)
         assert f"None of the {done} simulations gave an outcome" in message
-        assert "The cause of the first is raised." in message
+        assert "The first failed with cause `raised`." in message
         assert "`activefail resume DIR` continues" in message
         assert (
             f"Why the first abandoned simulation failed: design {first}: ZeroDivisionError: the stiffness vanished"
@@ -363,7 +363,7 @@ def test_a_budget_that_is_too_small_for_other_initial_designs_is_told(initial: i
     assert "the stiffness vanished" in str(stopped.value)
     if budget == initial:
         # Nothing is simulated now, but the record says what befell.
-        with pytest.raises(SimulationError, match=f"The cause of the first is raised.*{words}") as stopped:
+        with pytest.raises(SimulationError, match=f"The first failed with cause `raised`.*{words}") as stopped:
             take(campaign, store, budget=budget)
         assert "the stiffness vanished" not in str(stopped.value)
     take(disc(initial=initial, batch=2, more="limits.numerical_failures = 1.0"), store, budget=28)

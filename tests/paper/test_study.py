@@ -157,7 +157,7 @@ def test_a_variant_counts_the_outcomes_that_its_model_moves(study):
 
 
 def made(p_values=published.P_VALUES, held_out=0.97, fresh=0.95):
-    """A draw with these statistics, the paper's unless told."""
+    """A draw with these statistics, by default the paper's."""
     logistic = {name: Logistic(published.LOGISTIC[name], 0.9, np.array(p), False) for name, p in p_values.items()}
     lengths = np.array([1.0, 1.0, 1.0, 20.0, 20.0, 20.0])
     process = Process(held_out, fresh, -0.1, 0.02, 1.0, lengths, np.zeros(6, dtype=bool), True, np.full(4, 0.5))

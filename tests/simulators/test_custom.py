@@ -1,4 +1,4 @@
-"""Simulators of one's own: what they are told, what they may answer, and what becomes of them that do not."""
+"""Custom simulators: their input, their permitted answers, and the treatment of other answers."""
 
 import hashlib
 import importlib
@@ -57,7 +57,7 @@ def python(folder: Path, function: str = "run", source: str = MODEL) -> PythonSi
 
 
 def program(folder: Path, source: str, **other: object) -> CommandSimulator:
-    """A program of Python in a folder, over SPACE; told the drift, with all digits and with two, and where it lies."""
+    """A Python program in a folder, over SPACE; it receives the drift, with all digits and with two, and its folder."""
     (folder / "model.py").write_text(f"import json, os, sys, time\n{source}")
     given = {
         "command": f"{sys.executable} {{here}}/model.py {{drift}} {{T:.2f}} 'a b' {{out}}",
@@ -254,7 +254,7 @@ def run(design):
 
 
 def with_helpers(folder: Path, damage: float = 1.0, failure: float = 3.0, more: int = 0) -> PythonSimulator:
-    """A function that takes its limits from modules beside its own: one, one in a package, and one as it runs."""
+    """A function that reads its limits from modules in its folder: a module, one in a package, and one at run time."""
     (folder / "parts").mkdir(parents=True, exist_ok=True)
     (folder / "limits.py").write_text(f"DAMAGE = {damage!r}\n")
     (folder / "parts" / "__init__.py").write_text("")
@@ -930,7 +930,7 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
     assert said.code == 1
     assert "None of the 16 simulations gave an outcome" in said.err
     assert f"`activefail resume {run} --code {mine}` continues" in said.err
-    assert "The cause of the first is raised." in said.err
+    assert "The first failed with cause `raised`." in said.err
     assert {row["cause"] for row in record(run)} == {"raised"}
     designs.write_text("drift,T\n1.0,2.0\n")
     predict = ("predict", run, "--csv", designs, "--out", tmp_path / "out.csv")

@@ -1,6 +1,6 @@
-"""The campaign on OpenSees: its program, the campaign itself, and our bearing beside OpenSees' pendulum element.
+"""The campaign on OpenSees: its program, the campaign itself, and the bearing compared with OpenSees' element.
 
-What needs openseespy runs it under the interpreter that ACTIVEFAIL_OPENSEES_PYTHON names, or under this one.
+Tests that need openseespy run it under the interpreter that ACTIVEFAIL_OPENSEES_PYTHON names, or under this one.
 """
 
 import json
@@ -117,7 +117,7 @@ def test_impact_is_a_displacement_that_reaches_the_rim(opensees: str) -> None:
     ("changed", "code", "says"),
     [
         ({"t_b": 1.0}, 1, "a dish must be less than a hemisphere"),
-        ({"h_sl_ratio": 30.0}, 1, "the slider must be lower than the distance of the dishes' centres"),
+        ({"h_sl_ratio": 30.0}, 1, "the slider's height must be less than the distance between the dishes' centres"),
         ({"mu": -0.1}, 2, "must be positive and finite, got -0.1"),
         ({"a_p": math.nan}, 2, "must be positive and finite, got nan"),
     ],
@@ -173,7 +173,7 @@ def test_the_campaign_runs_is_resumed_and_its_failures_are_told(opensees: str, t
     assert "no licence for it" in broken.err
 
 
-# --- our bearing beside OpenSees' element ------------------------------------------------------------------------
+# --- the bearing compared with OpenSees' element --------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
