@@ -115,7 +115,7 @@ class Parameter:
         """Quantiles of the distribution.
 
         Args:
-            u: probabilities, an array of any library; of NumPy where `differentiable` is False.
+            u: probabilities, an array of any library if `has_formula`, else of NumPy.
             ndtri: that library's quantile function of the standard normal.
         """
         match self.distribution:
@@ -148,6 +148,21 @@ class Parameter:
             case _:
                 below, mass, _ = self._masses()
                 return np.asarray((self._law.cdf(x) - below) / mass)
+
+    @property
+    def has_formula(self) -> bool:
+        """Whether `quantile` is arithmetic on arrays of any library."""
+        return self.distribution in ("uniform", "log_uniform", "truncated_normal")
+
+    def density(self, x: Array) -> Array:
+        """The probability density of the distribution, per unit of the variable."""
+        match self.distribution:
+            case "uniform":
+                return np.full(np.shape(x), 1.0 / (self.high - self.low))
+            case "log_uniform":
+                return np.asarray(1.0 / (x * np.log(self.high / self.low)))
+            case _:
+                return np.asarray(self._law.pdf(x) / self._masses()[1])
 
     def _between(self, p: Array, q: Array) -> Array:
         """Values with probability p below and q = 1 − p above them; both are used, for accuracy in either tail."""
@@ -226,6 +241,7 @@ class DesignSpace:
         parameters: the variables.
         fixed: values of further quantities that a simulator needs, the same for every design.
         correlation: pairs of variables and the correlation coefficient of their values.
+        factor: (d, d) the lower Cholesky factor of the copula's correlation matrix; None without correlations.
 
     Raises:
         InputError: if there is no variable, a name occurs twice or is not an identifier, a value is not finite, or the
@@ -235,7 +251,7 @@ class DesignSpace:
     parameters: tuple[Parameter, ...]
     fixed: Mapping[str, float] = field(default_factory=dict)
     correlation: tuple[tuple[str, str, float], ...] = ()
-    _factor: Array | None = field(default=None, init=False, repr=False, compare=False)
+    factor: Array | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not self.parameters:
@@ -249,7 +265,7 @@ class DesignSpace:
             if not np.isfinite(value):
                 raise InputError(f"The value of {name!r} must be finite, got {value}.")
         if self.correlation:
-            object.__setattr__(self, "_factor", nataf_factor(self.parameters, self.correlation))
+            object.__setattr__(self, "factor", nataf_factor(self.parameters, self.correlation))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -295,8 +311,8 @@ class DesignSpace:
     def from_normal(self, Z: Array) -> Array:
         """Points of standard normal space, shape (..., d), as designs in the variables' units."""
         Z = np.asarray(Z)
-        if self._factor is not None:
-            Z = Z @ self._factor.T
+        if self.factor is not None:
+            Z = Z @ self.factor.T
         columns = np.moveaxis(Z, -1, 0)
         X = np.stack([p.from_normal(z) for p, z in zip(self.parameters, columns, strict=True)], axis=-1)
         return np.asarray(np.clip(X, self.low, self.high))
@@ -305,12 +321,12 @@ class DesignSpace:
         """Designs, shape (..., d), as points of standard normal space, where the variables are independent."""
         columns = np.moveaxis(np.asarray(X), -1, 0)
         Z = np.stack([p.to_normal(x) for p, x in zip(self.parameters, columns, strict=True)], axis=-1)
-        if self._factor is None:
+        if self.factor is None:
             return Z
         from scipy.linalg import solve_triangular
 
         flat = Z.reshape(-1, self.dimension)
-        return np.asarray(solve_triangular(self._factor, flat.T, lower=True).T.reshape(Z.shape))
+        return np.asarray(solve_triangular(self.factor, flat.T, lower=True).T.reshape(Z.shape))
 
     @property
     def outside(self) -> float:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from activefail.acquisition.batch import REFERENCES, fantasised
 from activefail.acquisition.criteria import Criterion, LookAhead, Pointwise, criterion
+from activefail.acquisition.differentiable import columns
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
@@ -43,11 +44,7 @@ class TorchFeatures(torch.nn.Module):
 
     def forward(self, U: Tensor) -> Tensor:
         """Scaled features."""
-        columns = [
-            parameter.quantile(u, torch.special.ndtri)
-            for parameter, u in zip(self._space.parameters, U.unbind(-1), strict=True)
-        ]
-        F = torch.stack(self._formula(columns), dim=-1)
+        F = torch.stack(self._formula(columns(self._space, U)), dim=-1)
         F = torch.where(self._logarithmic, torch.where(self._logarithmic, F, 1.0).log(), F)
         return (F - self._center) / self._spread
 

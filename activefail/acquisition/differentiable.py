@@ -8,6 +8,7 @@ from torch import Tensor
 
 from activefail.acquisition.bivariate import label_covariance
 from activefail.acquisition.criteria import Functions
+from activefail.space import DesignSpace, Parameter
 
 
 class _LabelCovariance(torch.autograd.Function):
@@ -39,6 +40,37 @@ def _x_log_x(x: Tensor) -> Tensor:
     # At x = 0 the value is 0; the slope there is infinite and taken as 0.
     positive = torch.where(x > 0.0, x, 1.0)
     return positive * positive.log()
+
+
+_LEAST_SHARE = 1e-15
+"""Least distance from a face of the unit cube."""
+
+
+class _FromNormal(torch.autograd.Function):
+    """`Parameter.from_normal` on a tensor; dx/dz = φ(z)/f(x)."""
+
+    @staticmethod
+    def forward(ctx: Any, z: Tensor, parameter: Parameter) -> Tensor:
+        x = parameter.from_normal(z.detach().numpy())
+        ctx.save_for_backward(_density(z) / torch.from_numpy(parameter.density(x)))
+        return torch.from_numpy(x)
+
+    @staticmethod
+    def backward(ctx: Any, *by_value: Tensor) -> tuple[Tensor, None]:
+        (slope,) = ctx.saved_tensors
+        return by_value[0] * slope, None
+
+
+def columns(space: DesignSpace, U: Tensor) -> list[Tensor]:
+    """The variables' values, d tensors (...), at points of the unit cube, (..., d); as `DesignSpace.from_unit`."""
+    if not space.correlation and all(parameter.has_formula for parameter in space.parameters):
+        quantiles = zip(space.parameters, U.unbind(-1), strict=True)
+        return [parameter.quantile(u, torch.special.ndtri) for parameter, u in quantiles]
+    # Kept off the faces of the cube, where a standard normal value is infinite.
+    Z = torch.special.ndtri(U.clamp(_LEAST_SHARE, 1.0 - _LEAST_SHARE))
+    if space.factor is not None:
+        Z = Z @ torch.from_numpy(space.factor.T)
+    return [_FromNormal.apply(z, parameter) for parameter, z in zip(space.parameters, Z.unbind(-1), strict=True)]
 
 
 ON_TENSORS = Functions(

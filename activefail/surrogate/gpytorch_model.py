@@ -68,6 +68,9 @@ class _VariationalGP(gpytorch.models.ApproximateGP):
         self.covar_module = covariance_module(trained.kernel, m)
         self._load(trained, distribution, strategy)
         self.eval()
+        # GPyTorch keeps what its first prediction computes. Kept with its graph, it can be differentiated only once.
+        with torch.no_grad():
+            self(Z[:1])
 
     def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))

@@ -7,10 +7,12 @@ from scipy.stats import norm
 from activefail.acquisition.batch import REFERENCES, fantasised
 from activefail.acquisition.botorch import TorchFeatures, acquisition_function
 from activefail.acquisition.criteria import LookAhead, criterion
+from activefail.acquisition.differentiable import columns
 from activefail.bearing import TABLE_1
 from activefail.errors import InputError
 from activefail.features import FeatureMap, feature_map, paper_features
-from activefail.surrogate.classifier import train
+from activefail.space import DesignSpace, Parameter
+from activefail.surrogate.classifier import Latent, train
 
 NAMES = ["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]
 BOUNDS = torch.stack([torch.zeros(9), torch.ones(9)]).double()
@@ -81,6 +83,38 @@ def test_gradients_are_finite_differences_of_the_values(learned, name):
     scale = np.abs(difference).max(axis=1, keepdims=True)
     assert np.abs(gradient - difference).max(axis=1) == pytest.approx(0.0, abs=2e-3 * scale.min() + 1e-7)
     assert scale.min() > 0.0
+
+
+def test_a_model_can_be_differentiated_again_when_its_first_prediction_had_gradients(learned):
+    latent = Latent(learned.latent("failed").trained)
+    F = torch.zeros(1, len(learned.features.names), dtype=torch.float64, requires_grad=True)
+    for _ in range(2):
+        latent.model.posterior(F).mean.sum().backward()
+
+
+ENGINEERS = DesignSpace(
+    (
+        Parameter("load", 0.0, 60.0, distribution="gumbel_max", mean=10.0, sd=2.0),
+        Parameter("k", 1.0, 30.0, distribution="log_uniform"),
+        Parameter("wear", 0.0, 1.0, distribution="beta", mean=0.3, sd=0.2),
+        Parameter("strength", 1.0, 200.0, distribution="lognormal", mean=20.0, sd=6.0),
+        Parameter("width", -3.0, 2.0),
+    ),
+    correlation=(("load", "strength", 0.6), ("wear", "width", -0.4)),
+)
+
+
+def test_values_and_slopes_of_designs_of_any_distribution_are_those_of_the_space():
+    U = np.random.default_rng(6).random((50, 5)) * 0.998 + 0.001
+    tensor = torch.from_numpy(U).requires_grad_()
+    X = torch.stack(columns(ENGINEERS, tensor), dim=-1)
+    np.testing.assert_allclose(X.detach().numpy(), ENGINEERS.from_unit(U), rtol=1e-12)
+    (X / torch.from_numpy(ENGINEERS.high - ENGINEERS.low)).sum().backward()
+    step = 1e-7
+    moved = U[:, None, None, :] + step * np.array([1.0, -1.0])[None, :, None, None] * np.eye(5)[None, None]
+    values = (ENGINEERS.from_unit(moved) / (ENGINEERS.high - ENGINEERS.low)).sum(axis=-1)
+    difference = (values[:, 0] - values[:, 1]) / (2.0 * step)
+    np.testing.assert_allclose(tensor.grad.numpy(), difference, rtol=1e-4, atol=1e-4)
 
 
 # Entropy, U and straddle have a crease where the mean is zero, often at their very maximum: no line search ends there.
