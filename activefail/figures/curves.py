@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from activefail.comparison.seeds import STATIC, Point
 from activefail.comparison.static import Score
@@ -27,6 +28,7 @@ def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int)
             mean, low, high = (np.array([getattr(row, key) for row in rows]) for key in ("accuracy", "low", "high"))
             axes.fill_between(n, 100.0 * low, 100.0 * high, color=colour, alpha=0.15, linewidth=0.0)
             axes.plot(n, 100.0 * mean, color=colour, marker=marker, linestyle=line, label=names[sampling])
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("simulations trained on")
         axes.set_ylabel(f"accuracy for {boundary} on fresh designs [%]")
         shared = "one set for both" if len({score.sampling for score in scores}) > 1 else "one set"

@@ -190,7 +190,7 @@ def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_p
         text = made(campaign, copy, store)
     rows = Page(text).tables["scores"][1:]
     assert rows[2] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
-    assert "91.2 % of 400 fresh designs (89.00 to 93.00 % with 95 % confidence), after 30 active sim" in Page(text).text
+    assert "91.2 % of 400 fresh designs (89.00 to 93.00 % with 95 % confidence), after 30 simul" in Page(text).text
     assert "recall of" not in Page(text).text  # an older program wrote none
     assert "adds the curve of static" not in text
     (copy / "compare" / "scores.csv").write_text("sampling,simulations\nactive,many\n")
