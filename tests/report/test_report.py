@@ -20,7 +20,7 @@ from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
-from activefail.figures import contours, samples, svg
+from activefail.figures import outcome_planes, samples, svg
 from activefail.figures.marks import outcome_colour
 from activefail.findings import quantities
 from activefail.findings.findings import findings_of
@@ -350,7 +350,7 @@ def other(dimension: int) -> Campaign:
 def test_designs_with_given_features_have_them_and_lie_in_the_space():
     X = TABLE_1.latin_hypercube(200, np.random.default_rng(0))
     F = paper_features(X)
-    found, there = contours.designs_with(F, TABLE_1.low, TABLE_1.high)
+    found, there = outcome_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
     assert there.mean() > 0.97  # each has at least the design it came from; projections close in slowly at corners
     assert TABLE_1.contains(found[there]).all()
     np.testing.assert_allclose(paper_features(found[there]), F[there], rtol=0.05)
@@ -359,7 +359,7 @@ def test_designs_with_given_features_have_them_and_lie_in_the_space():
 def test_features_that_no_design_has_are_told_apart():
     F = np.tile(paper_features(0.5 * (TABLE_1.low + TABLE_1.high)[None]), (2, 1))
     F[1, 0] = 100.0  # beyond the largest pulse displacement over the smallest capacity
-    _, there = contours.designs_with(F, TABLE_1.low, TABLE_1.high)
+    _, there = outcome_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
     assert there.tolist() == [True, False]
 
 
