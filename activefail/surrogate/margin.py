@@ -1,0 +1,316 @@
+"""GP regression of a limit-state margin: how far a design is from an outcome, negative beyond its boundary.
+
+A margin says more than its sign, so its boundary needs far fewer simulations. Where a simulation ends at failure, a
+failed design's margin says no more than its sign: it is censored, and expectation propagation takes it as "at most 0"
+([RasmussenWilliams2006, section 3.6] with a step in place of the probit).
+
+Margins are first warped by a function that keeps their sign: g/q, asinh(g/q) or asinh(5g/q), q the median of |g|. The
+warping with the largest likelihood of the margins themselves is chosen.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.special import log_ndtr
+
+from activefail.space import Array
+from activefail.surrogate.covariance import Hyperparameters, covariance, covariance_gradient
+
+KERNEL = "matern52"
+
+NUGGET = 1e-6
+"""Variance of the margins' noise in units of the output scale, for a margin computed to a finite accuracy."""
+
+WARPINGS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "none": (lambda g: g, np.zeros_like),
+    "asinh": (np.arcsinh, lambda g: -0.5 * np.log1p(g * g)),
+    "asinh5": (lambda g: np.arcsinh(5.0 * g), lambda g: math.log(5.0) - 0.5 * np.log1p(25.0 * g * g)),
+}
+"""Each warping of g/q and the logarithm of its derivative."""
+
+_CENSORED_SPREAD = 0.01
+"""Largest range of the failed designs' margins, in standard deviations of the others', that is taken as truncation."""
+
+_SWEEPS, _TOLERANCE = 100, 1e-8
+"""Most sweeps of expectation propagation, and the change of a site's moments at which it ends."""
+
+
+def length_scale_prior(dimension: int) -> tuple[float, float]:
+    """Mean and standard deviation of a length scale's logarithm: median 2√d, in units of the features' spread."""
+    return math.log(2.0 * math.sqrt(dimension)), 1.0
+
+
+def is_truncated(margin: Array) -> bool:
+    """Whether margins, (n,), end at failure, so that those at most 0 say no more than their sign.
+
+    They do if the failed designs' margins differ by at most 1 % of the standard deviation of the others. A single
+    failed design counts as truncated if its margin is that close to 0.
+    """
+    failed, others = margin[margin <= 0.0], margin[margin > 0.0]
+    if len(failed) == 0 or len(others) < 2:
+        return False
+    reach = np.ptp(failed) if len(failed) > 1 else -failed[0]
+    return bool(reach <= _CENSORED_SPREAD * others.std())
+
+
+class _Sites(NamedTuple):
+    """Gaussian sites of the censored points: exp(linear f − precision f²/2)."""
+
+    linear: Array
+    precision: Array
+
+
+class _Censored(NamedTuple):
+    """Expectation propagation's result for the censored points, given the others."""
+
+    sites: _Sites
+    log_evidence: float
+
+
+def _censored(mean: Array, S: Array, sites: _Sites) -> _Censored:
+    """Expectation propagation for f ~ N(mean, S), f ≤ 0 in every entry, from initial sites."""
+    linear, precision = (site.copy() for site in sites)
+    L = cholesky(S, lower=True)
+    prior_linear = cho_solve((L, True), mean)
+    inverse = cho_solve((L, True), np.eye(len(mean)))
+    for _ in range(_SWEEPS):
+        V = np.linalg.inv(inverse + np.diag(precision))
+        m = V @ (prior_linear + linear)
+        before = linear.copy(), precision.copy()
+        for i in range(len(mean)):
+            cavity_precision = max(1.0 / V[i, i] - precision[i], 1e-12)
+            cavity_mean = (m[i] / V[i, i] - linear[i]) / cavity_precision
+            sd = cavity_precision**-0.5
+            z = -cavity_mean / sd
+            ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(z)))
+            shrink = ratio * (z + ratio)
+            tilted_mean, tilted_variance = cavity_mean - sd * ratio, max(sd * sd * (1.0 - shrink), 1e-12 * sd * sd)
+            new_precision = max(1.0 / tilted_variance - cavity_precision, 0.0)
+            new_linear = tilted_mean / tilted_variance - cavity_precision * cavity_mean
+            change = new_precision - precision[i]
+            V -= np.outer(V[:, i], V[:, i]) * (change / (1.0 + change * V[i, i]))
+            linear[i], precision[i] = new_linear, new_precision
+            m = V @ (prior_linear + linear)
+        moved = max(np.abs(linear - before[0]).max(), np.abs(precision - before[1]).max())
+        if moved <= _TOLERANCE * max(1.0, np.abs(precision).max()):
+            break
+    V = np.linalg.inv(inverse + np.diag(precision))
+    m = V @ (prior_linear + linear)
+    variance = V.diagonal()
+    cavity_precision = np.maximum(1.0 / variance - precision, 1e-12)
+    cavity_mean = (m / variance - linear) / cavity_precision
+    z = -cavity_mean * np.sqrt(cavity_precision)
+    # log ∫ N(f; mean, S) Π t_i(f_i), each site scaled so that it has the step's integral against its cavity.
+    scale = log_ndtr(z) + 0.5 * np.log1p(precision / cavity_precision)
+    scale += 0.5 * (
+        cavity_precision * cavity_mean**2
+        - (cavity_precision * cavity_mean + linear) ** 2 / (cavity_precision + precision)
+    )
+    _, determinant = np.linalg.slogdet(np.eye(len(mean)) + S * precision)
+    joint = 0.5 * float(m @ (prior_linear + linear) - mean @ prior_linear) - 0.5 * float(determinant)
+    return _Censored(_Sites(linear, precision), float(scale.sum()) + joint)
+
+
+@dataclass(frozen=True)
+class MarginFit:
+    """A trained regression of a margin.
+
+    Attributes:
+        features: (n, m) scaled features.
+        margin: (n,) margins as the simulator gives them.
+        truncated: whether margins at most 0 are censored.
+        warping: name of the warping.
+        unit: q, the unit of the margins before warping.
+        hyperparameters: of the warped margin's prior.
+        sites: of the censored points.
+        log_likelihood: of the margins, with the warping's derivative and the log prior of the length scales.
+    """
+
+    features: Array
+    margin: Array
+    truncated: bool
+    warping: str
+    unit: float
+    hyperparameters: Hyperparameters
+    sites: _Sites
+    log_likelihood: float
+
+    @cached_property
+    def _solved(self) -> tuple[Array, Array, Array, float]:
+        """The factor L of A = K + site variances, A⁻¹(target − mean), A⁻¹1 and 1ᵀA⁻¹1."""
+        A, target = _system(self)
+        L = cholesky(A, lower=True)
+        ones = cho_solve((L, True), np.ones(len(A)))
+        return L, cho_solve((L, True), target - self.hyperparameters.mean), ones, float(ones.sum())
+
+    def _covariance(self, F: Array) -> Array:
+        X = torch.from_numpy(self.features)
+        return covariance(KERNEL, self.hyperparameters, X, torch.from_numpy(F)).numpy()
+
+    def moments(self, F: Array) -> tuple[Array, Array]:
+        """Mean and standard deviation of the warped margin at scaled features, (l, m); each (l,).
+
+        The variance includes that of the estimated constant mean.
+        """
+        L, weights, ones, total = self._solved
+        k = self._covariance(F)
+        explained = solve_triangular(L, k, lower=True)
+        s2 = math.exp(self.hyperparameters.log_outputscale)
+        variance = s2 * (1.0 + NUGGET) - np.einsum("ij,ij->j", explained, explained) + (1.0 - ones @ k) ** 2 / total
+        return self.hyperparameters.mean + k.T @ weights, np.sqrt(np.maximum(variance, NUGGET * s2))
+
+    def joint(self, F: Array) -> tuple[Array, Array]:
+        """Mean, (l,), and covariance, (l, l), of the warped margin at scaled features, (l, m)."""
+        L, weights, ones, total = self._solved
+        k = self._covariance(F)
+        explained = solve_triangular(L, k, lower=True)
+        points = torch.from_numpy(F)
+        K = covariance(KERNEL, self.hyperparameters, points, points).numpy()
+        rest = 1.0 - ones @ k
+        K = K - explained.T @ explained + np.outer(rest, rest) / total
+        K[np.diag_indices(len(K))] += NUGGET * math.exp(self.hyperparameters.log_outputscale)
+        return self.hyperparameters.mean + k.T @ weights, K
+
+    def left_out(self) -> tuple[Array, Array]:
+        """Mean and standard deviation of each warped margin from all others, at the same hyperparameters; each (n,).
+
+        In closed form [RasmussenWilliams2006, section 5.4.2]. A censored point's own site is left out too.
+        """
+        A, target = _system(self)
+        L, _, ones, total = self._solved
+        Q = cho_solve((L, True), np.eye(len(A))) - np.outer(ones, ones) / total
+        diagonal = Q.diagonal()
+        # The variance of a left-out observation includes its own site's variance, which is not that of the margin.
+        s2 = math.exp(self.hyperparameters.log_outputscale)
+        variance = 1.0 / diagonal - (A.diagonal() - s2 * (1.0 + NUGGET))
+        return target - (Q @ target) / diagonal, np.sqrt(np.maximum(variance, 1e-12))
+
+    def sign_score(self) -> float:
+        """Mean log probability of the left-out designs' sides of the boundary [nat]."""
+        mean, sd = self.left_out()
+        side = np.where(self.margin <= 0.0, -1.0, 1.0)
+        return float(log_ndtr(side * mean / sd).mean())
+
+
+def _system(trained: MarginFit) -> tuple[Array, Array]:
+    """A = K + site variances, (n, n), and the sites' means, (n,): the warped margins where they are not censored."""
+    X = torch.from_numpy(trained.features)
+    A = covariance(KERNEL, trained.hyperparameters, X, X).numpy()
+    target = WARPINGS[trained.warping][0](trained.margin / trained.unit)
+    noise = np.full(len(A), NUGGET * math.exp(trained.hyperparameters.log_outputscale))
+    if trained.truncated:
+        failed = trained.margin <= 0.0
+        precision = np.maximum(trained.sites.precision, 1e-12)
+        noise[failed] += 1.0 / precision
+        target[failed] = trained.sites.linear / precision
+    A[np.diag_indices(len(A))] += noise
+    return A, target
+
+
+class _Evaluation(NamedTuple):
+    value: float
+    gradient: Array
+    sites: _Sites
+
+
+def _evaluate(features: Array, y: Array, censored: NDArray[np.bool_], packed: Array, sites: _Sites) -> _Evaluation:
+    """Log likelihood of warped margins plus the log prior of the length scales, and its gradient."""
+    h = Hyperparameters(float(packed[0]), float(packed[1]), torch.from_numpy(packed[2:].copy()))
+    X = torch.from_numpy(features)
+    plain = covariance(KERNEL, h, X, X)
+    K = plain.numpy().copy()
+    s2 = math.exp(h.log_outputscale)
+    K[np.diag_indices(len(K))] += NUGGET * s2
+    exact = ~censored
+    L = cholesky(K[np.ix_(exact, exact)], lower=True)
+    away = y[exact] - h.mean
+    alpha = cho_solve((L, True), away)
+    value = -0.5 * float(away @ alpha) - float(np.log(L.diagonal()).sum()) - 0.5 * len(away) * math.log(2.0 * math.pi)
+    A, target = K, y - h.mean
+    if censored.any():
+        cross = K[np.ix_(exact, censored)]
+        S = K[np.ix_(censored, censored)] - cross.T @ cho_solve((L, True), cross)
+        result = _censored(h.mean + cross.T @ alpha, S, sites)
+        sites, value = result.sites, value + result.log_evidence
+        precision = np.maximum(sites.precision, 1e-12)
+        A, target = K.copy(), target.copy()
+        A[censored, censored] += 1.0 / precision
+        target[censored] = sites.linear / precision - h.mean
+    factor = cholesky(A, lower=True)
+    b = cho_solve((factor, True), target)
+    # At the sites' fixed point the likelihood changes with K as that of Gaussian observations does.
+    by_K = 0.5 * (np.outer(b, b) - cho_solve((factor, True), np.eye(len(A))))
+    by_scales = covariance_gradient(KERNEL, h, X, X, plain, torch.from_numpy(by_K)).numpy()
+    by_scales[0] += NUGGET * s2 * float(np.trace(by_K))
+    center, sd = length_scale_prior(features.shape[1])
+    offset = (packed[2:] - center) / sd
+    value -= 0.5 * float(offset @ offset) + len(offset) * (math.log(sd) + 0.5 * math.log(2.0 * math.pi))
+    by_scales[1:] -= offset / sd
+    return _Evaluation(value, np.concatenate([[b.sum()], by_scales]), sites)
+
+
+def fit_margin(
+    features: Array, margin: Array, truncated: bool | None = None, warm: MarginFit | None = None
+) -> MarginFit:
+    """Fit a GP to margins.
+
+    Args:
+        features: (n, m) scaled features.
+        margin: (n,) margins; failure is at most 0.
+        truncated: whether margins at most 0 are censored; decided by `is_truncated` if None.
+        warm: an earlier fit to the first of these points, whose length scales are the starting point.
+
+    Raises:
+        ValueError: if there are fewer than two margins, one is not finite, or all are equal.
+    """
+    if len(margin) < 2 or not np.isfinite(margin).all() or np.ptp(margin) == 0.0:
+        raise ValueError("regression needs two margins or more that are finite and not all equal")
+    truncated = is_truncated(margin) if truncated is None else truncated
+    fits = [_fit_warped(features, margin, truncated, name, warm) for name in WARPINGS]
+    return max(fits, key=lambda fitted: fitted.log_likelihood)
+
+
+def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, warm: MarginFit | None) -> MarginFit:
+    from scipy.optimize import minimize
+
+    censored = (margin <= 0.0) & truncated
+    exact = margin[~censored]
+    unit = float(np.median(np.abs(exact))) or float(np.abs(exact).max())
+    warp, log_slope = WARPINGS[warping]
+    y = warp(margin / unit)
+    center, _ = length_scale_prior(features.shape[1])
+    scale = max(float(y[~censored].std()), 1e-3)
+    lengths = np.full(features.shape[1], center) if warm is None else warm.hyperparameters.log_lengthscale.numpy()
+    start = np.concatenate([[float(y[~censored].mean()), 2.0 * math.log(2.0 * scale)], lengths])
+    sites = _Sites(np.full(int(censored.sum()), -0.1 / scale), np.full(int(censored.sum()), 0.1 / scale**2))
+
+    def negative(packed: Array) -> tuple[float, Array]:
+        nonlocal sites
+        evaluation = _evaluate(features, y, censored, packed, sites)
+        sites = evaluation.sites
+        return -evaluation.value, -evaluation.gradient
+
+    spread = 2.0 * math.log(scale)
+    bounds = [(-50.0 * scale, 50.0 * scale), (spread - 6.0, spread + 14.0)] + [(-4.0, 8.0)] * features.shape[1]
+    optimum = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
+    final = _evaluate(features, y, censored, optimum.x, sites)
+    jacobian = float((log_slope(exact / unit) - math.log(unit)).sum())
+    h = Hyperparameters(float(optimum.x[0]), float(optimum.x[1]), torch.from_numpy(optimum.x[2:].copy()))
+    return MarginFit(features, margin, truncated, warping, unit, h, final.sites, final.value + jacobian)
+
+
+def conditioned(trained: MarginFit, features: Array, margin: Array) -> MarginFit:
+    """The fit after more exact margins, (k,), at scaled features, (k, m), with its hyperparameters unchanged."""
+    return replace(
+        trained,
+        features=np.concatenate([trained.features, features]),
+        margin=np.concatenate([trained.margin, margin]),
+        log_likelihood=math.nan,
+    )
