@@ -1,23 +1,17 @@
 """Correlated variables: the copula that gives the variables' values the stated correlations."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from activefail.errors import InputError
-
-if TYPE_CHECKING:
-    from activefail.space import Parameter
-
-Array = NDArray[np.float64]
+from activefail.parameter import Array, Parameter
 
 _NODES = 64
 """Nodes of Gauss–Hermite quadrature, of each variable of a pair."""
 
 
-def nataf_factor(parameters: "Sequence[Parameter]", correlation: Sequence[tuple[str, str, float]]) -> Array:
+def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[str, str, float]]) -> Array:
     """The lower Cholesky factor L of the copula's correlation matrix, (d, d): L z are correlated standard normals.
 
     The joint distribution is a Gaussian copula with the variables' own distributions (the Nataf transformation). The
@@ -53,7 +47,7 @@ def nataf_factor(parameters: "Sequence[Parameter]", correlation: Sequence[tuple[
         ) from None
 
 
-def _copula_coefficient(one: "Parameter", other: "Parameter", rho: float, entry: str) -> float:
+def _copula_coefficient(one: Parameter, other: Parameter, rho: float, entry: str) -> float:
     if rho == 0.0:
         return 0.0
     from scipy.optimize import brentq

@@ -9,7 +9,8 @@ from scipy import integrate, stats
 from activefail.campaign.settings import parse_settings
 from activefail.correlation import nataf_factor
 from activefail.errors import InputError
-from activefail.space import DesignSpace, Parameter, radius
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace, radius
 
 # The same distributions by their own parameters, and as SciPy has them.
 OWN: dict[str, tuple[dict[str, float], Any]] = {

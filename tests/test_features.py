@@ -9,7 +9,8 @@ from activefail.bearing.collision import collision_features
 from activefail.bearing.sliding import sliding_features
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES, CustomFeatures, feature_map, paper_features
-from activefail.space import Array, DesignSpace, Parameter
+from activefail.parameter import Parameter
+from activefail.space import Array, DesignSpace
 
 # T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g]
 DESIGN = (4.0, 0.06, 0.6, 0.8, 0.1, 50.0, 2e9, 2.0, 0.4)

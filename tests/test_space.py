@@ -11,7 +11,8 @@ from scipy import stats
 
 from activefail.bearing import TABLE_1
 from activefail.errors import InputError
-from activefail.space import DesignSpace, Parameter
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("x", -2.0, 3.0, "m"), Parameter("k", 2.5e8, 50e8), Parameter("mu", 0.02, 0.12)))
 

@@ -17,17 +17,16 @@ P = Φ(b), b = −μ_q/σ_q. After a label 1 or 0 it is safe with probability
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.special import ndtr, xlogy
 
 from activefail.acquisition.bivariate import label_covariance
+from activefail.acquisition.functions import Functions, Numbers
 
 Criterion = Literal["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]
 
-Numbers: TypeAlias = Any
-"""A NumPy array or a torch tensor; a criterion of arrays is an array, one of tensors a tensor."""
 
 Pointwise: TypeAlias = Callable[[Numbers, Numbers], Numbers]
 """(mean, sd) -> value."""
@@ -40,23 +39,6 @@ _LEAST = 1e-12
 
 _PAIRS_AT_ONCE = 1 << 15
 """Candidates times references per evaluation, so that intermediate arrays stay in the processor's cache."""
-
-
-class Functions(NamedTuple):
-    """The functions that the criteria take from an array library.
-
-    Attributes:
-        x_log_x: x log x, 0 at 0.
-        label_covariance: as in `bivariate`.
-    """
-
-    sqrt: Callable[[Numbers], Numbers]
-    exp: Callable[[Numbers], Numbers]
-    minimum: Callable[[Numbers, Numbers], Numbers]
-    concatenate: Callable[[list[Numbers]], Numbers]
-    ndtr: Callable[[Numbers], Numbers]
-    x_log_x: Callable[[Numbers], Numbers]
-    label_covariance: Callable[[Numbers, Numbers, Numbers], Numbers]
 
 
 _ON_ARRAYS = Functions(np.sqrt, np.exp, np.minimum, np.concatenate, ndtr, lambda x: xlogy(x, x), label_covariance)

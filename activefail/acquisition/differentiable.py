@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from activefail.acquisition.bivariate import label_covariance
-from activefail.acquisition.criteria import Functions
-from activefail.space import DesignSpace, Parameter
+from activefail.acquisition.functions import Functions
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
 
 
 class _LabelCovariance(torch.autograd.Function):

@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 
 from activefail.errors import InputError
-from activefail.space import Array, DesignSpace, Parameter
+from activefail.parameter import Parameter
+from activefail.space import Array, DesignSpace
 
 GRAVITY = 9.81
 """g [m/s²]."""

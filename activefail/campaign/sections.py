@@ -19,7 +19,7 @@ from activefail.bearing.design import LARGEST, Model, Tolerance
 from activefail.campaign.boundaries import boundary_shares
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
 from activefail.features import FeatureSet
-from activefail.space import Parameter, distribution_fault
+from activefail.parameter import Parameter, distribution_fault
 
 _SHOWN = 200
 """Longest value shown in a message, in characters."""

@@ -33,11 +33,11 @@ from activefail.findings.prediction import predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.summary import Plan, Summary
 from activefail.loop.progress import standing
+from activefail.parameter import Parameter
 from activefail.record.store import Store
 from activefail.report.evidence import Evidence
 from activefail.shares import interval_percent, percent
 from activefail.simulators.bearing import DfpSimulator
-from activefail.space import Parameter
 from activefail.visible import quoted, visible
 
 if TYPE_CHECKING:

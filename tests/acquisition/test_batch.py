@@ -20,7 +20,8 @@ from activefail.acquisition.batch import (
 )
 from activefail.acquisition.criteria import LookAhead, bald, criterion, entropy, globalmi
 from activefail.features import feature_map
-from activefail.space import DesignSpace, Parameter
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
 from activefail.surrogate.classifier import train
 
 SPACE = DesignSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))

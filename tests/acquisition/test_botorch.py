@@ -11,7 +11,8 @@ from activefail.acquisition.differentiable import columns
 from activefail.bearing import TABLE_1
 from activefail.errors import InputError
 from activefail.features import FeatureMap, feature_map, paper_features
-from activefail.space import DesignSpace, Parameter
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
 from activefail.surrogate.classifier import Latent, train
 
 NAMES = ["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"]

@@ -6,7 +6,8 @@ from rare import four_branch
 from scipy.spatial.distance import cdist
 
 from activefail.acquisition.search import search
-from activefail.space import DesignSpace, Parameter
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
 
 NORMAL = DesignSpace(
     tuple(Parameter(name, -6.0, 6.0, distribution="truncated_normal", mean=0.0, sd=1.0) for name in "xy")

@@ -27,11 +27,12 @@ from activefail.execution.local import ThreadExecutor
 from activefail.loop.asynchronous import resumed
 from activefail.loop.batches import run
 from activefail.loop.progress import Observer, Progress
+from activefail.parameter import Parameter
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
-from activefail.space import Array, DesignSpace, Parameter
+from activefail.space import Array, DesignSpace
 from activefail.surrogate.threads import one_thread
 
 distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")

@@ -25,13 +25,14 @@ from hypothesis.extra import numpy as arrays
 from activefail.campaign.opening import open_campaign
 from activefail.errors import InputError, StoreError
 from activefail.loop.learning import restore
+from activefail.parameter import Parameter
 from activefail.record.attachments import decode_state, encode_state
 from activefail.record.batch import SEED, Batch, Schema
 from activefail.record.layout import run_folder_owning
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
 from activefail.simulators.interface import Results, UnusableAnswerError
-from activefail.space import DesignSpace, Parameter
+from activefail.space import DesignSpace
 from activefail.visible import quoted, visible
 
 Survived = Callable[[], None]

@@ -27,9 +27,9 @@ from activefail.findings.findings import findings_of
 from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer
+from activefail.parameter import Parameter
 from activefail.record.run_folder import FolderStore
 from activefail.report import evidence, page
-from activefail.space import Parameter
 from activefail.surrogate.threads import one_thread
 
 SECTIONS = (

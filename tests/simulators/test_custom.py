@@ -26,10 +26,11 @@ from activefail.campaign.opening import create_folder, read_campaign
 from activefail.errors import InputError, place_of
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
+from activefail.parameter import Parameter
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER
-from activefail.space import DesignSpace, Parameter
+from activefail.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("drift", 0.0, 4.0, "m"), Parameter("T", 1.0, 3.0)), {"storeys": 3.0})
 X = np.array([[1.0 / 3.0, 1.5], [2.5, 2.0], [3.7, 2.9]])

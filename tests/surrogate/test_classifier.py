@@ -5,7 +5,8 @@ import pytest
 from scipy.stats import norm
 
 from activefail.features import feature_map
-from activefail.space import DesignSpace, Parameter
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
 from activefail.surrogate.classifier import Classifier, Moments, train
 
 SPACE = DesignSpace((Parameter("a", -1.0, 3.0), Parameter("b", 10.0, 20.0)))

@@ -1,0 +1,221 @@
+"""One variable of the design space: its name, range, distribution and unit."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.distributions import BOUNDED, Distribution, frozen, parameters_fault
+from activefail.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.stats.distributions import rv_frozen
+
+Array = NDArray[np.float64]
+
+_LEAST_MASS = 1e-6
+"""Least probability of a distribution between its bounds: far out in a tail, rounding destroys its quantiles."""
+
+
+_NARROWEST = 1e-9
+"""Least width of a range relative to its larger bound: a narrower one contains too few numbers."""
+
+
+def distribution_fault(
+    low: float, high: float, distribution: Distribution, mean: float | None, sd: float | None
+) -> str:
+    """Why the numbers of a `Parameter` do not define a distribution; empty if they do."""
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        return f"`low < high` must hold, got {low} and {high}"
+    if high - low < _NARROWEST * max(abs(low), abs(high)):
+        return f"`high - low` must be at least {_NARROWEST:g} of the larger of the two, got {low} and {high}"
+    if distribution == "log_uniform" and low <= 0.0:
+        return f"`low > 0` must hold for log_uniform, got {low}"
+    numbers = {name: number for name, number in (("mean", mean), ("sd", sd)) if number is not None}
+    if fault := parameters_fault(distribution, low, high, numbers):
+        return fault
+    if mean is not None and distribution != "beta":
+        _, mass, _ = _masses(distribution, low, high, mean, sd)
+        if not mass >= _LEAST_MASS:
+            return (
+                f"{low} to {high} must contain at least {_LEAST_MASS:g} of the {distribution.replace('_', ' ')} "
+                f"distribution, got {mass:.1g}"
+            )
+    return ""
+
+
+def _masses(
+    distribution: Distribution, low: float, high: float, mean: float, sd: float | None
+) -> tuple[float, float, float]:
+    """Mass of a distribution below the lower bound, between the bounds, and above the upper bound."""
+    if distribution in ("truncated_normal", "normal"):
+        assert sd is not None
+        normal = NormalDist(mean, sd)
+        below = normal.cdf(low)
+        return below, normal.cdf(high) - below, NormalDist(-mean, sd).cdf(-high)
+    law = frozen(distribution, low, high, mean, mean if sd is None else sd)
+    below, above = float(law.cdf(low)), float(law.sf(high))
+    return below, 1.0 - below - above, above
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One variable of the design space, between `low` and `high` (in `unit`).
+
+    Its distribution is the named one conditional on these bounds.
+
+    Attributes:
+        distribution: name of the distribution.
+        mean, sd: mean and standard deviation of the unbounded distribution, or of a beta distribution; None for uniform
+            and log-uniform variables. The sd of an exponential variable is None.
+
+    Raises:
+        InputError: if the name is not an identifier or the numbers do not define a distribution.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str = ""
+    distribution: Distribution = "uniform"
+    mean: float | None = None
+    sd: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise InputError(f"A variable's name must be an identifier, got {self.name!r}.")
+        fault = distribution_fault(self.low, self.high, self.distribution, self.mean, self.sd)
+        if fault:
+            raise InputError(f"The variable {self.name!r}: {fault}.")
+
+    def _masses(self) -> tuple[float, float, float]:
+        assert self.mean is not None
+        return _masses(self.distribution, self.low, self.high, self.mean, self.sd)
+
+    @property
+    def _law(self) -> "rv_frozen":
+        assert self.mean is not None
+        return frozen(self.distribution, self.low, self.high, self.mean, self.mean if self.sd is None else self.sd)
+
+    @property
+    def outside(self) -> float:
+        """The probability of the unbounded distribution outside the bounds; 0 for a distribution that has bounds."""
+        if self.distribution in BOUNDED:
+            return 0.0
+        below, _, above = self._masses()
+        return below + above
+
+    def quantile(self, u: Any, ndtri: Callable[[Any], Any]) -> Any:
+        """Quantiles of the distribution.
+
+        Args:
+            u: probabilities, an array of any library if `has_formula`, else of NumPy.
+            ndtri: that library's quantile function of the standard normal.
+        """
+        match self.distribution:
+            case "uniform":
+                return self.low + u * (self.high - self.low)
+            case "log_uniform":
+                return self.low * (self.high / self.low) ** u
+            case "truncated_normal":
+                assert self.mean is not None
+                assert self.sd is not None
+                below, mass, _ = self._masses()
+                return self.mean + self.sd * ndtri(below + u * mass)
+            case _:
+                return self._between(u, 1.0 - u)
+
+    def share(self, x: Array) -> Array:
+        """The distribution function, the inverse of `quantile`."""
+        match self.distribution:
+            case "uniform":
+                return (x - self.low) / (self.high - self.low)
+            case "log_uniform":
+                return np.asarray(np.log(x / self.low) / np.log(self.high / self.low))
+            case "truncated_normal":
+                from scipy.special import ndtr
+
+                assert self.mean is not None
+                assert self.sd is not None
+                below, mass, _ = self._masses()
+                return np.asarray((ndtr((x - self.mean) / self.sd) - below) / mass)
+            case _:
+                below, mass, _ = self._masses()
+                return np.asarray((self._law.cdf(x) - below) / mass)
+
+    @property
+    def has_formula(self) -> bool:
+        """Whether `quantile` is arithmetic on arrays of any library."""
+        return self.distribution in ("uniform", "log_uniform", "truncated_normal")
+
+    def density(self, x: Array) -> Array:
+        """The probability density of the distribution, per unit of the variable."""
+        match self.distribution:
+            case "uniform":
+                return np.full(np.shape(x), 1.0 / (self.high - self.low))
+            case "log_uniform":
+                return np.asarray(1.0 / (x * np.log(self.high / self.low)))
+            case _:
+                return np.asarray(self._law.pdf(x) / self._masses()[1])
+
+    def _between(self, p: Array, q: Array) -> Array:
+        """Values with probability p below and q = 1 − p above them; both are used, for accuracy in either tail."""
+        below, mass, above = self._masses()
+        law = self._law
+        x = np.where(p <= 0.5, law.ppf(below + p * mass), law.isf(above + q * mass))
+        return np.asarray(np.clip(x, self.low, self.high))
+
+    def from_normal(self, z: Array) -> Array:
+        """Values of the variable at standard normal values: F⁻¹(Φ(z)), accurate in both tails."""
+        from scipy.special import ndtr, ndtri
+
+        if self.distribution in ("uniform", "log_uniform"):
+            return np.asarray(self.quantile(ndtr(z), ndtri))
+        return self._between(ndtr(z), ndtr(-z))
+
+    def to_normal(self, x: Array) -> Array:
+        """Standard normal values of the variable's values: Φ⁻¹(F(x)), the inverse of `from_normal`."""
+        from scipy.special import ndtri
+
+        if self.distribution in ("uniform", "log_uniform"):
+            return np.asarray(ndtri(self.share(x)))
+        below, mass, above = self._masses()
+        law = self._law
+        p, q = (law.cdf(x) - below) / mass, (law.sf(x) - above) / mass
+        return np.asarray(np.where(p <= 0.5, ndtri(np.clip(p, 0.0, 1.0)), -ndtri(np.clip(q, 0.0, 1.0))))
+
+    def standardised(self, x: Array) -> Array:
+        """Values in standard deviations from the middle: of a normal before truncation, of a log-uniform variable's
+        logarithm; standard normal values for other distributions without bounds of their own.
+        """
+        if self.distribution == "truncated_normal":
+            assert self.mean is not None
+            assert self.sd is not None
+            return (x - self.mean) / self.sd
+        if self.distribution in BOUNDED:
+            return np.asarray(np.sqrt(12.0) * (self.share(x) - 0.5))
+        return self.to_normal(x)
+
+    def widened(self, x: Array, factor: float) -> Array:
+        """Values stretched about the middle and clipped to the bounds; those between bounds of their own do not change.
+
+        A normal variable is stretched about its mean, another in standard normal values.
+
+        Args:
+            x: values.
+            factor: factor of the standard deviation.
+        """
+        if self.distribution in ("truncated_normal", "normal"):
+            assert self.mean is not None
+            return np.asarray(np.clip(self.mean + factor * (x - self.mean), self.low, self.high))
+        if self.distribution in BOUNDED:
+            return np.asarray(x)
+        return self.from_normal(factor * self.to_normal(x))
+
+    @property
+    def label(self) -> str:
+        """The name with its unit, for tables and axes."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
