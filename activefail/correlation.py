@@ -15,9 +15,8 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
     """The lower Cholesky factor L of the copula's correlation matrix, (d, d): L z are correlated standard normals.
 
     The joint distribution is a Gaussian copula with the variables' own distributions (the Nataf transformation). The
-    copula's coefficient ρ₀ of a pair follows from the
-    coefficient ρ of their values: ρ is the covariance of
-    F₁⁻¹(Φ(z₁)) and F₂⁻¹(Φ(ρ₀ z₁ + √(1 − ρ₀²) z₂)) divided by both standard deviations [LiuDerKiureghian1986, eq. 12].
+    copula's coefficient ρ₀ of a pair follows from the coefficient ρ of their values: ρ is the covariance of F₁⁻¹(Φ(z₁))
+    and F₂⁻¹(Φ(ρ₀ z₁ + √(1 − ρ₀²) z₂)) divided by both standard deviations [LiuDerKiureghian1986, eq. 12].
 
     Raises:
         InputError: naming the entry of `correlation`.

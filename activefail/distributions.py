@@ -3,7 +3,9 @@
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 if TYPE_CHECKING:
     from scipy.stats.distributions import rv_frozen
@@ -22,7 +24,7 @@ Distribution = Literal[
     "exponential",
 ]
 
-OWN: dict[str, tuple[str, ...]] = {
+NATURAL_PARAMETERS: dict[Distribution, tuple[str, ...]] = {
     "lognormal": ("median", "dispersion"),
     "gumbel_max": ("location", "scale"),
     "gumbel_min": ("location", "scale"),
@@ -31,7 +33,7 @@ OWN: dict[str, tuple[str, ...]] = {
     "beta": ("alpha", "beta"),
     "exponential": ("rate",),
 }
-"""Each distribution's own parameters.
+"""Parameters that define a distribution without mean and sd.
 
 `dispersion` is the standard deviation of the logarithm. `location` of a Gumbel distribution is its mode.
 """
@@ -51,7 +53,13 @@ _IN_WORDS = {
     "weibull": "Weibull",
 }
 
-PARAMETERS = ("mean", "sd", "cov", *dict.fromkeys(name for names in OWN.values() for name in names))
+
+def in_words(distribution: Distribution) -> str:
+    """The distribution's name in a sentence."""
+    return _IN_WORDS.get(distribution, distribution.replace("_", " "))
+
+
+PARAMETERS = ("mean", "sd", "cov", *dict.fromkeys(name for names in NATURAL_PARAMETERS.values() for name in names))
 """Names of all parameters of distributions."""
 
 _LARGEST = 1e100
@@ -66,40 +74,39 @@ def sets_of_parameters(distribution: Distribution) -> tuple[tuple[str, ...], ...
     if distribution in _BY_BOUNDS_ALONE:
         return ((),)
     by_mean = (("mean",),) if distribution == "exponential" else (("mean", "sd"), ("mean", "cov"))
-    return (*by_mean, *((OWN[distribution],) if distribution in OWN else ()))
+    return (*by_mean, *((NATURAL_PARAMETERS[distribution],) if distribution in NATURAL_PARAMETERS else ()))
 
 
 def parameters_fault(
-    distribution: Distribution, low: float | None, high: float | None, given: Mapping[str, float]
+    distribution: Distribution, low: float | None, high: float | None, parameters: Mapping[str, float]
 ) -> str:
     """Why bounds and parameters do not define a distribution; empty if they do.
 
     Args:
         distribution: name of the distribution.
         low, high: bounds of the variable, if any.
-        given: the parameters.
+        parameters: the numbers by name.
     """
     sets = sets_of_parameters(distribution)
-    article = "an" if distribution == "exponential" else "a"
-    name = f"{article} {_IN_WORDS.get(distribution, distribution.replace('_', ' '))} distribution"
-    if set(given) not in map(set, sets):
+    name = f"{'an' if distribution == 'exponential' else 'a'} {in_words(distribution)} distribution"
+    if set(parameters) not in map(set, sets):
         needed = ", or ".join(" and ".join(f"`{one}`" for one in names) for names in sets if names)
         needs = f"{name} needs {needed}" if needed else f"{name} needs `low` and `high` alone"
-        shown = " and ".join(f"`{key} = {number:g}`" for key, number in given.items()) or "none of them"
+        shown = " and ".join(f"`{key} = {number:g}`" for key, number in parameters.items()) or "none of them"
         return f"{needs}; got {shown}"
     if distribution in BOUNDED and (low is None or high is None):
         return f"{name} needs `low` and `high`"
-    for key, number in given.items():
+    for key, number in parameters.items():
         if not math.isfinite(number):
             return f"`{key}` must be finite, got {number}"
         positive = key not in ("mean", "location") or (key == "mean" and distribution in POSITIVE)
         if positive and not number > 0.0:
             return f"`{key} > 0` must hold, got {number}"
-    if "cov" in given and given["mean"] == 0.0:
+    if "cov" in parameters and parameters["mean"] == 0.0:
         return "a coefficient of variation needs a mean other than 0"
-    if given:
+    if parameters:
         try:
-            mean, sd = moments(distribution, low, high, given)
+            mean, sd = moments(distribution, low, high, parameters)
         except OverflowError:
             mean = sd = math.inf
         if not (abs(mean) <= _LARGEST and sd <= _LARGEST):
@@ -119,40 +126,36 @@ def parameters_fault(
 
 
 def moments(
-    distribution: Distribution, low: float | None, high: float | None, given: Mapping[str, float]
+    distribution: Distribution, low: float | None, high: float | None, parameters: Mapping[str, float]
 ) -> tuple[float, float]:
     """Mean and standard deviation of an unbounded distribution, or of a beta between its bounds, by any parameters."""
-    if "mean" in given:
-        mean = given["mean"]
+    if "mean" in parameters:
+        mean = parameters["mean"]
         if distribution == "exponential":
             return mean, mean
-        return mean, given["sd"] if "sd" in given else given["cov"] * abs(mean)
+        return mean, parameters["sd"] if "sd" in parameters else parameters["cov"] * abs(mean)
     if distribution == "beta":
         assert low is not None
         assert high is not None
-        alpha, beta = given["alpha"], given["beta"]
+        alpha, beta = parameters["alpha"], parameters["beta"]
         share = alpha / (alpha + beta)
         return low + (high - low) * share, (high - low) * math.sqrt(share * (1.0 - share) / (alpha + beta + 1.0))
     match distribution:
         case "lognormal":
-            variance = given["dispersion"] ** 2
-            mean = given["median"] * math.exp(0.5 * variance)
+            variance = parameters["dispersion"] ** 2
+            mean = parameters["median"] * math.exp(0.5 * variance)
             return mean, mean * math.sqrt(math.expm1(variance))
         case "gumbel_max" | "gumbel_min":
             sign = 1.0 if distribution == "gumbel_max" else -1.0
-            mean = given["location"] + sign * _EULER * given["scale"]
-            return mean, given["scale"] * math.pi / math.sqrt(6.0)
+            mean = parameters["location"] + sign * np.euler_gamma * parameters["scale"]
+            return mean, parameters["scale"] * math.pi / math.sqrt(6.0)
         case "weibull":
-            mean = given["scale"] * math.gamma(1.0 + 1.0 / given["shape"])
-            return mean, mean * _weibull_cov(given["shape"])
+            mean = parameters["scale"] * math.gamma(1.0 + 1.0 / parameters["shape"])
+            return mean, mean * _weibull_cov(parameters["shape"])
         case "gamma":
-            return given["shape"] * given["scale"], math.sqrt(given["shape"]) * given["scale"]
+            return parameters["shape"] * parameters["scale"], math.sqrt(parameters["shape"]) * parameters["scale"]
         case _:
-            return 1.0 / given["rate"], 1.0 / given["rate"]
-
-
-_EULER = 0.5772156649015329
-"""The Euler–Mascheroni constant."""
+            return 1.0 / parameters["rate"], 1.0 / parameters["rate"]
 
 
 def _weibull_cov(shape: float) -> float:
@@ -160,9 +163,9 @@ def _weibull_cov(shape: float) -> float:
     return math.sqrt(math.expm1(math.lgamma(1.0 + 2.0 / shape) - 2.0 * math.lgamma(1.0 + 1.0 / shape)))
 
 
-def quantiles_at(distribution: Distribution, mean: float, sd: float, reach: float) -> tuple[float, float]:
-    """The quantiles of an unbounded distribution that correspond to ∓`reach` standard deviations of a normal one."""
-    beyond = 0.5 * math.erfc(reach / math.sqrt(2.0))
+def quantiles_at(distribution: Distribution, mean: float, sd: float, distance: float) -> tuple[float, float]:
+    """The quantiles of an unbounded distribution that correspond to ∓`distance` standard deviations of a normal one."""
+    beyond = 0.5 * math.erfc(distance / math.sqrt(2.0))
     law = frozen(distribution, 0.0, 0.0, mean, sd)
     return float(law.ppf(beyond)), float(law.isf(beyond))
 
@@ -181,8 +184,8 @@ def frozen(distribution: Distribution, low: float, high: float, mean: float, sd:
         case "gumbel_max" | "gumbel_min":
             scale = sd * math.sqrt(6.0) / math.pi
             if distribution == "gumbel_max":
-                return stats.gumbel_r(mean - _EULER * scale, scale)
-            return stats.gumbel_l(mean + _EULER * scale, scale)
+                return stats.gumbel_r(mean - np.euler_gamma * scale, scale)
+            return stats.gumbel_l(mean + np.euler_gamma * scale, scale)
         case "weibull":
             target = sd / mean
             log_shape: Any = brentq(
@@ -203,6 +206,3 @@ def frozen(distribution: Distribution, low: float, high: float, mean: float, sd:
             return stats.expon(scale=mean)
         case _:
             return stats.norm(mean, sd)
-
-
-assert set(OWN) <= set(get_args(Distribution))

@@ -149,8 +149,8 @@ def feature_map(
 
     Args:
         features: "paper"; "design", the variables; "sliding", the variables and the sliding block's features;
-            "collision", these and the features of the reduced collision model; or custom features. Log-uniform
-            variables enter as logarithms.
+            "collision", these and the features of the reduced collision model; or custom features. Log-uniform and
+            lognormal variables enter as logarithms.
         space: the design space.
         model: settings of the bearing model that the sliding block and the reduced model share.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.distributions import BOUNDED, Distribution, frozen, parameters_fault
+from activefail.distributions import BOUNDED, Distribution, frozen, in_words, parameters_fault
 from activefail.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def distribution_fault(
     if high - low < _NARROWEST * max(abs(low), abs(high)):
         return f"`high - low` must be at least {_NARROWEST:g} of the larger of the two, got {low} and {high}"
     if distribution == "log_uniform" and low <= 0.0:
-        return f"`low > 0` must hold for log_uniform, got {low}"
+        return f"`low > 0` must hold for a log-uniform distribution, got {low}"
     numbers = {name: number for name, number in (("mean", mean), ("sd", sd)) if number is not None}
     if fault := parameters_fault(distribution, low, high, numbers):
         return fault
@@ -41,7 +41,7 @@ def distribution_fault(
         _, mass, _ = _masses(distribution, low, high, mean, sd)
         if not mass >= _LEAST_MASS:
             return (
-                f"{low} to {high} must contain at least {_LEAST_MASS:g} of the {distribution.replace('_', ' ')} "
+                f"{low} to {high} must contain at least {_LEAST_MASS:g} of the {in_words(distribution)} "
                 f"distribution, got {mass:.1g}"
             )
     return ""
@@ -188,8 +188,10 @@ class Parameter:
         return np.asarray(np.where(p <= 0.5, ndtri(np.clip(p, 0.0, 1.0)), -ndtri(np.clip(q, 0.0, 1.0))))
 
     def standardised(self, x: Array) -> Array:
-        """Values in standard deviations from the middle: of a normal before truncation, of a log-uniform variable's
-        logarithm; standard normal values for other distributions without bounds of their own.
+        """Values in standard deviations from the middle.
+
+        That of a truncated normal is its mean before truncation; a log-uniform variable counts by its logarithm, one
+        without bounds of its own by its standard normal value.
         """
         if self.distribution == "truncated_normal":
             assert self.mean is not None
@@ -200,7 +202,7 @@ class Parameter:
         return self.to_normal(x)
 
     def widened(self, x: Array, factor: float) -> Array:
-        """Values stretched about the middle and clipped to the bounds; those between bounds of their own do not change.
+        """Values stretched about the middle and clipped to the bounds; those of a bounded distribution do not change.
 
         A normal variable is stretched about its mean, another in standard normal values.
 

@@ -217,7 +217,7 @@ class Run:
     def predict_table(
         self, source: Path, target: Path, begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None
     ) -> int:
-        """Write a CSV file of designs with predictions added (see `campaign.tables`).
+        """Write a CSV file of designs with predictions added (see `activefail.findings.tables`).
 
         Returns:
             Number of designs outside the design space, where the classifier extrapolates.

@@ -34,7 +34,7 @@ def shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
-_WIDEST_REACH = 9.0
+_WIDEST = 9.0
 """Largest distance of a bound from the median in standard deviations: the probability beyond is 10⁻¹⁹."""
 
 
@@ -49,7 +49,8 @@ class Variable(Section):
     """One variable of the design space: its distribution and its bounds (`activefail.space.Parameter`).
 
     Distributions are stated by mean and sd, by mean and coefficient of variation, or by their own parameters
-    (`activefail.distributions`). A distribution without bounds of its own needs none.
+    (`activefail.distributions`). Only uniform, log-uniform, truncated
+    normal and beta variables need bounds.
     """
 
     low: float | None = None
@@ -70,10 +71,10 @@ class Variable(Section):
 
     @model_validator(mode="after")
     def _is_a_distribution(self) -> Self:
-        if fault := parameters_fault(self.distribution, self.low, self.high, self._given):
+        if fault := parameters_fault(self.distribution, self.low, self.high, self._parameters):
             raise ValueError(fault)
         # The widest reach that settings allow; bounds in the file do not depend on it.
-        low, high, mean, sd = self._numbers(_WIDEST_REACH)
+        low, high, mean, sd = self._numbers(_WIDEST)
         if max(-low, high) > LARGEST:
             raise ValueError(f"`{-LARGEST:g} <= low` and `high <= {LARGEST:g}` must hold, got {low:g} and {high:g}")
         if fault := distribution_fault(low, high, self.distribution, mean, sd):
@@ -81,16 +82,18 @@ class Variable(Section):
         return self
 
     @property
-    def _given(self) -> dict[str, float]:
+    def _parameters(self) -> dict[str, float]:
         numbers = {name: getattr(self, name) for name in PARAMETERS}
         return {name: number for name, number in numbers.items() if number is not None}
 
-    def _numbers(self, reach: float) -> tuple[float, float, float | None, float | None]:
-        """Bounds, mean and sd; bounds that the file leaves out lie `reach` standard deviations out."""
-        mean, sd = moments(self.distribution, self.low, self.high, self._given) if self._given else (None, None)
+    def _numbers(self, distance: float) -> tuple[float, float, float | None, float | None]:
+        """Bounds, mean and sd; bounds that the file leaves out lie `distance` standard deviations out."""
+        mean, sd = (
+            moments(self.distribution, self.low, self.high, self._parameters) if self._parameters else (None, None)
+        )
         low, high = self.low, self.high
         if mean is not None and sd is not None and (low is None or high is None):
-            least, largest = quantiles_at(self.distribution, mean, sd, reach)
+            least, largest = quantiles_at(self.distribution, mean, sd, distance)
             low, high = least if low is None else low, largest if high is None else high
         assert low is not None
         assert high is not None
@@ -101,14 +104,14 @@ class Variable(Section):
         """Whether the file gives both bounds."""
         return self.low is not None and self.high is not None
 
-    def parameter(self, name: str, reach: float) -> Parameter:
+    def parameter(self, name: str, distance: float) -> Parameter:
         """The variable of the design space, under a name.
 
         Args:
             name: of the variable.
-            reach: where bounds lie that the file leaves out, in standard deviations of a normal variable.
+            distance: where bounds lie that the file leaves out, in standard deviations of a normal variable.
         """
-        low, high, mean, sd = self._numbers(reach)
+        low, high, mean, sd = self._numbers(distance)
         return Parameter(name, low, high, self.unit, self.distribution, mean, sd)
 
 

@@ -102,8 +102,8 @@ class CampaignSettings(Section):
         variables = {name: entry for name, entry in self.space.items() if isinstance(entry, Variable)}
         fixed = {name: entry.value for name, entry in self.space.items() if isinstance(entry, FixedVariable)}
         bounded = all(variable.is_bounded for variable in variables.values())
-        reach = np.inf if bounded else radius(self.sampling.reach, len(variables))
-        parameters = tuple(variable.parameter(name, reach) for name, variable in variables.items())
+        distance = np.inf if bounded else radius(self.sampling.reach, len(variables))
+        parameters = tuple(variable.parameter(name, distance) for name, variable in variables.items())
         return DesignSpace(parameters, fixed, tuple(self.correlation))
 
     def text(self) -> str:

@@ -21,7 +21,7 @@ class FreshSet:
     """Fresh designs with their outcomes.
 
     Attributes:
-        X: (n, d) designs, uniform over the design space.
+        X: (n, d) designs, drawn from the design measure.
         outcome: (n,) int8.
         around: (n, NEIGHBOURS) int8, outcomes of its displaced copies; -1 for a numerical failure.
     """

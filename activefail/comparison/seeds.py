@@ -34,7 +34,12 @@ from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
-from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_outcomes
+from activefail.verification.stored_sets import (
+    name_of_neighbours,
+    name_of_static_set,
+    name_of_test_set,
+    simulated_outcomes,
+)
 
 STATIC = "static"
 """The sampling of an arm that is a Latin hypercube."""
@@ -248,7 +253,7 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
         X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
         outcome = outcomes(name_of_test_set(plan.test), X)
         neighbours = displaced(X, space, stream(first, "test", 1))
-        around = outcomes(f"around-{plan.test}", neighbours).reshape(len(X), -1)
+        around = outcomes(name_of_neighbours(plan.test), neighbours).reshape(len(X), -1)
         answered = outcome != NUMERICAL_FAILURE
         test = FreshSet(X[answered], outcome[answered], around[answered])
         static = {}

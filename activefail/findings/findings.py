@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import words
+from activefail.loop.history import History
 from activefail.record.batch import ACTIVE
 from activefail.record.store import Store
 from activefail.simulators.bearing import DfpSimulator
@@ -76,16 +77,16 @@ class Findings:
 
 def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
     """The findings of a campaign with at least one simulation."""
-    batches = store.batches
+    history = History.of(store.batches)
     pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
     return Findings(
         folder,
         campaign,
         classifier,
-        np.concatenate([batch.designs for batch in batches]),
-        np.concatenate([batch.results.outcome for batch in batches]),
-        np.concatenate([np.full(len(batch), batch.iteration) for batch in batches]),
-        np.concatenate([batch.origin == ACTIVE for batch in batches]),
+        history.designs,
+        history.outcome,
+        history.iteration,
+        history.origin == ACTIVE,
         expected_error(campaign, classifier),
         pool,
         predict(campaign, classifier, pool),

@@ -23,7 +23,7 @@ from activefail.record.recovery import is_segment, plain_files
 from activefail.record.segment import Outline, chain_start, decode_outline
 from activefail.shares import percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.verification.stored_sets import name_of_look, name_of_verification
+from activefail.verification.stored_sets import first_part, name_of_look, name_of_verification
 from activefail.verification.unseen import unseen_outcomes, unseen_warning
 from activefail.visible import visible
 
@@ -202,7 +202,7 @@ def is_verified(folder: Path, summary: Summary) -> bool:
         return False
     # Older versions stored looks as verifications.
     names = name_of_look(summary.iteration, simulations), name_of_verification(summary.iteration, simulations)
-    return any((folder / "sets" / f"{name}-0.h5").is_file() for name in names)
+    return any((folder / "sets" / f"{first_part(name)}.h5").is_file() for name in names)
 
 
 def read_summary(folder: Path) -> Summary | None:

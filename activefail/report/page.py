@@ -17,6 +17,7 @@ from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
 from activefail.campaign.sections import PythonFeatures
+from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
 from activefail.figures.curves import plot_learning_curves
@@ -76,9 +77,13 @@ def subscripts(text: str) -> Markup:
 
 def spread(parameter: Parameter) -> str:
     """A variable's distribution in words."""
-    if parameter.mean is not None and parameter.sd is not None:
-        return f"normal, {significant(parameter.mean)} ± {significant(parameter.sd)}, within the bounds"
-    return parameter.distribution.replace("_", "-")
+    name = in_words(parameter.distribution)
+    if parameter.mean is None:
+        return name
+    if parameter.sd is None:
+        return f"{name}, mean {significant(parameter.mean)}, within the bounds"
+    within = "" if parameter.distribution == "beta" else ", within the bounds"
+    return f"{name}, {significant(parameter.mean)} ± {significant(parameter.sd)}{within}"
 
 
 def _probability(p: float) -> str:

@@ -106,6 +106,9 @@ class Simulator(Protocol):
     If it has a method `prepare`, a worker process calls it once before the first simulation; its time does not count
     towards the time limit.
 
+    **Optional attributes.** `renew` (int or None) is the most simulations of one worker process. `isolated` (bool)
+    tells that each simulation runs in a process of its own, so that an error is not repeated in a fresh worker.
+
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
     **Exceptions.** An ActivefailError ends the campaign. Any other exception fails its simulation only: a call for

@@ -18,12 +18,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.special import log_ndtr
+from scipy.special import erfcx, log_ndtr
 
 from activefail.space import Array
 from activefail.surrogate.covariance import Hyperparameters, covariance, covariance_gradient
 
 KERNEL = "matern52"
+"""The kernel of every regression."""
 
 NUGGET = 1e-6
 """Variance of the margins' noise in units of the output scale, for a margin computed to a finite accuracy."""
@@ -38,12 +39,20 @@ WARPINGS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] =
 _CENSORED_SPREAD = 0.01
 """Largest range of the failed designs' margins, in standard deviations of the others', that is taken as truncation."""
 
-_SWEEPS, _TOLERANCE = 100, 1e-8
-"""Most sweeps of expectation propagation, and the change of a site's moments at which it ends."""
+_SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
+"""Most sweeps of expectation propagation, its share of a step, and the relative change of precisions that ends it."""
+
+
+_FARTHEST = 30.0
+"""Largest mean of a censored point's cavity in its standard deviations."""
 
 
 def length_scale_prior(dimension: int) -> tuple[float, float]:
-    """Mean and standard deviation of a length scale's logarithm: median 2√d, in units of the features' spread."""
+    """Mean and standard deviation of a length scale's logarithm: median 2√d, in units of the features' spread.
+
+    It is narrower than the classifier's (`covariance.lengthscale_prior`): with a dozen margins the likelihood alone
+    would take some variables for irrelevant.
+    """
     return math.log(2.0 * math.sqrt(dimension)), 1.0
 
 
@@ -61,10 +70,10 @@ def is_truncated(margin: Array) -> bool:
 
 
 class _Sites(NamedTuple):
-    """Gaussian sites of the censored points: exp(linear f − precision f²/2)."""
+    """Gaussian sites of the k censored points: exp(linear f − precision f²/2)."""
 
-    linear: Array
-    precision: Array
+    linear: Array  # (k,)
+    precision: Array  # (k,)
 
 
 class _Censored(NamedTuple):
@@ -75,47 +84,55 @@ class _Censored(NamedTuple):
 
 
 def _censored(mean: Array, S: Array, sites: _Sites) -> _Censored:
-    """Expectation propagation for f ~ N(mean, S), f ≤ 0 in every entry, from initial sites."""
-    linear, precision = (site.copy() for site in sites)
-    L = cholesky(S, lower=True)
-    prior_linear = cho_solve((L, True), mean)
-    inverse = cho_solve((L, True), np.eye(len(mean)))
+    """Expectation propagation for f ~ N(mean, S), (k,) and (k, k), with f ≤ 0 in every entry, from initial sites.
+
+    All sites take a damped step at once: a site after the other needs k times the algebra.
+    """
+    linear, precision = sites
     for _ in range(_SWEEPS):
-        V = np.linalg.inv(inverse + np.diag(precision))
-        m = V @ (prior_linear + linear)
-        before = linear.copy(), precision.copy()
-        for i in range(len(mean)):
-            cavity_precision = max(1.0 / V[i, i] - precision[i], 1e-12)
-            cavity_mean = (m[i] / V[i, i] - linear[i]) / cavity_precision
-            sd = cavity_precision**-0.5
-            z = -cavity_mean / sd
-            ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(z)))
-            shrink = ratio * (z + ratio)
-            tilted_mean, tilted_variance = cavity_mean - sd * ratio, max(sd * sd * (1.0 - shrink), 1e-12 * sd * sd)
-            new_precision = max(1.0 / tilted_variance - cavity_precision, 0.0)
-            new_linear = tilted_mean / tilted_variance - cavity_precision * cavity_mean
-            change = new_precision - precision[i]
-            V -= np.outer(V[:, i], V[:, i]) * (change / (1.0 + change * V[i, i]))
-            linear[i], precision[i] = new_linear, new_precision
-            m = V @ (prior_linear + linear)
-        moved = max(np.abs(linear - before[0]).max(), np.abs(precision - before[1]).max())
-        if moved <= _TOLERANCE * max(1.0, np.abs(precision).max()):
+        _, m, variance, _ = _with_sites(mean, S, linear, precision)
+        cavity_precision, cavity_mean, z = _cavities(m, variance, linear, precision)
+        sd = cavity_precision**-0.5
+        ratio = math.sqrt(2.0 / math.pi) / erfcx(-z / math.sqrt(2.0))  # φ(z)/Φ(z)
+        # Far above 0 the tilted variance is about sd²/z², which the difference loses to rounding.
+        shrunk = np.maximum(1.0 - ratio * (z + ratio), 0.3 / (1.0 + z * z))
+        tilted_precision = cavity_precision / shrunk
+        new_precision = np.maximum(tilted_precision - cavity_precision, 0.0)
+        new_linear = tilted_precision * (cavity_mean - sd * ratio) - cavity_precision * cavity_mean
+        moved = np.abs(new_precision - precision) / (1.0 / variance + precision)
+        linear = linear + _DAMPING * (new_linear - linear)
+        precision = precision + _DAMPING * (new_precision - precision)
+        if moved.max() <= _TOLERANCE:
             break
-    V = np.linalg.inv(inverse + np.diag(precision))
-    m = V @ (prior_linear + linear)
-    variance = V.diagonal()
-    cavity_precision = np.maximum(1.0 / variance - precision, 1e-12)
-    cavity_mean = (m / variance - linear) / cavity_precision
-    z = -cavity_mean * np.sqrt(cavity_precision)
+    log_determinant, m, variance, quadratic = _with_sites(mean, S, linear, precision)
+    cavity_precision, cavity_mean, z = _cavities(m, variance, linear, precision)
     # log ∫ N(f; mean, S) Π t_i(f_i), each site scaled so that it has the step's integral against its cavity.
     scale = log_ndtr(z) + 0.5 * np.log1p(precision / cavity_precision)
-    scale += 0.5 * (
-        cavity_precision * cavity_mean**2
-        - (cavity_precision * cavity_mean + linear) ** 2 / (cavity_precision + precision)
-    )
-    _, determinant = np.linalg.slogdet(np.eye(len(mean)) + S * precision)
-    joint = 0.5 * float(m @ (prior_linear + linear) - mean @ prior_linear) - 0.5 * float(determinant)
-    return _Censored(_Sites(linear, precision), float(scale.sum()) + joint)
+    tilted = (cavity_precision * cavity_mean + linear) ** 2 / (cavity_precision + precision)
+    scale += 0.5 * (cavity_precision * cavity_mean**2 - tilted)
+    return _Censored(_Sites(linear, precision), float(scale.sum()) + quadratic - 0.5 * log_determinant)
+
+
+def _with_sites(mean: Array, S: Array, linear: Array, precision: Array) -> tuple[float, Array, Array, float]:
+    """Of N(mean, S) times Gaussian sites: log |I + P S|, its mean and variances, and the exponent of its integral."""
+    root = np.sqrt(precision)
+    L = cholesky(np.eye(len(mean)) + root[:, None] * S * root, lower=True)
+    whitened = solve_triangular(L, root[:, None] * S, lower=True)
+    V = S - whitened.T @ whitened
+    pull = linear - precision * mean
+    step = V @ pull
+    quadratic = float(linear @ mean - 0.5 * mean @ (precision * mean) + 0.5 * pull @ step)
+    variance = np.maximum(V.diagonal(), 1e-12 * S.diagonal())
+    return 2.0 * float(np.log(L.diagonal()).sum()), mean + step, variance, quadratic
+
+
+def _cavities(m: Array, variance: Array, linear: Array, precision: Array) -> tuple[Array, Array, Array]:
+    """Precisions and means of the marginals without their own sites, and z with P(f ≤ 0) = Φ(z)."""
+    cavity_precision = np.maximum(1.0 / variance - precision, 1e-6 / variance)
+    cavity_mean = (m / variance - linear) / cavity_precision
+    # Only a line search meets cavities this far above 0; sites that follow them would diverge.
+    cavity_mean = np.minimum(cavity_mean, _FARTHEST / np.sqrt(cavity_precision))
+    return cavity_precision, cavity_mean, -cavity_mean * np.sqrt(cavity_precision)
 
 
 @dataclass(frozen=True)
@@ -268,11 +285,14 @@ def fit_margin(
         warm: an earlier fit to the first of these points, whose length scales are the starting point.
 
     Raises:
-        ValueError: if there are fewer than two margins, one is not finite, or all are equal.
+        ValueError: if there are fewer than two margins, one is not finite, or all are equal; or, truncated, if fewer
+            than two are positive.
     """
     if len(margin) < 2 or not np.isfinite(margin).all() or np.ptp(margin) == 0.0:
         raise ValueError("regression needs two margins or more that are finite and not all equal")
     truncated = is_truncated(margin) if truncated is None else truncated
+    if truncated and (margin > 0.0).sum() < 2:
+        raise ValueError("regression on truncated margins needs two that are positive")
     fits = [_fit_warped(features, margin, truncated, name, warm) for name in WARPINGS]
     return max(fits, key=lambda fitted: fitted.log_likelihood)
 
@@ -298,7 +318,9 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
         return -evaluation.value, -evaluation.gradient
 
     spread = 2.0 * math.log(scale)
-    bounds = [(-50.0 * scale, 50.0 * scale), (spread - 6.0, spread + 14.0)] + [(-4.0, 8.0)] * features.shape[1]
+    exact_y = y[~censored]
+    mean_bounds = (float(exact_y.min()) - 20.0 * scale, float(exact_y.max()) + 3.0 * scale)
+    bounds = [mean_bounds, (spread - 4.0, spread + 14.0)] + [(-4.0, 8.0)] * features.shape[1]
     optimum = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
     final = _evaluate(features, y, censored, optimum.x, sites)
     jacobian = float((log_slope(exact / unit) - math.log(unit)).sum())
@@ -307,7 +329,13 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
 
 
 def conditioned(trained: MarginFit, features: Array, margin: Array) -> MarginFit:
-    """The fit after more exact margins, (k,), at scaled features, (k, m), with its hyperparameters unchanged."""
+    """The fit after more margins, (k,), at scaled features, (k, m), with its hyperparameters unchanged.
+
+    Raises:
+        ValueError: if the fit is of truncated margins and one of the new ones is at most 0.
+    """
+    if trained.truncated and not (margin > 0.0).all():
+        raise ValueError(f"margins must be positive to extend a truncated fit, got {margin.min()}")
     return replace(
         trained,
         features=np.concatenate([trained.features, features]),

@@ -24,6 +24,7 @@ from activefail.surrogate.classifier import Classifier, Latent, Moments
 from activefail.surrogate.fitting import Fit
 from activefail.surrogate.sites import Projection
 from activefail.verification.stored_sets import (
+    first_part,
     looks_before,
     name_of_look,
     name_of_verification,
@@ -272,7 +273,7 @@ def verify(
     plan = planned(campaign, classifier, iteration, simulations)
     # Reuse the simulations of a look.
     names = name_of_look(iteration, simulations), name_of_verification(iteration, simulations)
-    name = next((name for name in names if store.read_set(f"{name}-0") is not None), names[-1])
+    name = next((name for name in names if store.read_set(first_part(name)) is not None), names[-1])
     outcome = simulated_outcomes(campaign, store, executor, name, plan.designs)
     assert outcome is not None  # no stop was requested
     return _judged(campaign, plan, outcome, confidence)

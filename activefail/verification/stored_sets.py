@@ -5,6 +5,7 @@ A set is stored in parts, `<name>-<part>`, so that an interruption loses at most
     validation                          for the accuracy shown as progress
     test-<designs>                      for comparing samplings
     static-<designs>[-seed<seed>]       a static Latin hypercube
+    around-<designs>                    designs around those of a test set
     look-<iteration>-<designs>          fresh simulations of a look of the stop rule
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
 """
@@ -41,6 +42,11 @@ def name_of_static_set(designs: int, seed: int | None = None) -> str:
     return f"static-{designs}" if seed is None else f"static-{designs}-seed{seed}"
 
 
+def name_of_neighbours(designs: int) -> str:
+    """Name of the designs around those of a test set of so many."""
+    return f"around-{designs}"
+
+
 def name_of_look(iteration: int, designs: int) -> str:
     """Name of the fresh simulations of a look of the stop rule."""
     return f"look-{iteration}-{designs}"
@@ -49,6 +55,11 @@ def name_of_look(iteration: int, designs: int) -> str:
 def name_of_verification(iteration: int, designs: int) -> str:
     """Name of the fresh simulations that a user requested; the same designs as a look's."""
     return f"verification-{iteration}-{designs}"
+
+
+def first_part(name: str) -> str:
+    """Name under which the first part of a set is stored."""
+    return f"{name}-0"
 
 
 def sizes_of_test_sets(store: Store) -> list[int]:

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -393,7 +394,11 @@ def test_the_spread_of_a_variable_is_told_in_words():
     assert page.spread(Parameter("a", 1.0, 2.0)) == "uniform"
     assert page.spread(Parameter("b", 1.0, 2.0, distribution="log_uniform")) == "log-uniform"
     normal = Parameter("c", 1.0, 2.0, distribution="truncated_normal", mean=1.5, sd=0.25)
-    assert page.spread(normal) == "normal, 1.50 ± 0.250, within the bounds"
+    assert page.spread(normal) == "truncated normal, 1.50 ± 0.250, within the bounds"
+    assert page.spread(replace(normal, distribution="gumbel_max")) == "Gumbel (max), 1.50 ± 0.250, within the bounds"
+    assert page.spread(replace(normal, distribution="beta")) == "beta, 1.50 ± 0.250"
+    waiting = replace(normal, distribution="exponential", sd=None)
+    assert page.spread(waiting) == "exponential, mean 1.50, within the bounds"
 
 
 def test_powers_in_units_are_raised():
