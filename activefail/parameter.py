@@ -68,6 +68,9 @@ class Parameter:
     Its distribution is the named one conditional on these bounds.
 
     Attributes:
+        name: an identifier.
+        low, high: bounds, in the unit.
+        unit: for tables and axes; empty for a number without one.
         distribution: name of the distribution.
         mean, sd: mean and standard deviation of the unbounded distribution, or of a beta distribution; None for uniform
             and log-uniform variables. The sd of an exponential variable is None.
@@ -129,7 +132,7 @@ class Parameter:
                 return self._between(u, 1.0 - u)
 
     def share(self, x: Array) -> Array:
-        """The distribution function, the inverse of `quantile`."""
+        """The distribution function at values x of any shape, the inverse of `quantile`."""
         match self.distribution:
             case "uniform":
                 return (x - self.low) / (self.high - self.low)
@@ -152,7 +155,7 @@ class Parameter:
         return self.distribution in ("uniform", "log_uniform", "truncated_normal")
 
     def density(self, x: Array) -> Array:
-        """The probability density of the distribution, per unit of the variable."""
+        """The probability density at values x of any shape, per unit of the variable."""
         match self.distribution:
             case "uniform":
                 return np.full(np.shape(x), 1.0 / (self.high - self.low))
@@ -169,7 +172,7 @@ class Parameter:
         return np.asarray(np.clip(x, self.low, self.high))
 
     def from_normal(self, z: Array) -> Array:
-        """Values of the variable at standard normal values: F⁻¹(Φ(z)), accurate in both tails."""
+        """The variable's values at standard normal values z of any shape: F⁻¹(Φ(z)), accurate in both tails."""
         from scipy.special import ndtr, ndtri
 
         if self.distribution in ("uniform", "log_uniform"):
@@ -177,7 +180,7 @@ class Parameter:
         return self._between(ndtr(z), ndtr(-z))
 
     def to_normal(self, x: Array) -> Array:
-        """Standard normal values of the variable's values: Φ⁻¹(F(x)), the inverse of `from_normal`."""
+        """Standard normal values at values x of any shape: Φ⁻¹(F(x)), the inverse of `from_normal`."""
         from scipy.special import ndtri
 
         if self.distribution in ("uniform", "log_uniform"):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
     from activefail.execution.executor import AsynchronousExecutor, Executor
-    from activefail.findings.findings import Findings
+    from activefail.findings.results import Findings
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
     from activefail.space import DesignSpace
@@ -209,7 +209,7 @@ class Run:
     @property
     def findings(self) -> "Findings":
         """The findings of the campaign so far."""
-        from activefail.findings.findings import findings_of
+        from activefail.findings.results import findings_of
 
         with one_thread():
             return findings_of(self.folder, self.campaign, self.store, self.classifier)

@@ -16,7 +16,7 @@ import numpy as np
 
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
-from activefail.findings.findings import findings_of
+from activefail.findings.results import findings_of
 from activefail.loop.learning import current_classifier
 from activefail.surrogate.threads import one_thread
 

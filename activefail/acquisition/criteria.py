@@ -1,8 +1,8 @@
 """Criteria that rank candidates by what their simulation would teach: one function each, larger is better.
 
 Failure is f > 0, with a probit likelihood for the next label. Pointwise criteria take the latent's mean and standard
-deviation at candidates, arrays of one shape, and return an array of that shape. All take NumPy arrays, as the loop has
-them, or torch tensors, through which gradients flow, as BoTorch's optimisers need them.
+deviation at candidates, arrays of one shape, and return an array of that shape. They take NumPy arrays
+(in the loop) or torch tensors (for BoTorch's optimisers, with gradients).
 
 Look-ahead criteria also take the latent at R reference points, drawn from the design measure, and the covariance
 between both. They average, over the references, the expected information of a candidate's label about each reference's

@@ -28,9 +28,9 @@ from activefail.figures.motion import (
 from activefail.figures.outcome_planes import plot_variable_plane
 from activefail.figures.svg import inline
 from activefail.findings import quantities
-from activefail.findings.findings import Findings, at_the_boundary
 from activefail.findings.prediction import Prediction, interval, predict
 from activefail.findings.quantities import plain, words
+from activefail.findings.results import Findings, at_the_boundary
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
 from activefail.visible import visible

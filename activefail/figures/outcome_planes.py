@@ -17,9 +17,9 @@ from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.marks import outcome_handles, scatter_outcomes
 from activefail.figures.paper_planes import PLANES, SLICE, Plane
 from activefail.figures.style import GREY, styled
-from activefail.findings.findings import Findings
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import Quantity, plain, quantity, variables, words
+from activefail.findings.results import Findings
 from activefail.space import Array
 
 GRID = 44

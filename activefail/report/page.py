@@ -29,9 +29,9 @@ from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.files import replacing, target_of
 from activefail.findings import quantities
-from activefail.findings.findings import Findings, at_the_boundary
 from activefail.findings.prediction import predict
 from activefail.findings.quantities import significant, words
+from activefail.findings.results import Findings, at_the_boundary
 from activefail.findings.summary import Plan, Summary
 from activefail.loop.progress import standing
 from activefail.parameter import Parameter

@@ -118,7 +118,7 @@ BROKEN = {
     ),
     "a logarithm of what is not positive": (
         "space.mu = {low = 0.0, high = 0.2, distribution = 'log_uniform'}",
-        ["space.mu: `low > 0` must hold for log_uniform", "0.0"],
+        ["space.mu: `low > 0` must hold for a log-uniform distribution", "0.0"],
     ),
     "unknown distribution": (
         "space.mu = {low = 0.1, high = 0.2, distribution = 'poisson'}",

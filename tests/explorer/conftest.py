@@ -11,7 +11,7 @@ from report.test_report import ran, settings
 from activefail.campaign.opening import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
-from activefail.findings.findings import Findings, findings_of
+from activefail.findings.results import Findings, findings_of
 from activefail.loop.learning import current_classifier
 from activefail.surrogate.threads import one_thread
 

@@ -19,8 +19,8 @@ from activefail.errors import InputError
 from activefail.explorer import answers as explorer_answers
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
-from activefail.findings.findings import findings_of
 from activefail.findings.prediction import predict
+from activefail.findings.results import findings_of
 from activefail.loop.learning import current_classifier
 from activefail.record.run_folder import FolderStore
 from activefail.surrogate.threads import one_thread

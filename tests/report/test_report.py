@@ -24,7 +24,7 @@ from activefail.features import paper_features
 from activefail.figures import outcome_planes, samples, svg
 from activefail.figures.marks import outcome_colour
 from activefail.findings import quantities
-from activefail.findings.findings import findings_of
+from activefail.findings.results import findings_of
 from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer
