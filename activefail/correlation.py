@@ -22,7 +22,7 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
         InputError: naming the entry of `correlation`.
     """
     names = [parameter.name for parameter in parameters]
-    R = np.eye(len(names))
+    R, pairs = np.eye(len(names)), list[set[str]]()
     for number, (one, other, rho) in enumerate(correlation):
         entry = f"correlation[{number}]"
         for name in (one, other):
@@ -31,10 +31,11 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
         i, j = names.index(one), names.index(other)
         if i == j:
             raise InputError(f"{entry}: names {one!r} twice.")
-        if R[i, j] != 0.0:
+        if {one, other} in pairs:
             raise InputError(f"{entry}: {one!r} and {other!r} already have a correlation.")
         if not -1.0 < rho < 1.0:
             raise InputError(f"{entry}: the correlation must lie between -1 and 1, got {rho}.")
+        pairs.append({one, other})
         R[i, j] = R[j, i] = _copula_coefficient(parameters[i], parameters[j], rho, entry)
     try:
         return np.asarray(np.linalg.cholesky(R))

@@ -65,8 +65,14 @@ PARAMETERS = ("mean", "sd", "cov", *dict.fromkeys(name for names in NATURAL_PARA
 _LARGEST = 1e100
 """Largest mean and sd."""
 
-_SMALLEST_SHAPE, _LARGEST_SHAPE = 0.1, 1e4
-"""Range of a Weibull distribution's shape, for coefficients of variation from 0.0002 to 400,000."""
+_COV = {"lognormal": (1e-6, 1e3), "weibull": (1e-3, 100.0), "gamma": (1e-3, 3.0), "exponential": (1.0, 1.0)}
+"""Coefficients of variation between which SciPy's quantiles are accurate in both tails."""
+
+_BETA_SHAPES = (0.5, 500.0)
+"""Range of a beta distribution's shapes, for the same reason."""
+
+_LEAST_SHAPE, _LARGEST_SHAPE = 0.1, 1e4
+"""Range of a Weibull distribution's shape that holds these coefficients of variation."""
 
 
 def sets_of_parameters(distribution: Distribution) -> tuple[tuple[str, ...], ...]:
@@ -111,6 +117,8 @@ def parameters_fault(
             mean = sd = math.inf
         if not (abs(mean) <= _LARGEST and sd <= _LARGEST):
             return f"mean and sd must be at most {_LARGEST:g}, got {mean:g} and {sd:g}"
+        if sd < 1.0 / _LARGEST:
+            return f"the sd must be at least {1.0 / _LARGEST:g}, got {sd:g}"
     if distribution in POSITIVE and low is not None and low < 0.0:
         return f"`low >= 0` must hold for {name}, got {low}"
     if distribution == "beta" and low is not None and high is not None:
@@ -118,10 +126,19 @@ def parameters_fault(
         possible = low < mean < high and sd * sd < (mean - low) * (high - mean)
         if not possible:
             return f"no beta distribution between {low:g} and {high:g} has mean {mean:g} and sd {sd:g}"
-    if distribution == "weibull":
-        least, largest = _weibull_cov(_LARGEST_SHAPE), _weibull_cov(_SMALLEST_SHAPE)
-        if not least < sd / mean < largest:
-            return f"the coefficient of variation must lie between {least:.2g} and {largest:.2g}, got {sd / mean:g}"
+    if distribution == "beta":
+        assert low is not None
+        assert high is not None
+        shapes = beta_shapes(low, high, mean, sd)
+        if not all(_BETA_SHAPES[0] <= shape <= _BETA_SHAPES[1] for shape in shapes):
+            return (
+                f"`alpha` and `beta` must lie between {_BETA_SHAPES[0]:g} and {_BETA_SHAPES[1]:g}, got "
+                f"{shapes[0]:.3g} and {shapes[1]:.3g}"
+            )
+    if distribution in POSITIVE:
+        least, largest = _COV[distribution]
+        if not least <= sd / mean <= largest:
+            return f"the coefficient of variation must lie between {least:g} and {largest:g}, got {sd / mean:g}"
     return ""
 
 
@@ -163,6 +180,13 @@ def _weibull_cov(shape: float) -> float:
     return math.sqrt(math.expm1(math.lgamma(1.0 + 2.0 / shape) - 2.0 * math.lgamma(1.0 + 1.0 / shape)))
 
 
+def beta_shapes(low: float, high: float, mean: float, sd: float) -> tuple[float, float]:
+    """Alpha and beta of a beta distribution between two bounds."""
+    share = (mean - low) / (high - low)
+    total = share * (1.0 - share) * ((high - low) / sd) ** 2 - 1.0
+    return share * total, (1.0 - share) * total
+
+
 def quantiles_at(distribution: Distribution, mean: float, sd: float, distance: float) -> tuple[float, float]:
     """The quantiles of an unbounded distribution that correspond to ∓`distance` standard deviations of a normal one."""
     beyond = 0.5 * math.erfc(distance / math.sqrt(2.0))
@@ -190,7 +214,7 @@ def frozen(distribution: Distribution, low: float, high: float, mean: float, sd:
             target = sd / mean
             log_shape: Any = brentq(
                 lambda k: _weibull_cov(math.exp(k)) - target,
-                math.log(_SMALLEST_SHAPE),
+                math.log(_LEAST_SHAPE),
                 math.log(_LARGEST_SHAPE),
                 xtol=1e-14,
             )
@@ -199,9 +223,7 @@ def frozen(distribution: Distribution, low: float, high: float, mean: float, sd:
         case "gamma":
             return stats.gamma((mean / sd) ** 2, scale=sd * sd / mean)
         case "beta":
-            share = (mean - low) / (high - low)
-            total = share * (1.0 - share) * ((high - low) / sd) ** 2 - 1.0
-            return stats.beta(share * total, (1.0 - share) * total, low, high - low)
+            return stats.beta(*beta_shapes(low, high, mean, sd), low, high - low)
         case "exponential":
             return stats.expon(scale=mean)
         case _:

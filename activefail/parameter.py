@@ -61,6 +61,18 @@ def _masses(
     return below, 1.0 - below - above, above
 
 
+_FARTHEST = 9.0
+"""Largest standard normal value of a variable's value: the probability beyond is 10⁻¹⁹."""
+
+
+def _normal_quantile(p: Array, q: Array) -> Array:
+    """Φ⁻¹ of the probabilities p below and q = 1 − p above a value, within ±`_FARTHEST`."""
+    from scipy.special import ndtri
+
+    z = np.where(p <= 0.5, ndtri(np.clip(p, 0.0, 1.0)), -ndtri(np.clip(q, 0.0, 1.0)))
+    return np.asarray(np.clip(z, -_FARTHEST, _FARTHEST))
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One variable of the design space, between `low` and `high` (in `unit`).
@@ -180,15 +192,16 @@ class Parameter:
         return self._between(ndtr(z), ndtr(-z))
 
     def to_normal(self, x: Array) -> Array:
-        """Standard normal values at values x of any shape: Φ⁻¹(F(x)), the inverse of `from_normal`."""
-        from scipy.special import ndtri
+        """Standard normal values at values x of any shape: Φ⁻¹(F(x)), the inverse of `from_normal`.
 
+        They are finite at the bounds too.
+        """
         if self.distribution in ("uniform", "log_uniform"):
-            return np.asarray(ndtri(self.share(x)))
+            u = self.share(x)
+            return _normal_quantile(u, 1.0 - u)
         below, mass, above = self._masses()
         law = self._law
-        p, q = (law.cdf(x) - below) / mass, (law.sf(x) - above) / mass
-        return np.asarray(np.where(p <= 0.5, ndtri(np.clip(p, 0.0, 1.0)), -ndtri(np.clip(q, 0.0, 1.0))))
+        return _normal_quantile((law.cdf(x) - below) / mass, (law.sf(x) - above) / mass)
 
     def standardised(self, x: Array) -> Array:
         """Values in standard deviations from the middle.
@@ -196,18 +209,18 @@ class Parameter:
         That of a truncated normal is its mean before truncation; a log-uniform variable counts by its logarithm, one
         without bounds of its own by its standard normal value.
         """
-        if self.distribution == "truncated_normal":
+        if self.distribution in ("truncated_normal", "normal"):
             assert self.mean is not None
             assert self.sd is not None
-            return (x - self.mean) / self.sd
+            return np.asarray((x - self.mean) / self.sd)
         if self.distribution in BOUNDED:
             return np.asarray(np.sqrt(12.0) * (self.share(x) - 0.5))
-        return self.to_normal(x)
+        return _normal_quantile(self._law.cdf(x), self._law.sf(x))
 
     def widened(self, x: Array, factor: float) -> Array:
         """Values stretched about the middle and clipped to the bounds; those of a bounded distribution do not change.
 
-        A normal variable is stretched about its mean, another in standard normal values.
+        A normal variable is stretched about its mean, another in standard normal values before truncation.
 
         Args:
             x: values.
@@ -218,7 +231,11 @@ class Parameter:
             return np.asarray(np.clip(self.mean + factor * (x - self.mean), self.low, self.high))
         if self.distribution in BOUNDED:
             return np.asarray(x)
-        return self.from_normal(factor * self.to_normal(x))
+        from scipy.special import ndtr
+
+        z = factor * self.standardised(x)
+        stretched = np.where(z <= 0.0, self._law.ppf(ndtr(z)), self._law.isf(ndtr(-z)))
+        return np.asarray(np.clip(stretched, self.low, self.high))
 
     @property
     def label(self) -> str:

@@ -1,4 +1,5 @@
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -6,11 +7,16 @@ import pytest
 import tomli_w
 from scipy import integrate, stats
 
+from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.correlation import nataf_factor
 from activefail.errors import InputError
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
 from activefail.parameter import Parameter
-from activefail.space import DesignSpace, radius
+from activefail.record.memory import MemoryStore
+from activefail.simulators.interface import Results
+from activefail.space import Array, DesignSpace, radius
 
 # The same distributions by their own parameters, and as SciPy has them.
 OWN: dict[str, tuple[dict[str, float], Any]] = {
@@ -76,6 +82,19 @@ def test_standard_normal_values_and_back_agree_in_both_tails(distribution: str) 
     assert (np.diff(parameter.from_normal(z)) > 0.0).all()
 
 
+@pytest.mark.parametrize("distribution", [*OWN, "uniform", "log_uniform"])
+def test_values_at_the_bounds_have_finite_places(distribution: str) -> None:
+    parameter = variable(distribution, **(OWN[distribution][0] if distribution in OWN else {"low": 1.0, "high": 4.0}))
+    ends = np.array([parameter.low, parameter.high])
+    for place in (parameter.standardised, parameter.to_normal):
+        assert np.isfinite(place(ends)).all()
+        assert np.diff(place(ends))[0] > 2.0
+    np.testing.assert_allclose(parameter.from_normal(parameter.to_normal(ends)), ends, rtol=1e-6, atol=1e-4)
+    wider = parameter.widened(parameter.from_normal(np.array([-1.0, 0.0, 1.0])), 1.5)
+    assert (parameter.low <= wider).all()
+    assert (wider <= parameter.high).all()
+
+
 @pytest.mark.parametrize("reach", [1e-8, 1e-3])
 def test_bounds_that_the_file_leaves_out_enclose_the_ball_of_the_reach(reach: float) -> None:
     text = (
@@ -112,6 +131,16 @@ BROKEN = {
         {"distribution": "beta", "mean": 1.0, "sd": 9.0, "low": 0.0, "high": 2.0},
         "no beta distribution between 0 and 2",
     ),
+    "a beta of two points": (
+        {"distribution": "beta", "alpha": 0.01, "beta": 0.01, "low": 0.0, "high": 1.0},
+        "`alpha` and `beta`",
+    ),
+    "a gamma at zero": (
+        {"distribution": "gamma", "mean": 1.0, "cov": 30.0},
+        "coefficient of variation must lie between",
+    ),
+    "a gamma of one value": ({"distribution": "gamma", "mean": 1.0, "cov": 1e-6}, "coefficient of variation must lie"),
+    "tiny": ({"distribution": "exponential", "mean": 1e-320}, "the sd must be at least"),
     "no bounds": ({"distribution": "beta", "mean": 1.0, "sd": 0.1}, "needs `low` and `high`"),
     "overflow": (
         {"distribution": "lognormal", "median": 1.0, "dispersion": 60.0},
@@ -171,6 +200,7 @@ def test_designs_have_the_correlation_that_was_stated_and_their_own_distribution
         ([("a", "b", 1.0)], r"correlation\[0\]: the correlation must lie between -1 and 1, got 1.0"),
         ([("a", "b", math.nan)], "must lie between -1 and 1, got nan"),
         ([("a", "b", 0.5), ("b", "a", 0.5)], r"correlation\[1\]: 'b' and 'a' already have a correlation"),
+        ([("a", "b", 0.0), ("b", "a", 0.5)], r"correlation\[1\]: 'b' and 'a' already have a correlation"),
     ],
 )
 def test_entries_that_define_no_correlation_are_refused(correlation: list[Any], rule: str) -> None:
@@ -201,3 +231,63 @@ def test_quadrature_agrees_with_the_integral_of_a_correlated_pair() -> None:
 
     value, _ = integrate.dblquad(product, -7.0, 7.0, -7.0, 7.0, epsabs=1e-4)
     assert value / (8.0 * 0.2) == pytest.approx(0.7, abs=2e-3)
+
+
+CORRELATED = """
+correlation = [["load", "strength", 0.3]]
+sampling = { initial = 20, budget = 40, batch = 5 }
+simulator = { python = "model:f", outcomes = ["safe", "failed"] }
+space.load = { distribution = "gumbel_max", mean = 40.0, cov = 0.25 }
+space.strength = { distribution = "lognormal", median = 60.0, dispersion = 0.2 }
+"""
+
+
+@dataclass(frozen=True)
+class Beam:
+    outcomes = ("safe", "failed")
+    causes = ("",)
+    margins = ()
+    releases_gil = True
+
+    def run(self, X: Array) -> Results:
+        assert np.isfinite(X).all()
+        failed = (X[:, -1] <= X[:, 0]).astype(np.int8)
+        return Results(failed, np.zeros(len(X), dtype=np.int8), np.empty((len(X), 0)), np.zeros(len(X)))
+
+
+def test_designs_on_a_face_of_the_cube_lie_on_the_bounds_also_with_correlations() -> None:
+    space = parse_settings(CORRELATED, "beam.toml").design_space()
+    U = np.array([[0.0, 0.5], [0.5, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    X = space.from_unit(U)
+    assert space.contains(X).all()
+    assert np.isfinite(space.to_unit(X)).all()
+    assert np.isfinite(space.to_normal(np.array([space.low, space.high]))).all()
+
+
+@pytest.mark.parametrize("criterion", ["entropy", "bald", "eavc"])
+def test_a_campaign_on_correlated_variables_runs_without_a_design_twice(criterion: str) -> None:
+    settings = parse_settings(CORRELATED, "beam.toml").changed({"acquisition.criterion": criterion})
+    designs = simulated(Campaign.of(settings, simulator=Beam()))
+    assert len(np.unique(designs, axis=0)) == 40
+
+
+@pytest.mark.parametrize("variable", ["", ", low = -3.0, high = 3.0"])
+def test_a_search_over_an_unbounded_variable_simulates_no_design_twice(variable: str) -> None:
+    text = (
+        'simulator = { python = "m:f", outcomes = ["safe", "failed"] }\n'
+        "sampling = { initial = 12, budget = 40, batch = 4 }\n"
+        f'space.x = {{ distribution = "normal", mean = 0.0, sd = 1.0{variable} }}\n'
+        'space.y = { distribution = "gumbel_max", mean = 20.0, sd = 1.0 }\n'
+    )
+    designs = simulated(Campaign.of(parse_settings(text, "rare.toml"), simulator=Beam()))
+    assert len(np.unique(designs, axis=0)) == 40
+    # Far designs differ in both variables; they are not all on one face.
+    assert len(np.unique(designs[12:, 0])) > 14
+
+
+def simulated(campaign: Campaign) -> Array:
+    """Runs a campaign and returns its designs."""
+    store = MemoryStore(campaign.schema)
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, 40)
+    return np.concatenate([batch.designs for batch in store.batches])
