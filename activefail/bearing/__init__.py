@@ -1,11 +1,12 @@
 """The bearing model: a double friction pendulum bearing under a pulse, with rim impact, slider rotation and uplift."""
 
-from activefail.bearing.kernels import remove_stale_kernels
+from activefail.bearing.kernels import cached_by_sources, remove_stale_kernels
 
-# Must run before any kernel is loaded.
+# Both must come before any kernel is defined.
 remove_stale_kernels()
-
-from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance  # noqa: E402
-from activefail.bearing.simulation import Response, Responses, simulate, simulate_one  # noqa: E402
+with cached_by_sources():
+    from activefail.bearing import collision, motion  # noqa: F401
+    from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
+    from activefail.bearing.simulation import Response, Responses, simulate, simulate_one
 
 __all__ = ["TABLE_1", "Bearing", "Model", "Pulse", "Response", "Responses", "Tolerance", "simulate", "simulate_one"]

@@ -1,9 +1,13 @@
 """The compiled kernels: their compiler options, and checks of cached kernels against the sources."""
 
 import hashlib
-from contextlib import suppress
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from activefail.errors import InputError
 
 KERNEL: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """Options of every kernel: division by zero gives infinity; a product and a sum may be fused, with one rounding.
@@ -32,6 +36,38 @@ def remove_stale_kernels(package: Path = _PACKAGE) -> int:
                 path.unlink(missing_ok=True)
                 removed += 1
     return removed
+
+
+@contextmanager
+def cached_by_sources(package: Path = _PACKAGE) -> Iterator[None]:
+    """Keep kernels that are defined meanwhile in a folder of these sources, if numba's cache is not in the package.
+
+    The cache is elsewhere if `NUMBA_CACHE_DIR` says so, or if the package cannot be written. `remove_stale_kernels`
+    does not see it.
+    """
+    from numba.core import config
+    from numba.misc.appdirs import AppDirs
+
+    before = config.CACHE_DIR
+    elsewhere = before or ("" if os.access(package, os.W_OK) else AppDirs("numba", False).user_cache_dir)
+    if elsewhere:
+        config.CACHE_DIR = str(Path(elsewhere) / f"activefail-{sources_digest(package)[:16]}")
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+def check_compiled() -> None:
+    """Check that numba compiles.
+
+    Raises:
+        InputError: if `NUMBA_DISABLE_JIT` is set.
+    """
+    from numba.core import config
+
+    if config.DISABLE_JIT:
+        raise InputError("NUMBA_DISABLE_JIT is set, but the kernels of the bearing run only compiled. Unset it.")
 
 
 def sources_digest(package: Path = _PACKAGE) -> str:

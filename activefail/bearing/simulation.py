@@ -18,7 +18,7 @@ from activefail.bearing.barrier import barrier
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
 from activefail.bearing.dynamics import COORDINATES, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import KERNEL, check_compiled
 from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
 from activefail.errors import InputError
 from activefail.space import Array
@@ -275,7 +275,11 @@ def simulate_one(
         model: settings of the model.
         tolerance: accuracy of the integration.
         to_the_end: whether to continue, unlike `simulate`, until 2.5 T_b after the pulse once the outcome is settled.
+
+    Raises:
+        InputError: if numba is told not to compile.
     """
+    check_compiled()
     model, tolerance = model or Model(), tolerance or Tolerance()
     history = np.empty((4096, HISTORY))
     run = _simulate(bearing, pulse, model, tolerance, history, to_the_end)
@@ -343,6 +347,7 @@ def simulate(
         InputError: if X has the wrong shape, an entry breaks a rule (the text names row, column, rule and value), a
             row's bearing cannot be built, or `threads` is not positive.
     """
+    check_compiled()
     X = check_designs(X)
     model, tolerance = model or Model(), tolerance or Tolerance()
     if threads is not None and threads < 1:

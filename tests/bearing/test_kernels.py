@@ -42,6 +42,28 @@ def test_the_digest_changes_with_a_source(tmp_path):
     assert sources_digest(tmp_path) != before
 
 
+def test_kernels_in_another_cache_are_kept_by_the_sources_digest(tmp_path: Path) -> None:
+    code = "from activefail.bearing.pulse import ground_acceleration; ground_acceleration(0.1, 1.0, 1.0)"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    assert [path.name for path in tmp_path.iterdir()] == [f"activefail-{sources_digest()[:16]}"]
+    assert list(tmp_path.rglob("pulse.ground_acceleration*.nbi"))
+
+
+def test_without_compilation_the_bearing_is_refused_with_the_reason() -> None:
+    code = "import sys; from activefail.cli import program; program()"
+    design = ["--t-b", "4", "--mu", "0.06", "--d-tot", "0.6", "--h-sl-ratio", "0.8", "--h-rim-ratio", "0.1"]
+    design += ["--p", "45", "--k", "2e9", "--t-p", "2", "--a-p", "0.3"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, "simulate", *design],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "NUMBA_DISABLE_JIT is set, but the kernels of the bearing run only compiled" in done.stderr
+
+
 ANSWERS = """
 import hashlib
 import numpy as np
