@@ -76,7 +76,7 @@ _LEAST_SHAPE, _LARGEST_SHAPE = 0.1, 1e4
 
 
 def sets_of_parameters(distribution: Distribution) -> tuple[tuple[str, ...], ...]:
-    """The sets of parameters, each of which defines the distribution between its bounds."""
+    """The alternative sets of parameters: each one defines the distribution between its bounds."""
     if distribution in _BY_BOUNDS_ALONE:
         return ((),)
     by_mean = (("mean",),) if distribution == "exponential" else (("mean", "sd"), ("mean", "cov"))

@@ -15,7 +15,7 @@ from activefail.parameter import Parameter
 Array = NDArray[np.float64]
 
 
-_LEAST_SHARE = 2.0**-53
+LEAST_SHARE = 2.0**-53
 """Least distance from a face of the unit cube at which standard normal values are taken."""
 
 
@@ -89,7 +89,7 @@ class DesignSpace:
 
         if self.correlation:
             # Infinite values on a face of the cube would mix to NaN.
-            return self.from_normal(ndtri(np.clip(U, _LEAST_SHARE, 1.0 - _LEAST_SHARE)))
+            return self.from_normal(ndtri(np.clip(U, LEAST_SHARE, 1.0 - LEAST_SHARE)))
         columns = np.moveaxis(np.asarray(U), -1, 0)
         X = np.stack([p.quantile(u, ndtri) for p, u in zip(self.parameters, columns, strict=True)], axis=-1)
         # Clipped: low + u (high - low) can leave the box by one rounding.

@@ -3,12 +3,12 @@
     python benchmarks/opensees.py --python /path/to/python/with/openseespy
     python benchmarks/opensees.py --n 400 --seed 2 --outcomes 500
 
-The designs are random designs of Table 1 that touch no rim. The bearing is simulated as it is, with slow creep
-(friction regularised over 10^-5 m/s instead of 10^-3), and nearly rigid (contacts 10^4 times as stiff). OpenSees
-(campaigns/opensees_model.py, in the interpreter given by --python, by default this one) runs as it is, without the rise
-of the mass, and with friction mobilised over the displacement that the bearing's elastic contacts allow. The equation
-of a rigid pendulum is integrated here. Compared are the peak displacement and the largest difference of the histories
-over that peak. docs/opensees.md reports the results.
+The designs are random designs of Table 1 that touch no rim. The bearing runs in three variants: unchanged; with slow
+creep (friction regularised over 10^-5 m/s instead of 10^-3); and with slow creep and nearly rigid contacts (10^4
+times as stiff). OpenSees (campaigns/opensees_model.py, in the interpreter that --python names, by default this one)
+runs in three: unchanged; without the rise of the mass; and with friction mobilised over the displacement that the
+bearing's elastic contacts allow. This program integrates the equation of a rigid pendulum. It compares the peak
+displacement, and the largest difference of the histories over that peak. docs/opensees.md reports the results.
 """
 
 import argparse

@@ -156,7 +156,7 @@ BROKEN = {
 def test_numbers_that_define_no_distribution_are_refused_by_their_rule(name: str) -> None:
     numbers, rule = BROKEN[name]
     with pytest.raises(InputError, match=f"space.x: .*{rule}"):
-        variable(**numbers)  # type: ignore[arg-type]
+        variable(**numbers)
 
 
 UNIFORM = Parameter("a", 0.0, 1.0), Parameter("b", -2.0, 5.0)

@@ -9,7 +9,7 @@ from torch import Tensor
 from activefail.acquisition.bivariate import label_covariance
 from activefail.acquisition.functions import Functions
 from activefail.parameter import Parameter
-from activefail.space import DesignSpace
+from activefail.space import LEAST_SHARE, DesignSpace
 
 
 class _LabelCovariance(torch.autograd.Function):
@@ -43,10 +43,6 @@ def _x_log_x(x: Tensor) -> Tensor:
     return positive * positive.log()
 
 
-_LEAST_SHARE = 1e-15
-"""Least distance from a face of the unit cube."""
-
-
 class _FromNormal(torch.autograd.Function):
     """`Parameter.from_normal` on a tensor; dx/dz = φ(z)/f(x)."""
 
@@ -68,7 +64,7 @@ def columns(space: DesignSpace, U: Tensor) -> list[Tensor]:
         quantiles = zip(space.parameters, U.unbind(-1), strict=True)
         return [parameter.quantile(u, torch.special.ndtri) for parameter, u in quantiles]
     # Kept off the faces of the cube, where a standard normal value is infinite.
-    Z = torch.special.ndtri(U.clamp(_LEAST_SHARE, 1.0 - _LEAST_SHARE))
+    Z = torch.special.ndtri(U.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE))
     if space.factor is not None:
         Z = Z @ torch.from_numpy(space.factor.T)
     return [_FromNormal.apply(z, parameter) for parameter, z in zip(space.parameters, Z.unbind(-1), strict=True)]

@@ -12,9 +12,9 @@ from activefail.errors import InputError
 KERNEL: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """Options of every kernel: division by zero gives infinity; a product and a sum may be fused, with one rounding.
 
-Results then depend on the processor type, as they already do through the exponential, but on nothing else. Kernels
-write squares as products, because numba compiles a power with a whole exponent as a function of its own, once in a
-process, with the options of the first kernel that uses it.
+Results then depend on the processor type, as they already do through the exponential, and on numba's options in the
+environment. Kernels write squares as products, because numba compiles a power with a whole exponent as a function of
+its own, once in a process, with the options of the first kernel that uses it.
 """
 
 _PACKAGE = Path(__file__).parent

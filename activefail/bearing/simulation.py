@@ -277,7 +277,7 @@ def simulate_one(
         to_the_end: whether to continue, unlike `simulate`, until 2.5 T_b after the pulse once the outcome is settled.
 
     Raises:
-        InputError: if numba is told not to compile.
+        InputError: if `NUMBA_DISABLE_JIT` is set.
     """
     check_compiled()
     model, tolerance = model or Model(), tolerance or Tolerance()
@@ -344,8 +344,8 @@ def simulate(
         progress: called with the number of newly completed rows, from the calling thread.
 
     Raises:
-        InputError: if X has the wrong shape, an entry breaks a rule (the text names row, column, rule and value), a
-            row's bearing cannot be built, or `threads` is not positive.
+        InputError: if `NUMBA_DISABLE_JIT` is set, X has the wrong shape, an entry breaks a rule (the text names row,
+            column, rule and value), a row's bearing cannot be built, or `threads` is not positive.
     """
     check_compiled()
     X = check_designs(X)

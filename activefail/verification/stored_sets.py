@@ -158,7 +158,7 @@ def simulated_outcomes(
 
 
 def first_fault_text(faults: Iterable[str]) -> str:
-    """The end of a message, which quotes the first fault; empty if there is none."""
+    """A sentence for the end of a message that quotes the first fault; empty if there is none."""
     return next((f" Why the first abandoned simulation failed: {fault}" for fault in faults), "")
 
 

@@ -364,7 +364,7 @@ def test_a_simulation_without_a_usable_answer_is_one_numerical_failure_with_its_
         given_up(results, X, [20], cause)
         assert sum(steps) == 40
         assert says in results.faults[20]
-        # The executor goes on working, and what failed before is not in its later results.
+        # The executor still works. Its later results do not contain earlier faults.
         again = executor.run(Disc(), X)
         assert bits(again) == bits(Disc().run(X))
         assert again.faults == {}

@@ -69,7 +69,7 @@ def finished(folder: Path) -> Course:
 
 @dataclass
 class Victim:
-    """A process that runs a campaign and waits at a point of its work until it is told to continue."""
+    """A process that runs a campaign and waits at a point of its work until the test continues it."""
 
     server: "Victims"
     pid: int
