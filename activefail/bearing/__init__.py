@@ -1,10 +1,8 @@
 """The bearing model: a double friction pendulum bearing under a pulse, with rim impact, slider rotation and uplift."""
 
-from activefail.bearing.kernels import cached_by_sources, remove_stale_kernels
+from activefail.bearing.kernels import kept_kernels
 
-# Both must come before any kernel is defined.
-remove_stale_kernels()
-with cached_by_sources():
+with kept_kernels():
     # Not used here: imported so that their kernels are defined here too.
     from activefail.bearing import collision, motion  # noqa: F401
     from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance

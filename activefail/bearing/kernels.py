@@ -1,4 +1,4 @@
-"""The compiled kernels: their compiler options, and checks of cached kernels against the sources."""
+"""The compiled kernels: their compiler options, and the folder that keeps them."""
 
 import hashlib
 import os
@@ -12,46 +12,61 @@ from activefail.errors import InputError
 KERNEL: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """Options of every kernel: division by zero gives infinity; a product and a sum may be fused, with one rounding.
 
-Results then depend on the processor type, as they already do through the exponential, and on numba's options in the
-environment. Kernels write squares as products, because numba compiles a power with a whole exponent as a function of
-its own, once in a process, with the options of the first kernel that uses it.
+Results then depend on the processor type, as they already do through the exponential. Kernels write squares as
+products, because numba compiles a power with a whole exponent as a function of its own, once in a process, with the
+options of the first kernel that uses it.
 """
 
 _PACKAGE = Path(__file__).parent
 
+_DEFAULTS = {
+    "OPT": 3,
+    "LOOP_VECTORIZE": 1,
+    "SLP_VECTORIZE": 0,
+    "BOUNDSCHECK": None,
+    "DEBUGINFO_DEFAULT": 0,
+    "EXTEND_VARIABLE_LIFETIMES": 0,
+    "ENABLE_AVX": True,
+    "DISABLE_INTEL_SVML": False,
+    "LLVM_REFPRUNE_PASS": 1,
+    "LLVM_REFPRUNE_FLAGS": "all",
+    "CPU_NAME": None,
+    "CPU_FEATURES": None,
+}
 
-def remove_stale_kernels(package: Path = _PACKAGE) -> int:
-    """Delete all compiled kernels of a package if a source is newer than the oldest one; returns the number deleted.
 
-    numba checks only a kernel's own file, not those of the functions that it calls: after a change in one of these it
-    would continue to use the old code.
-    """
-    removed = 0
-    # A read-only package was not edited in place.
-    with suppress(OSError):
-        compiled = [*(package / "__pycache__").glob("*.nbi"), *(package / "__pycache__").glob("*.nbc")]
-        built = [index.stat().st_mtime for index in compiled if index.suffix == ".nbi"]
-        if built and max(source.stat().st_mtime for source in package.glob("*.py")) > min(built):
-            for path in compiled:
-                path.unlink(missing_ok=True)
-                removed += 1
-    return removed
+def compiler_options() -> str:
+    """Numba's options, from its environment or its file, that change compiled code and differ from the defaults."""
+    from numba.core import config
+
+    values = {name: getattr(config, name, default) for name, default in _DEFAULTS.items()}
+    # The level "max" is an integer 3 with a mark.
+    values["OPT"] = "max" if getattr(config.OPT, "is_opt_max", False) else int(config.OPT)
+    return " ".join(f"NUMBA_{name}={value}" for name, value in values.items() if value != _DEFAULTS[name]) or "defaults"
 
 
 @contextmanager
-def cached_by_sources(package: Path = _PACKAGE) -> Iterator[None]:
-    """Keep kernels that are defined meanwhile in a folder of these sources, if numba's cache is not in the package.
+def kept_kernels(package: Path = _PACKAGE) -> Iterator[None]:
+    """Keep kernels that are defined meanwhile in a folder of these sources and compiler options.
 
-    The cache is elsewhere if `NUMBA_CACHE_DIR` says so, or if the package cannot be written. `remove_stale_kernels`
-    does not see it.
+    By itself, numba checks only a kernel's own file: it would continue to use a kernel after a change in a function
+    that the kernel calls, or after a change of the compiler options. Kernels of earlier sources beside the package are
+    deleted; their folders stay, because a process that began before the change may still save there.
     """
     from numba.core import config
     from numba.misc.appdirs import AppDirs
 
     before = config.CACHE_DIR
-    elsewhere = before or ("" if os.access(package, os.W_OK) else AppDirs("numba", False).user_cache_dir)
-    if elsewhere:
-        config.CACHE_DIR = str(Path(elsewhere) / f"activefail-{sources_digest(package)[:16]}")
+    beside = package / "__pycache__"
+    writable = os.access(package, os.W_OK)
+    base = Path(before or (beside if writable else AppDirs("numba", False).user_cache_dir))
+    sources = f"kernels-{sources_digest(package)[:16]}"
+    options = hashlib.sha256(compiler_options().encode()).hexdigest()[:8]
+    with suppress(OSError):
+        for kernel in beside.glob("kernels-*/**/*.nb[ic]"):
+            if sources not in kernel.parts:
+                kernel.unlink(missing_ok=True)
+    config.CACHE_DIR = str(base / sources / options)
     try:
         yield
     finally:

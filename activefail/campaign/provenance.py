@@ -1,12 +1,27 @@
-"""The versions, threads and processor that a campaign's bits depend on besides its settings."""
+"""The versions, options, threads and processor that a campaign's bits depend on besides its settings."""
 
+import os
 import platform
 from importlib.metadata import version
 
 from activefail import __version__
-from activefail.bearing.kernels import sources_digest
+from activefail.bearing.kernels import compiler_options, sources_digest
+from activefail.visible import visible
 
 _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
+
+_LIBRARY_OPTIONS = (
+    "ATEN_CPU_CAPABILITY",
+    "GLIBC_TUNABLES",
+    "MKL_CBWR",
+    "MKL_DEBUG_CPU_TYPE",
+    "MKL_ENABLE_INSTRUCTIONS",
+    "NPY_DISABLE_CPU_FEATURES",
+    "NPY_ENABLE_CPU_FEATURES",
+    "ONEDNN_MAX_CPU_ISA",
+    "OPENBLAS_CORETYPE",
+)
+"""Environment variables that select other code in the C library, NumPy, OpenBLAS, MKL and PyTorch."""
 
 
 def simulation_versions() -> dict[str, str]:
@@ -16,11 +31,12 @@ def simulation_versions() -> dict[str, str]:
         "python": platform.python_version(),
         **{name: version(name) or "unknown" for name in ("numpy", "numba")},
         "bearing_sources": sources_digest(),
+        "numba_options": compiler_options(),
     }
 
 
 def provenance() -> dict[str, str]:
-    """Versions of Python, numerical packages and physics; number of threads; processor."""
+    """Versions of Python, numerical packages and physics; number of threads; processor; options of the libraries."""
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
     # `version` returns None if a package's metadata is unreadable.
     record |= {name: version(name) or "unknown" for name in _PACKAGES}
@@ -32,4 +48,7 @@ def provenance() -> dict[str, str]:
     record["processor_features"] = ",".join(
         sorted(name for name, present in llvm.get_host_cpu_features().items() if present)
     )
+    record["numba_options"] = compiler_options()
+    options = [f"{name}={visible(os.environ[name])}" for name in _LIBRARY_OPTIONS if name in os.environ]
+    record["library_options"] = " ".join(options) or "defaults"
     return record

@@ -3,36 +3,65 @@ import subprocess
 import sys
 from pathlib import Path
 
-from activefail.bearing.kernels import remove_stale_kernels, sources_digest
+import pytest
+from numba.core import config
+
+from activefail.bearing.kernels import compiler_options, kept_kernels, sources_digest
 
 
-def package(folder, source_time, kernel_time):
-    (folder / "__pycache__").mkdir(parents=True)
-    for path, moment in (
-        (folder / "contact.py", source_time),
-        (folder / "__pycache__" / "contact.f-1.nbi", kernel_time),
-        (folder / "__pycache__" / "contact.f-1.1.nbc", kernel_time),
-    ):
-        path.write_text("x")
-        os.utime(path, (moment, moment))
-    return folder
+def kept(package: Path) -> Path:
+    with kept_kernels(package):
+        return Path(config.CACHE_DIR)
 
 
-def test_kernels_older_than_a_source_are_removed(tmp_path):
-    stale = package(tmp_path / "a", source_time=2000, kernel_time=1000)
-    assert remove_stale_kernels(stale) == 2
-    assert list((stale / "__pycache__").iterdir()) == []
+def test_kernels_of_earlier_sources_are_deleted_and_those_of_the_present_sources_stay(tmp_path: Path) -> None:
+    source = tmp_path / "contact.py"
+    source.write_text("x")
+    kernel = kept(tmp_path) / "bearing_1" / "contact.f-1.1.nbc"
+    kernel.parent.mkdir(parents=True)
+    kernel.write_bytes(b"x")
+    assert kept(tmp_path) in kernel.parents
+    assert kernel.exists()
+    source.write_text("y")
+    assert kept(tmp_path) not in kernel.parents
+    assert not kernel.exists()
 
 
-def test_kernels_newer_than_all_sources_stay(tmp_path):
-    fresh = package(tmp_path / "a", source_time=1000, kernel_time=2000)
-    assert remove_stale_kernels(fresh) == 0
-    assert len(list((fresh / "__pycache__").iterdir())) == 2
-
-
-def test_a_package_without_kernels_is_left_alone(tmp_path):
+def test_kernels_compiled_under_other_options_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "contact.py").write_text("x")
-    assert remove_stale_kernels(tmp_path) == 0
+    folders = {kept(tmp_path)}
+    assert compiler_options() == "defaults"
+    for name, value in (("OPT", 0), ("SLP_VECTORIZE", 1), ("CPU_NAME", "generic"), ("DEBUGINFO_DEFAULT", 1)):
+        with monkeypatch.context() as patched:
+            patched.setattr(config, name, value)
+            assert compiler_options() == f"NUMBA_{name}={value}"
+            folders.add(kept(tmp_path))
+    assert len(folders) == 5
+
+
+def test_the_environment_selects_the_kernels_and_is_recorded(tmp_path: Path) -> None:
+    code = (
+        "from activefail.bearing.pulse import ground_acceleration; ground_acceleration(0.1, 1.0, 1.0)\n"
+        "from activefail.campaign.provenance import provenance, simulation_versions\n"
+        "print(provenance()['numba_options'], simulation_versions()['numba_options'], provenance()['library_options'])"
+    )
+    for options, recorded in (
+        ({}, "defaults defaults defaults"),
+        ({"NUMBA_OPT": "max"}, "NUMBA_OPT=max NUMBA_OPT=max defaults"),
+        (
+            {"NUMBA_OPT": "1", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2", "OPENBLAS_CORETYPE": "Haswell"},
+            "NUMBA_OPT=1 NUMBA_OPT=1 GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2 OPENBLAS_CORETYPE=Haswell",
+        ),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | options | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        assert done.stdout.strip() == recorded
+    assert len(list(tmp_path.rglob("pulse.ground_acceleration*.nbi"))) == 3
 
 
 def test_the_digest_changes_with_a_source(tmp_path):
@@ -46,7 +75,7 @@ def test_kernels_in_another_cache_are_kept_by_the_sources_digest(tmp_path: Path)
     code = "from activefail.bearing.pulse import ground_acceleration; ground_acceleration(0.1, 1.0, 1.0)"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
-    assert [path.name for path in tmp_path.iterdir()] == [f"activefail-{sources_digest()[:16]}"]
+    assert [path.name for path in tmp_path.iterdir()] == [f"kernels-{sources_digest()[:16]}"]
     assert list(tmp_path.rglob("pulse.ground_acceleration*.nbi"))
 
 

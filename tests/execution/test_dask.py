@@ -621,6 +621,6 @@ def test_a_worker_of_another_version_answers_nothing(cluster: Cluster) -> None:
 
 def test_the_workers_of_a_campaign_must_simulate_with_what_is_here(cluster: Cluster) -> None:
     X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
-    assert set(simulation_versions()) == {"activefail", "python", "numpy", "numba", "bearing_sources"}
+    assert set(simulation_versions()) == {"activefail", "python", "numpy", "numba", "bearing_sources", "numba_options"}
     with DaskExecutor(cluster.address, versions=simulation_versions) as executor:
         assert executor.run(Disc(), X).outcome.tolist() == Disc().run(X).outcome.tolist()
