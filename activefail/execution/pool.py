@@ -53,7 +53,11 @@ class ProcessPool:
     def submit(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Call a module-level function in one of the processes."""
         with starting_processes():  # the pool starts processes on demand
-            return self._executor.submit(function, *args, **kwargs)
+            call = self._executor.submit(function, *args, **kwargs)
+            # The executor begins to watch a process that it has just started only when a result or another call
+            # arrives. Until then the death of that process would go unnoticed.
+            self._executor.submit(_nothing)
+            return call
 
     def ask_to_stop(self) -> None:
         """Make `stopping()` true in all processes."""
@@ -80,6 +84,10 @@ calls only in a module."""
 def stopping() -> bool:
     """Whether this process belongs to a pool and was asked to stop."""
     return _stop is not None and _stop.poll()
+
+
+def _nothing() -> None:
+    """A call that does nothing."""
 
 
 def _begin(end: Connection, stop: Connection) -> None:

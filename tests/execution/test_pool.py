@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -78,11 +79,17 @@ def test_an_exception_that_leaves_the_block_ends_the_processes_at_once(tmp_path:
     assert all(is_gone(pid) for pid in pids)
 
 
-def test_a_process_that_dies_is_an_error_that_says_what_is_kept(tmp_path: Path) -> None:
+@pytest.mark.parametrize("victim", [0, 1])
+def test_a_process_that_dies_is_an_error_that_says_what_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: int
+) -> None:
+    # With a slow start, the executor's thread waits before it knows the second process.
+    spawn = ProcessPoolExecutor._spawn_process
+    monkeypatch.setattr(ProcessPoolExecutor, "_spawn_process", lambda self: (time.sleep(0.5), spawn(self)))
     kept = "A worker process died (killed, or out of memory); two of three are kept."
     with pytest.raises(SimulationError) as died, ProcessPool(2, "two of three are kept") as pool:  # noqa: PT012
         calls = [pool.submit(sleep, tmp_path / "pids") for _ in range(2)]
-        os.kill(noted(tmp_path / "pids", 2)[0], signal.SIGKILL)
+        os.kill(noted(tmp_path / "pids", 2)[victim], signal.SIGKILL)
         for call in calls:
             call.result()
     assert str(died.value) == kept
