@@ -20,7 +20,7 @@ from activefail.loop.proposing import initial_sets
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
-from activefail.verification.error import ErrorEstimate, leave_one_out, verified
+from activefail.verification.error import ErrorEstimate, verified
 from activefail.verification.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
 from activefail.visible import visible
 
@@ -173,12 +173,12 @@ def _reliability(campaign: Campaign, store: Store, classifier: Classifier) -> Re
             X, outcome = designs_and_outcomes
             probability = latent.moments(campaign.features(X)).probability
             return Reliability(probability, outcome >= campaign.severity, source)
-    initial = History.of(store.batches).training.initial
+    known = History.of(store.batches).training
+    initial = known.initial
     if initial.sum() < 2:
         return None
-    moments = leave_one_out(latent.trained)
-    beyond = latent.trained.labels.numpy() > 0.0
-    return Reliability(moments.probability[initial], beyond[initial], "left out")
+    beyond = known.outcome >= campaign.severity
+    return Reliability(latent.left_out().probability[initial], beyond[initial], "left out")
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,21 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtr, softmax
+from scipy.special import log_ndtr, softmax
 from torch import Tensor
 
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.fitting import Fit, Readout, fit, predict, predict_jointly, readout
+from activefail.surrogate.choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
+from activefail.surrogate.fitting import Fit, Readout, fit, leave_one_out, predict, predict_jointly, readout
+from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.moments import Moments as Moments
 
 if TYPE_CHECKING:
     from botorch.models.approximate_gp import ApproximateGPyTorchModel
@@ -41,23 +44,6 @@ def _bounded(F: Array) -> Tensor:
     return torch.from_numpy(np.clip(F, -_FARTHEST, _FARTHEST))
 
 
-class Moments(NamedTuple):
-    """Mean and standard deviation of a latent at n points, each shape (n,)."""
-
-    mean: Array
-    sd: Array
-
-    @property
-    def standardised(self) -> Array:
-        """mean/√(1 + sd²), the probit of `probability`, shape (n,)."""
-        return np.asarray(self.mean / np.sqrt(1.0 + self.sd**2))
-
-    @property
-    def probability(self) -> Array:
-        """P(f > 0 under the probit likelihood) = Φ(mean/√(1 + sd²)), shape (n,)."""
-        return np.asarray(ndtr(self.standardised))
-
-
 @dataclass(frozen=True)
 class Latent:
     """The latent of one boundary: positive where the outcome is probably at least that severe.
@@ -74,6 +60,17 @@ class Latent:
         from activefail.surrogate.gpytorch_model import botorch_model
 
         return botorch_model(self.trained)
+
+    @property
+    def features(self) -> Array:
+        """Scaled features of the training points, (n, m)."""
+        return self.trained.features.numpy()
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether all training points are on one side of the boundary."""
+        labels = self.trained.labels
+        return bool((labels == labels[0]).all())
 
     @cached_property
     def readout(self) -> Readout:
@@ -92,6 +89,10 @@ class Latent:
         mean, covariance = predict_jointly(self.trained, self.readout, _bounded(F))
         return mean.numpy(), covariance.numpy()
 
+    def left_out(self) -> Moments:
+        """Moments at each training point without its own label, with hyperparameters unchanged, (n,)."""
+        return Moments(*leave_one_out(self.trained))
+
 
 @dataclass(frozen=True)
 class Classifier:
@@ -101,13 +102,15 @@ class Classifier:
         outcomes: names, least severe first.
         features: map from designs to the latents' inputs.
         latents: one for each outcome but the first: "at least as severe as this one".
+        choices: what each latent is learned from; empty if all are learned from the outcomes alone.
     """
 
     outcomes: tuple[str, ...]
     features: FeatureMap
-    latents: tuple[Latent, ...]
+    latents: tuple[Latent | MarginLatent, ...]
+    choices: tuple[Choice, ...] = ()
 
-    def latent(self, outcome: str) -> Latent:
+    def latent(self, outcome: str) -> Latent | MarginLatent:
         """The latent of the boundary below the named outcome."""
         return self.latents[self.outcomes.index(outcome) - 1]
 
@@ -133,6 +136,21 @@ def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> Tensor:
     return torch.from_numpy(np.where(outcome >= severity, 1.0, -1.0))
 
 
+@dataclass(frozen=True)
+class Margins:
+    """The margins that a classifier may learn from.
+
+    Attributes:
+        values: (n, k) float64, one column for each of the simulator's margins.
+        columns: those that may be chosen.
+        required: whether the one column must be used, without a comparison.
+    """
+
+    values: Array
+    columns: tuple[int, ...]
+    required: bool = False
+
+
 def train(
     X: Array,
     outcome: NDArray[np.int8],
@@ -140,6 +158,7 @@ def train(
     features: FeatureMap,
     kernel: Kernel,
     warm: Classifier | None = None,
+    margins: Margins | None = None,
 ) -> Classifier:
     """Train a classifier on designs, (n, d), and their outcomes, (n,), without numerical failures.
 
@@ -149,18 +168,42 @@ def train(
         features: map from designs to the latents' inputs.
         kernel: kernel of the latents' covariance.
         warm: a classifier trained on the first of these points, as the starting point.
+        margins: the margins of these designs; without them, boundaries are learned from outcomes alone.
 
     Raises:
         InputError: if there are no designs.
     """
     if len(X) == 0:
         raise InputError("None of the simulations gave an answer: there is nothing to learn from.")
-    F = torch.from_numpy(features(X))
+    F = features(X)
 
-    def train_boundary(severity: int) -> Latent:
-        start = warm.latents[severity - 1].trained if warm is not None else None
-        return Latent(fit(F, _boundary_labels(outcome, severity), kernel, start))
+    def train_boundary(severity: int) -> tuple[Latent | MarginLatent, Choice | None]:
+        before = None if warm is None else warm.latents[severity - 1]
+        choice = None
+        if margins is not None:
+            previous = warm.choices[severity - 1] if warm is not None and warm.choices else None
+            choice = _choice(F, outcome >= severity, margins, kernel, previous)
+            if choice.margin != OUTCOMES:
+                start = before.trained if isinstance(before, MarginLatent) else None
+                return MarginLatent(fit_defined(F, margins.values[:, choice.margin], start)), choice
+        fitted = before.trained if isinstance(before, Latent) else None
+        return Latent(fit(torch.from_numpy(F), _boundary_labels(outcome, severity), kernel, fitted)), choice
 
     # torch and LAPACK release the interpreter's lock, so boundaries train in parallel.
     with ThreadPoolExecutor(len(outcomes) - 1) as pool:
-        return Classifier(tuple(outcomes), features, tuple(pool.map(train_boundary, range(1, len(outcomes)))))
+        latents, choices = zip(*pool.map(train_boundary, range(1, len(outcomes))), strict=True)
+    return Classifier(tuple(outcomes), features, latents, () if margins is None else choices)
+
+
+def _choice(F: Array, beyond: NDArray[np.bool_], margins: Margins, kernel: str, previous: Choice | None) -> Choice:
+    """What a boundary is learned from: as before, unless the models must be compared again."""
+    n = len(F)
+    if margins.required:
+        column = margins.columns[0]
+        return Choice(OUTCOMES if usable(margins.values[:, column], beyond) else column, n)
+    holds = previous is not None and (
+        previous.margin == OUTCOMES or not usable(margins.values[:, previous.margin], beyond)
+    )
+    if previous is not None and holds and not is_due(previous, n, beyond):
+        return previous
+    return choose(F, beyond, margins.values, margins.columns, kernel)

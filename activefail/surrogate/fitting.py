@@ -119,6 +119,22 @@ def predict_jointly(trained: Fit, matrices: Readout, F: Tensor) -> tuple[Tensor,
     return h.mean + k.T @ matrices.weights, joint
 
 
+def leave_one_out(trained: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Latent mean and standard deviation at each training point without its own label, (n,).
+
+    The hyperparameters do not change.
+    Divides the point's site out of the posterior: 1/v = 1/S_ii − W_ii, the cavity of
+    [RasmussenWilliams2006, eq. 3.56]. With inducing points a site acts on the projected latent; the residual variance
+    is added afterwards.
+    """
+    prior, state = trained.prior, trained.posterior
+    rest = prior.rest if isinstance(prior, Projection) else torch.zeros_like(state.variance)
+    explained = (state.variance - rest).clamp_min(1e-12)
+    precision = (1.0 / explained - trained.sites.precision).clamp_min(1e-12)
+    mean = (state.mean / explained - trained.sites.linear) / precision
+    return mean.numpy(), (1.0 / precision + rest).sqrt().numpy()
+
+
 def condition(
     features: Tensor,
     labels: Tensor,

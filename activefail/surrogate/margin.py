@@ -22,6 +22,8 @@ from scipy.special import erfcx, log_ndtr
 
 from activefail.space import Array
 from activefail.surrogate.covariance import Hyperparameters, covariance, covariance_gradient
+from activefail.surrogate.fitting import pack, unpack
+from activefail.surrogate.moments import MarginMoments
 
 KERNEL = "matern52"
 """The kernel of every regression."""
@@ -43,6 +45,11 @@ _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 """Most sweeps of expectation propagation, its share of a step, and the relative change of precisions that ends it."""
 
 
+_ALWAYS, _GROWTH = 100, 0.05
+"""Points up to which hyperparameters are always learned anew, and the growth after which they are beyond."""
+
+_ROWS_AT_ONCE = 4096
+"""Most points per call of a prediction, which limits its memory."""
 _FARTHEST = 30.0
 """Largest mean of a censored point's cavity in its standard deviations."""
 
@@ -69,7 +76,7 @@ def is_truncated(margin: Array) -> bool:
     return bool(reach <= _CENSORED_SPREAD * others.std())
 
 
-class _Sites(NamedTuple):
+class Sites(NamedTuple):
     """Gaussian sites of the k censored points: exp(linear f − precision f²/2)."""
 
     linear: Array  # (k,)
@@ -79,11 +86,11 @@ class _Sites(NamedTuple):
 class _Censored(NamedTuple):
     """Expectation propagation's result for the censored points, given the others."""
 
-    sites: _Sites
+    sites: Sites
     log_evidence: float
 
 
-def _censored(mean: Array, S: Array, sites: _Sites) -> _Censored:
+def _censored(mean: Array, S: Array, sites: Sites) -> _Censored:
     """Expectation propagation for f ~ N(mean, S), (k,) and (k, k), with f ≤ 0 in every entry, from initial sites.
 
     All sites take a damped step at once: a site after the other needs k times the algebra.
@@ -110,7 +117,7 @@ def _censored(mean: Array, S: Array, sites: _Sites) -> _Censored:
     scale = log_ndtr(z) + 0.5 * np.log1p(precision / cavity_precision)
     tilted = (cavity_precision * cavity_mean + linear) ** 2 / (cavity_precision + precision)
     scale += 0.5 * (cavity_precision * cavity_mean**2 - tilted)
-    return _Censored(_Sites(linear, precision), float(scale.sum()) + quadratic - 0.5 * log_determinant)
+    return _Censored(Sites(linear, precision), float(scale.sum()) + quadratic - 0.5 * log_determinant)
 
 
 def _with_sites(mean: Array, S: Array, linear: Array, precision: Array) -> tuple[float, Array, Array, float]:
@@ -148,6 +155,7 @@ class MarginFit:
         hyperparameters: of the warped margin's prior.
         sites: of the censored points.
         log_likelihood: of the margins, with the warping's derivative and the log prior of the length scales.
+        learned_on: number of points when the hyperparameters were last learned.
     """
 
     features: Array
@@ -156,8 +164,9 @@ class MarginFit:
     warping: str
     unit: float
     hyperparameters: Hyperparameters
-    sites: _Sites
+    sites: Sites
     log_likelihood: float
+    learned_on: int
 
     @cached_property
     def _solved(self) -> tuple[Array, Array, Array, float]:
@@ -183,17 +192,20 @@ class MarginFit:
         variance = s2 * (1.0 + NUGGET) - np.einsum("ij,ij->j", explained, explained) + (1.0 - ones @ k) ** 2 / total
         return self.hyperparameters.mean + k.T @ weights, np.sqrt(np.maximum(variance, NUGGET * s2))
 
+    def between(self, F: Array, G: Array) -> Array:
+        """Covariance of the warped margins at scaled features, (l, m) and (k, m) -> (l, k), without the nugget."""
+        L, _, ones, total = self._solved
+        k, j = self._covariance(F), self._covariance(G)
+        prior = covariance(KERNEL, self.hyperparameters, torch.from_numpy(F), torch.from_numpy(G)).numpy()
+        explained = solve_triangular(L, k, lower=True).T @ solve_triangular(L, j, lower=True)
+        return np.asarray(prior - explained + np.outer(1.0 - ones @ k, 1.0 - ones @ j) / total)
+
     def joint(self, F: Array) -> tuple[Array, Array]:
         """Mean, (l,), and covariance, (l, l), of the warped margin at scaled features, (l, m)."""
-        L, weights, ones, total = self._solved
-        k = self._covariance(F)
-        explained = solve_triangular(L, k, lower=True)
-        points = torch.from_numpy(F)
-        K = covariance(KERNEL, self.hyperparameters, points, points).numpy()
-        rest = 1.0 - ones @ k
-        K = K - explained.T @ explained + np.outer(rest, rest) / total
+        _, weights, _, _ = self._solved
+        K = self.between(F, F)
         K[np.diag_indices(len(K))] += NUGGET * math.exp(self.hyperparameters.log_outputscale)
-        return self.hyperparameters.mean + k.T @ weights, K
+        return self.hyperparameters.mean + self._covariance(F).T @ weights, K
 
     def left_out(self) -> tuple[Array, Array]:
         """Mean and standard deviation of each warped margin from all others, at the same hyperparameters; each (n,).
@@ -234,12 +246,12 @@ def _system(trained: MarginFit) -> tuple[Array, Array]:
 class _Evaluation(NamedTuple):
     value: float
     gradient: Array
-    sites: _Sites
+    sites: Sites
 
 
-def _evaluate(features: Array, y: Array, censored: NDArray[np.bool_], packed: Array, sites: _Sites) -> _Evaluation:
+def _evaluate(features: Array, y: Array, censored: NDArray[np.bool_], packed: Array, sites: Sites) -> _Evaluation:
     """Log likelihood of warped margins plus the log prior of the length scales, and its gradient."""
-    h = Hyperparameters(float(packed[0]), float(packed[1]), torch.from_numpy(packed[2:].copy()))
+    h = unpack(packed)
     X = torch.from_numpy(features)
     plain = covariance(KERNEL, h, X, X)
     K = plain.numpy().copy()
@@ -282,7 +294,8 @@ def fit_margin(
         features: (n, m) scaled features.
         margin: (n,) margins; failure is at most 0.
         truncated: whether margins at most 0 are censored; decided by `is_truncated` if None.
-        warm: an earlier fit to the first of these points, whose length scales are the starting point.
+        warm: an earlier fit to the first of these points, whose length scales are the starting point. With more than
+            `_ALWAYS` points its hyperparameters are kept until the number of points has grown by `_GROWTH`.
 
     Raises:
         ValueError: if there are fewer than two margins, one is not finite, or all are equal; or, truncated, if fewer
@@ -293,8 +306,24 @@ def fit_margin(
     truncated = is_truncated(margin) if truncated is None else truncated
     if truncated and (margin > 0.0).sum() < 2:
         raise ValueError("regression on truncated margins needs two that are positive")
+    if warm is not None and truncated == warm.truncated and _ALWAYS < len(margin) < (1.0 + _GROWTH) * warm.learned_on:
+        return _solved_at(features, margin, warm)
     fits = [_fit_warped(features, margin, truncated, name, warm) for name in WARPINGS]
     return max(fits, key=lambda fitted: fitted.log_likelihood)
+
+
+def _solved_at(features: Array, margin: Array, warm: MarginFit) -> MarginFit:
+    """The fit to more points with the warping and the hyperparameters of an earlier one."""
+    censored = (margin <= 0.0) & warm.truncated
+    y = WARPINGS[warm.warping][0](margin / warm.unit)
+    packed = pack(warm.hyperparameters)
+    final = _evaluate(features, y, censored, packed, _first_sites(censored, max(float(y[~censored].std()), 1e-3)))
+    return replace(warm, features=features, margin=margin, sites=final.sites, log_likelihood=math.nan)
+
+
+def _first_sites(censored: NDArray[np.bool_], scale: float) -> Sites:
+    k = int(censored.sum())
+    return Sites(np.full(k, -0.1 / scale), np.full(k, 0.1 / scale**2))
 
 
 def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, warm: MarginFit | None) -> MarginFit:
@@ -309,7 +338,7 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
     scale = max(float(y[~censored].std()), 1e-3)
     lengths = np.full(features.shape[1], center) if warm is None else warm.hyperparameters.log_lengthscale.numpy()
     start = np.concatenate([[float(y[~censored].mean()), 2.0 * math.log(2.0 * scale)], lengths])
-    sites = _Sites(np.full(int(censored.sum()), -0.1 / scale), np.full(int(censored.sum()), 0.1 / scale**2))
+    sites = _first_sites(censored, scale)
 
     def negative(packed: Array) -> tuple[float, Array]:
         nonlocal sites
@@ -324,21 +353,82 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
     optimum = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
     final = _evaluate(features, y, censored, optimum.x, sites)
     jacobian = float((log_slope(exact / unit) - math.log(unit)).sum())
-    h = Hyperparameters(float(optimum.x[0]), float(optimum.x[1]), torch.from_numpy(optimum.x[2:].copy()))
-    return MarginFit(features, margin, truncated, warping, unit, h, final.sites, final.value + jacobian)
-
-
-def conditioned(trained: MarginFit, features: Array, margin: Array) -> MarginFit:
-    """The fit after more margins, (k,), at scaled features, (k, m), with its hyperparameters unchanged.
-
-    Raises:
-        ValueError: if the fit is of truncated margins and one of the new ones is at most 0.
-    """
-    if trained.truncated and not (margin > 0.0).all():
-        raise ValueError(f"margins must be positive to extend a truncated fit, got {margin.min()}")
-    return replace(
-        trained,
-        features=np.concatenate([trained.features, features]),
-        margin=np.concatenate([trained.margin, margin]),
-        log_likelihood=math.nan,
+    return MarginFit(
+        features=features,
+        margin=margin,
+        truncated=truncated,
+        warping=warping,
+        unit=unit,
+        hyperparameters=unpack(optimum.x),
+        sites=final.sites,
+        log_likelihood=final.value + jacobian,
+        learned_on=len(margin),
     )
+
+
+@dataclass(frozen=True)
+class MarginLatent:
+    """The latent of a boundary that is learned from a margin: minus the warped margin, so positive beyond the boundary.
+
+    It has the methods of `classifier.Latent`.
+
+    Attributes:
+        trained: the regression.
+        pending: (k, m) scaled features of designs whose margins are being computed. They do not change the means, and
+            shrink the variances as if their margins were known.
+    """
+
+    trained: MarginFit
+    pending: Array | None = None
+
+    @property
+    def features(self) -> Array:
+        """Scaled features of the training points and of the pending designs, (n + k, m)."""
+        known = self.trained.features
+        return known if self.pending is None else np.concatenate([known, self.pending])
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether nothing can be learned yet; a margin always teaches something."""
+        return False
+
+    @cached_property
+    def _pending_factor(self) -> Array:
+        assert self.pending is not None
+        return np.asarray(cholesky(self.trained.joint(self.pending)[1], lower=True))
+
+    def _explained(self, F: Array) -> Array:
+        """(k, l): its columns' products are the covariances that the pending designs explain."""
+        assert self.pending is not None
+        return np.asarray(solve_triangular(self._pending_factor, self.trained.between(self.pending, F), lower=True))
+
+    def moments(self, F: Array) -> MarginMoments:
+        """Marginal mean and standard deviation at scaled features, (n, m)."""
+        rows = range(0, max(1, len(F)), _ROWS_AT_ONCE)
+        parts = [self._moments(F[first : first + _ROWS_AT_ONCE]) for first in rows]
+        mean, sd = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        return MarginMoments(-mean, sd)
+
+    def _moments(self, F: Array) -> tuple[Array, Array]:
+        mean, sd = self.trained.moments(F)
+        if self.pending is None:
+            return mean, sd
+        least = NUGGET * math.exp(self.trained.hyperparameters.log_outputscale)
+        return mean, np.sqrt(np.maximum(sd**2 - (self._explained(F) ** 2).sum(axis=0), least))
+
+    def joint(self, F: Array) -> tuple[Array, Array]:
+        """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
+        mean, covariance = self.trained.joint(F)
+        if self.pending is not None:
+            explained = self._explained(F)
+            covariance = covariance - explained.T @ explained
+        return -mean, covariance
+
+    def left_out(self) -> MarginMoments:
+        """Moments at each training point without its own margin, with hyperparameters unchanged, (n,)."""
+        mean, sd = self.trained.left_out()
+        return MarginMoments(-mean, sd)
+
+    def with_pending(self, F: Array) -> "MarginLatent":
+        """The latent while the margins at scaled features F, (k, m), are being computed."""
+        return replace(self, pending=F if self.pending is None else np.concatenate([self.pending, F]))

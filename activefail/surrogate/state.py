@@ -1,7 +1,8 @@
 """Conversion of a trained classifier to named arrays and back."""
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -10,11 +11,16 @@ from numpy.typing import NDArray
 from activefail.errors import DamagedError
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Kernel, Latent
+from activefail.surrogate.choice import OUTCOMES, Choice, defined, usable
+from activefail.surrogate.classifier import Classifier, Kernel, Latent, Margins
 from activefail.surrogate.covariance import Hyperparameters
 from activefail.surrogate.fitting import EXACT, Fit
 from activefail.surrogate.inducing import MOST
+from activefail.surrogate.margin import WARPINGS, MarginFit, MarginLatent
+from activefail.surrogate.margin import Sites as MarginSites
 from activefail.surrogate.sites import Sites
+
+AnyLatent = TypeVar("AnyLatent", Latent, MarginLatent)
 
 _LARGEST_LOGARITHM = 100.0
 """Largest magnitude of a learned scale's logarithm: the priors keep it far lower, and its square does not overflow."""
@@ -29,15 +35,47 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
             f"{name}/mean": np.float64(trained.hyperparameters.mean),
             f"{name}/log_outputscale": np.float64(trained.hyperparameters.log_outputscale),
             f"{name}/log_lengthscale": trained.hyperparameters.log_lengthscale.numpy(),
+            f"{name}/learned_on": np.int64(trained.learned_on),
+        }
+        if isinstance(trained, MarginFit):
+            state |= {
+                f"{name}/site_linear": trained.sites.linear,
+                f"{name}/site_precision": trained.sites.precision,
+                f"{name}/unit": np.float64(trained.unit),
+                f"{name}/warping": np.int64(list(WARPINGS).index(trained.warping)),
+                f"{name}/truncated": np.int64(trained.truncated),
+            }
+            continue
+        state |= {
             f"{name}/site_linear": trained.sites.linear.numpy(),
             f"{name}/site_precision": trained.sites.precision.numpy(),
             f"{name}/elbo": np.float64(trained.elbo),
             f"{name}/evaluations": np.int64(trained.evaluations),
-            f"{name}/learned_on": np.int64(trained.learned_on),
         }
         if trained.inducing is not None:
             state[f"{name}/inducing"] = trained.inducing.numpy()
+    for name, choice in zip(classifier.outcomes[1:], classifier.choices, strict=False):
+        state[f"{name}/choice"] = np.array(choice, dtype=np.float64)
     return {name: np.asarray(array) for name, array in state.items()}
+
+
+def _check_arrays(
+    state: Mapping[str, NDArray[Any]], name: str, expected: Mapping[str, tuple[str, tuple[int, ...]]]
+) -> None:
+    """Check the types and shapes of one boundary's arrays, that they are finite, and that scales are not extreme.
+
+    Raises:
+        DamagedError: if training cannot produce an array.
+    """
+    for key, (dtype, shape) in expected.items():
+        array = state[f"{name}/{key}"]
+        if (array.dtype, array.shape) != (np.dtype(dtype), shape) or not np.isfinite(array).all():
+            raise DamagedError(f"holds a {key} that is not an array of finite numbers of shape {shape}")
+    for key in ("log_outputscale", "log_lengthscale"):
+        if (np.abs(state[f"{name}/{key}"]) > _LARGEST_LOGARITHM).any():
+            raise DamagedError(f"holds a {key} beyond ±{_LARGEST_LOGARITHM:g}")
+    if (state[f"{name}/site_precision"] < 0.0).any():
+        raise DamagedError("holds a site_precision below 0")
 
 
 def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -> None:
@@ -57,15 +95,7 @@ def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -
         "evaluations": count,
         "learned_on": count,
     }
-    for key, (dtype, shape) in expected.items():
-        array = state[f"{name}/{key}"]
-        if (array.dtype, array.shape) != (np.dtype(dtype), shape) or not np.isfinite(array).all():
-            raise DamagedError(f"holds a {key} that is not an array of finite numbers of shape {shape}")
-    for key in ("log_outputscale", "log_lengthscale"):
-        if (np.abs(state[f"{name}/{key}"]) > _LARGEST_LOGARITHM).any():
-            raise DamagedError(f"holds a {key} beyond ±{_LARGEST_LOGARITHM:g}")
-    if (state[f"{name}/site_precision"] < 0.0).any():
-        raise DamagedError("holds a site_precision below 0")
+    _check_arrays(state, name, expected)
     inducing = state.get(f"{name}/inducing")
     if (inducing is None) != (n <= EXACT):
         raise DamagedError(f"was learned from {n} designs {'without' if inducing is None else 'with'} inducing points")
@@ -85,6 +115,7 @@ def classifier_from_state(
     outcomes: Sequence[str],
     features: FeatureMap,
     kernel: Kernel,
+    margins: Margins | None = None,
 ) -> Classifier:
     """The classifier from its `classifier_state`.
 
@@ -92,38 +123,109 @@ def classifier_from_state(
         state: the arrays.
         X: (n, d) training designs.
         outcome: (n,) their outcomes.
-        outcomes, features, kernel: as in training.
+        outcomes, features, kernel, margins: as in training.
 
     Raises:
         KeyError: if an array is missing.
         DamagedError: if training cannot produce the arrays, or they give no predictions: an intact file may still come
             from someone else.
     """
-    F = torch.from_numpy(features(X))
-    latents = []
+    F = features(X)
+    latents: list[Latent | MarginLatent] = []
+    choices = []
     for severity, name in enumerate(outcomes[1:], start=1):
-        _check_state(state, name, *F.shape)
-        inducing = state.get(f"{name}/inducing")
-        trained = Fit(
+        beyond = outcome >= severity
+        choice = None if margins is None else _choice(state[f"{name}/choice"], margins, beyond)
+        if choice is not None:
+            choices.append(choice)
+        if margins is not None and choice is not None and choice.margin != OUTCOMES:
+            latents.append(_checked(_margin_latent(state, name, F, margins.values[:, choice.margin])))
+        else:
+            latents.append(_checked(_latent(state, name, F, beyond, kernel)))
+    return Classifier(tuple(outcomes), features, tuple(latents), tuple(choices))
+
+
+def _choice(array: NDArray[Any], margins: Margins, beyond: NDArray[np.bool_]) -> Choice:
+    """The choice in a state.
+
+    Raises:
+        DamagedError: if it is not one of these margins.
+    """
+    if array.dtype != np.float64 or array.shape != (len(Choice._fields),):
+        raise DamagedError("holds a choice of margin of another type or shape")
+    margin, simulations, margin_score, outcome_score, one_sided = array.tolist()
+    if margin not in (OUTCOMES, *margins.columns) or not 1 <= simulations <= len(beyond) or one_sided not in (0.0, 1.0):
+        raise DamagedError("holds a choice of a margin that the campaign does not have")
+    choice = Choice(int(margin), int(simulations), margin_score, outcome_score, bool(one_sided))
+    if choice.margin != OUTCOMES and usable(margins.values[:, choice.margin], beyond):
+        raise DamagedError("holds a choice of a margin that contradicts the outcomes")
+    return choice
+
+
+def _hyperparameters(state: Mapping[str, NDArray[Any]], name: str) -> Hyperparameters:
+    return Hyperparameters(
+        float(state[f"{name}/mean"]),
+        float(state[f"{name}/log_outputscale"]),
+        torch.from_numpy(state[f"{name}/log_lengthscale"]),
+    )
+
+
+def _latent(
+    state: Mapping[str, NDArray[Any]], name: str, F: Array, beyond: NDArray[np.bool_], kernel: Kernel
+) -> Latent:
+    _check_state(state, name, *F.shape)
+    inducing = state.get(f"{name}/inducing")
+    return Latent(
+        Fit(
             kernel,
-            F,
-            torch.from_numpy(np.where(outcome >= severity, 1.0, -1.0)),
-            Hyperparameters(
-                float(state[f"{name}/mean"]),
-                float(state[f"{name}/log_outputscale"]),
-                torch.from_numpy(state[f"{name}/log_lengthscale"]),
-            ),
+            torch.from_numpy(F),
+            torch.from_numpy(np.where(beyond, 1.0, -1.0)),
+            _hyperparameters(state, name),
             Sites(torch.from_numpy(state[f"{name}/site_linear"]), torch.from_numpy(state[f"{name}/site_precision"])),
             float(state[f"{name}/elbo"]),
             int(state[f"{name}/evaluations"]),
             int(state[f"{name}/learned_on"]),
             None if inducing is None else torch.from_numpy(inducing),
         )
-        latents.append(_checked(Latent(trained)))
-    return Classifier(tuple(outcomes), features, tuple(latents))
+    )
 
 
-def _checked(latent: Latent) -> Latent:
+def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margin: Array) -> MarginLatent:
+    values, _ = defined(margin)
+    number, count, reals = ("<f8", ()), ("<i8", ()), "<f8"
+    truncated = int(state[f"{name}/truncated"])
+    censored = (int((values <= 0.0).sum()) if truncated else 0,)
+    expected = {
+        "mean": number,
+        "log_outputscale": number,
+        "log_lengthscale": (reals, (F.shape[1],)),
+        "site_linear": (reals, censored),
+        "site_precision": (reals, censored),
+        "unit": number,
+        "warping": count,
+        "truncated": count,
+        "learned_on": count,
+    }
+    _check_arrays(state, name, expected)
+    warping = int(state[f"{name}/warping"])
+    if truncated not in (0, 1) or not 0 <= warping < len(WARPINGS) or not state[f"{name}/unit"] > 0.0:
+        raise DamagedError("holds a regression of a margin that training cannot produce")
+    return MarginLatent(
+        MarginFit(
+            features=F,
+            margin=values,
+            truncated=bool(truncated),
+            warping=list(WARPINGS)[warping],
+            unit=float(state[f"{name}/unit"]),
+            hyperparameters=_hyperparameters(state, name),
+            sites=MarginSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"]),
+            log_likelihood=math.nan,
+            learned_on=int(state[f"{name}/learned_on"]),
+        )
+    )
+
+
+def _checked(latent: AnyLatent) -> AnyLatent:
     """The latent, checked by a prediction.
 
     Raises:
@@ -131,7 +233,7 @@ def _checked(latent: Latent) -> Latent:
     """
     try:
         with np.errstate(all="ignore"):
-            moments = latent.moments(latent.trained.features[:1].numpy())
+            moments = latent.moments(latent.features[:1])
     # Finite numbers may still give a covariance without a Cholesky factor.
     except (ArithmeticError, LookupError, RuntimeError, ValueError) as error:
         raise DamagedError(f"cannot be used ({type(error).__name__})") from error

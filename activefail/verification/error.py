@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
@@ -21,8 +20,6 @@ from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
-from activefail.surrogate.fitting import Fit
-from activefail.surrogate.sites import Projection
 from activefail.verification.stored_sets import (
     first_part,
     looks_before,
@@ -94,21 +91,6 @@ def probability_wrong(moments: Moments) -> Array:
 def part_of(wrong: Array) -> NDArray[np.intp]:
     """The part, 0 (most certain) to 4, of designs with these probabilities of being wrong, (n,)."""
     return np.searchsorted(EDGES, wrong, side="right")
-
-
-def leave_one_out(trained: Fit) -> Moments:
-    """Latent moments at each training point without its own label, with hyperparameters unchanged, (n,).
-
-    Divides the point's site out of the posterior: 1/v = 1/S_ii − W_ii, the cavity of
-    [RasmussenWilliams2006, eq. 3.56]. With inducing points a site acts on the projected latent; the residual variance
-    is added afterwards.
-    """
-    prior, state = trained.prior, trained.posterior
-    rest = prior.rest if isinstance(prior, Projection) else torch.zeros_like(state.variance)
-    explained = (state.variance - rest).clamp_min(1e-12)
-    precision = (1.0 / explained - trained.sites.precision).clamp_min(1e-12)
-    mean = (state.mean / explained - trained.sites.linear) / precision
-    return Moments(mean.numpy(), (1.0 / precision + rest).sqrt().numpy())
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from activefail.surrogate import fitting, inducing
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.covariance import Hyperparameters, prior_covariance
 from activefail.surrogate.sites import Projection, Sites, posterior, solve_sites
-from activefail.verification.error import leave_one_out
 
 
 def points(n, m=3, seed=0):
@@ -181,7 +180,7 @@ def test_a_point_left_out_is_as_if_its_site_were_not_there():
     prior = inducing.project(F, rows, "matern52", h)
     sites, state = solve_sites(prior, h.mean, y, uniform_sites(y), 1e-8)
     trained = fitting.Fit("matern52", F, y, h, sites, state.elbo, 0, 80, rows)
-    left_out = leave_one_out(trained)
+    left_out = Latent(trained).left_out()
     for i in (0, 7, 41):
         others = torch.arange(80) != i
         rest = Projection(prior.whitened[:, others], prior.rest[others])

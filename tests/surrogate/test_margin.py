@@ -7,7 +7,7 @@ from rare import four_branch
 from scipy import stats
 
 from activefail.surrogate import margin as m
-from activefail.surrogate.margin import conditioned, fit_margin, is_truncated
+from activefail.surrogate.margin import MarginLatent, fit_margin, is_truncated
 
 RNG = np.random.default_rng(5)
 Z = RNG.standard_normal((24, 2)) * 1.6
@@ -27,7 +27,7 @@ def test_the_gradient_is_that_of_the_likelihood(truncated: bool) -> None:
     censored = (g <= 0.0) & truncated
     assert 2 < (g <= 0.0).sum() < 9
     packed = np.array([0.3, 0.4, 0.9, 0.2, 1.4])
-    sites = m._Sites(np.full(censored.sum(), -0.1), np.full(censored.sum(), 0.1))
+    sites = m.Sites(np.full(censored.sum(), -0.1), np.full(censored.sum(), 0.1))
     evaluation = m._evaluate(X, g, censored, packed, sites)
     step = 1e-5
     for index in range(len(packed)):
@@ -39,18 +39,18 @@ def test_the_gradient_is_that_of_the_likelihood(truncated: bool) -> None:
 def test_the_evidence_of_censored_margins_is_the_probability_that_all_are_at_most_zero() -> None:
     A = np.random.default_rng(2).standard_normal((4, 4))
     S, mean = A @ A.T + 0.3 * np.eye(4), np.array([0.4, -0.3, 0.8, -1.0])
-    start = m._Sites(np.full(4, -0.1), np.full(4, 0.1))
+    start = m.Sites(np.full(4, -0.1), np.full(4, 0.1))
     result = m._censored(mean, S, start)
     exact = stats.multivariate_normal(mean, S).cdf(np.zeros(4))
     # Expectation propagation is not exact; its error on such orthants is a few per cent.
     assert math.exp(result.log_evidence) == pytest.approx(exact, rel=0.05)
-    alone = m._censored(mean[:1], S[:1, :1], m._Sites(*(site[:1] for site in start)))
+    alone = m._censored(mean[:1], S[:1, :1], m.Sites(*(site[:1] for site in start)))
     assert alone.log_evidence == pytest.approx(stats.norm.logcdf(-mean[0] / math.sqrt(S[0, 0])), abs=1e-9)
 
 
 def test_the_posterior_of_censored_margins_is_that_of_sampling() -> None:
     mean, S = np.array([0.4, -0.2, 0.1]), np.array([[1.0, 0.6, 0.2], [0.6, 1.5, 0.5], [0.2, 0.5, 0.8]])
-    sites = m._censored(mean, S, m._Sites(np.full(3, -0.1), np.full(3, 0.1))).sites
+    sites = m._censored(mean, S, m.Sites(np.full(3, -0.1), np.full(3, 0.1))).sites
     V = np.linalg.inv(np.linalg.inv(S) + np.diag(sites.precision))
     found = V @ (np.linalg.solve(S, mean) + sites.linear)
     f = np.random.default_rng(3).multivariate_normal(mean, S, size=400_000)
@@ -138,7 +138,7 @@ def test_an_outcome_left_out_is_predicted_from_the_others_also_where_it_is_censo
     for row in rows[:3]:
         kept = np.arange(len(g)) != row
         position = int(failed[:row].sum())
-        sites = m._Sites(*(np.delete(site, position) for site in truncated.sites))
+        sites = m.Sites(*(np.delete(site, position) for site in truncated.sites))
         without = replace(truncated, features=X[kept], margin=truncated.margin[kept], sites=sites)
         A, target = m._system(without)
         weights = np.linalg.solve(A, np.ones(len(A)))
@@ -149,12 +149,33 @@ def test_an_outcome_left_out_is_predicted_from_the_others_also_where_it_is_censo
         assert sd[row] == pytest.approx(expected_sd[0], rel=1e-2)
 
 
-def test_more_margins_extend_a_fit_without_learning_scales_anew() -> None:
+def test_pending_designs_leave_the_means_and_shrink_the_variances_as_their_margins_would() -> None:
     fitted = fit_margin(Z[:20], G[:20])
-    extended = conditioned(fitted, Z[20:], G[20:])
-    assert extended.hyperparameters == fitted.hyperparameters
-    mean, _ = extended.moments(Z[20:])
-    np.testing.assert_allclose(mean, m.WARPINGS[fitted.warping][0](G[20:] / fitted.unit), atol=0.02)
+    latent = MarginLatent(fitted)
+    mean, sd = latent.moments(Z)
+    # Conditioning a Gaussian on values at its means, with the scales unchanged.
+    _, covariance = latent.joint(Z)
+    pending = slice(20, 24)
+    gain = np.linalg.solve(covariance[pending, pending], covariance[pending])
+    expected = np.sqrt(np.maximum((covariance - covariance[:, pending] @ gain).diagonal(), 1e-6))
+    waiting = latent.with_pending(Z[20:22]).with_pending(Z[22:24])
+    np.testing.assert_array_equal(waiting.moments(Z).mean, mean)
+    np.testing.assert_allclose(waiting.moments(Z).sd, expected, rtol=1e-3, atol=2e-2)
+    np.testing.assert_allclose(np.sqrt(waiting.joint(Z[24:])[1].diagonal()), expected[24:], rtol=1e-3, atol=1e-3)
+    assert (waiting.moments(Z).sd <= sd + 1e-12).all()
+    assert len(waiting.features) == 24
+
+
+def test_hyperparameters_are_kept_until_many_margins_are_new() -> None:
+    rng = np.random.default_rng(5)
+    X = rng.standard_normal((130, 2))
+    g = 2.0 - X[:, 0] + 0.2 * X[:, 1] ** 2
+    first = fit_margin(X[:110], g[:110])
+    few = fit_margin(X[:113], g[:113], warm=first)
+    assert few.hyperparameters == first.hyperparameters
+    assert (few.learned_on, len(few.margin)) == (110, 113)
+    np.testing.assert_allclose(few.moments(X[110:113])[0], m.WARPINGS[few.warping][0](g[110:113] / few.unit), atol=1e-2)
+    assert fit_margin(X, g, warm=first).learned_on == 130
 
 
 @pytest.mark.parametrize(
@@ -179,10 +200,6 @@ def test_margins_that_nothing_can_be_learned_from_are_refused(margin: list[float
         fit_margin(np.zeros((len(margin), 2)), np.array(margin))
 
 
-def test_truncated_margins_need_two_positive_ones_and_a_fit_of_them_takes_no_failures_more() -> None:
+def test_truncated_margins_need_two_positive_ones() -> None:
     with pytest.raises(ValueError, match="needs two that are positive"):
         fit_margin(Z[:4], np.array([0.0, -1.0, -2.0, 1.0]), truncated=True)
-    X, g = drawn(4)
-    fitted = fit_margin(X, np.maximum(g, 0.0))
-    with pytest.raises(ValueError, match=r"must be positive to extend a truncated fit, got -1\.0"):
-        conditioned(fitted, X[:1], np.array([-1.0]))

@@ -17,6 +17,7 @@ from activefail.loop.progress import Observer, standing
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import Results
 from activefail.surrogate import fitting
+from activefail.surrogate.classifier import Latent
 from activefail.surrogate.threads import one_thread
 from activefail.verification.error import (
     EDGES,
@@ -25,7 +26,6 @@ from activefail.verification.error import (
     could_show,
     estimate_error,
     expected_error,
-    leave_one_out,
     part_of,
     plan_verification,
     planned,
@@ -60,7 +60,7 @@ def test_a_left_out_point_is_predicted_as_by_a_posterior_of_the_others_sites():
     X = torch.from_numpy(rng.standard_normal((25, 2)))
     y = torch.where(X[:, 0] > 0.2, 1.0, -1.0).double()
     trained = fitting.fit(X, y, "rbf")
-    left_out = leave_one_out(trained)
+    left_out = Latent(trained).left_out()
     K = fitting.prior_covariance(X, "rbf", trained.hyperparameters).numpy()
     m, W, b = trained.hyperparameters.mean, trained.sites.precision.numpy(), trained.sites.linear.numpy()
     for i in (0, 7, 24):

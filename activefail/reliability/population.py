@@ -1,0 +1,128 @@
+"""Weighted samples of the design measure that reach rare failure.
+
+A plain sample of the design measure holds no design of a failure with probability 10⁻⁶. A population is drawn from a
+wider distribution in standard normal space, and each design has a weight, the ratio of both densities, so that weighted
+means are means over the design measure [OwenZhou2000, deterministic mixture].
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from activefail.space import Array, DesignSpace, radius
+
+REACH = 1e-8
+"""Probability outside the ball in standard normal space that a population fills."""
+
+_PER_PARENT, _PARENTS = 200, 400
+"""Designs of a population for each parent of its local part, and most parents."""
+
+_AT_ONCE = 4096
+"""Most rows of a density at once, which limits its memory."""
+
+_CORRELATIONS = (0.9, 0.7)
+"""Correlation of a local point with its parent, of each half of the local part."""
+
+
+class Population(NamedTuple):
+    """A weighted sample of the design measure.
+
+    Attributes:
+        Z: (n, d) points of standard normal space.
+        X: (n, d) the same points as designs.
+        weight: (n,) density of the design measure over that of the sample.
+    """
+
+    Z: Array
+    X: Array
+    weight: Array
+
+
+Importance = Callable[[Array], Array]
+"""Designs, (n, d) -> how much each one matters, (n,), at least 0."""
+
+
+def _directions(n: int, d: int, rng: np.random.Generator) -> Array:
+    Z = rng.standard_normal((n, d))
+    return np.asarray(Z / np.linalg.norm(Z, axis=1, keepdims=True))
+
+
+def _radial(n: int, d: int, rng: np.random.Generator) -> Array:
+    """Points in all directions: half with the distance of the normal distribution, half with a uniform one."""
+    from scipy.stats import chi
+
+    half = n // 2
+    distances = np.concatenate([chi.rvs(d, size=half, random_state=rng), radius(REACH, d) * rng.random(n - half)])
+    return np.asarray(_directions(n, d, rng) * distances[:, None])
+
+
+def _radial_ratio(Z: Array) -> Array:
+    """Density of `_radial` over the normal density, (n,)."""
+    from scipy.stats import chi
+
+    d, farthest = Z.shape[1], radius(REACH, Z.shape[1])
+    distance = np.linalg.norm(Z, axis=1)
+    with np.errstate(divide="ignore", over="ignore"):
+        uniform = np.where(distance <= farthest, np.exp(-chi.logpdf(distance, d)) / farthest, 0.0)
+    return np.asarray(0.5 + 0.5 * uniform)
+
+
+def _local(parents: Array, n: int, rng: np.random.Generator) -> Array:
+    """Points correlated with the parents, in equal numbers around each."""
+    d, moved = parents.shape[1], []
+    for part, correlation in enumerate(_CORRELATIONS):
+        count = n * (part + 1) // len(_CORRELATIONS) - n * part // len(_CORRELATIONS)
+        around = parents[np.arange(count) % len(parents)]
+        moved.append(correlation * around + math.sqrt(1.0 - correlation**2) * rng.standard_normal((count, d)))
+    return np.concatenate(moved)
+
+
+def _local_ratio(Z: Array, parents: Array) -> Array:
+    """Density of `_local` over the normal density, (n,)."""
+    d, ratio = Z.shape[1], np.empty(len(Z))
+    for first in range(0, len(Z), _AT_ONCE):
+        part = Z[first : first + _AT_ONCE]
+        products, squares = part @ parents.T, (part**2).sum(axis=1)
+        total = np.zeros(len(part))
+        for correlation in _CORRELATIONS:
+            variance = 1.0 - correlation**2
+            # |z|²/2 − |z − ρa|²/(2(1 − ρ²)) − log of the determinant's root
+            exponent = products * (correlation / variance)
+            exponent -= (0.5 * correlation**2 / variance) * (squares[:, None] + (parents**2).sum(axis=1))
+            exponent -= 0.5 * d * math.log(variance)
+            np.minimum(exponent, 700.0, out=exponent)
+            total += np.exp(exponent, out=exponent).mean(axis=1)
+        ratio[first : first + len(part)] = total / len(_CORRELATIONS)
+    return ratio
+
+
+def population(space: DesignSpace, n: int, importance: Importance | None, rng: np.random.Generator) -> Population:
+    """A population of n designs.
+
+    Half of it is radial: it fills the ball outside which the probability is `REACH`, in all directions. The other half
+    is local, around parents that are drawn from another radial sample in proportion to weight times importance. Parents
+    from the same sample would bias the weighted means.
+
+    Args:
+        space: the design space.
+        n: number of designs.
+        importance: of designs; without it, the population is radial.
+        rng: generator of the sample.
+    """
+    d = space.dimension
+    parents = None
+    if importance is not None:
+        others = _radial(n // 2, d, rng)
+        values = importance(space.from_normal(others)) / _radial_ratio(others)
+        if values.sum() > 0.0:
+            count = min(_PARENTS, max(1, n // _PER_PARENT))
+            parents = others[rng.choice(len(others), count, p=values / values.sum())]
+    if parents is None:
+        Z = _radial(n, d, rng)
+        return Population(Z, space.from_normal(Z), 1.0 / _radial_ratio(Z))
+    Z = np.concatenate([_radial(n // 2, d, rng), _local(parents, n - n // 2, rng)])
+    share = (n // 2) / n
+    ratio = share * _radial_ratio(Z) + (1.0 - share) * _local_ratio(Z, parents)
+    return Population(Z, space.from_normal(Z), 1.0 / ratio)
