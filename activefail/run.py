@@ -12,7 +12,7 @@ from activefail.files import writing_to
 from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
-from activefail.record.layout import COMPARISON, REPORT, SETTINGS
+from activefail.record.layout import COMPARISON, REPORT, SCORES, SETTINGS
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
 from activefail.visible import quoted
@@ -172,12 +172,19 @@ class Run:
                 return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
         target = self.settings.sampling.budget if budget is None else budget
         command = self.resume_command(ignore_stop=ignore_stop, executor=executor_options)
-        faults: list[str] = []
+        observer = observer or Observer()
         finished = run(
-            self.campaign, self.store, executor, target, observer, failure_limit, not ignore_stop, command, faults
+            self.campaign,
+            self.store,
+            executor,
+            target,
+            observer,
+            failure_limit=failure_limit,
+            use_stop_rule=not ignore_stop,
+            resume_command=command,
         )
         self._classifier = None
-        return Taken(finished, standing(self.campaign, self.store.batches, target), next(iter(faults), ""))
+        return Taken(finished, standing(self.campaign, self.store.batches, target), next(iter(observer.faults), ""))
 
     @property
     def classifier(self) -> "Classifier":
@@ -287,7 +294,7 @@ class Run:
         figure = plot_learning_curves(scores, self.boundary, scores[0].test_designs)
         with writing_to(results):
             results.mkdir(exist_ok=True)
-            write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / "scores.csv")
+            write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / SCORES)
             for suffix in ("png", "svg"):
                 save_figure(figure, results / f"learning_curves.{suffix}")
         return scores

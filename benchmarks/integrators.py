@@ -32,11 +32,10 @@ from activefail.bearing.integrator import (
     root_of,
     step_of,
 )
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL
 from activefail.bearing.tuples import axpy, axpy_rows, error_sum, factorise, scaled, scaled_rows, solve, weighted
 from activefail.space import Array
 
-INLINE = {"forceinline": True, **KERNEL}
 NEWTON_SHARE, MOST_ITERATIONS = 0.05, 8
 """Newton's method is done when its error is this share of the tolerance; it is given up after so many iterations."""
 

@@ -24,7 +24,7 @@ from activefail.bearing.design import TABLE_1
 from activefail.bearing.outcome import CAUSES, COLUMNS, OUTCOMES
 from activefail.campaign.settings import parse_settings
 from activefail.record import compaction
-from activefail.record.batch import ACTIVE, SEED, Batch, Schema
+from activefail.record.batch import ACTIVE, INITIAL, Batch, Schema
 from activefail.record.run_folder import FolderStore
 from activefail.record.segment import Segment, chain_start, encode_segment
 from activefail.simulators.interface import Results
@@ -40,7 +40,7 @@ def batches(size: int, first: int) -> Iterator[Batch]:
     rng = np.random.default_rng(first)
     iteration = 0
     while True:
-        origin = SEED if iteration * size < 250 else ACTIVE
+        origin = INITIAL if iteration * size < 250 else ACTIVE
         yield Batch(
             iteration,
             TABLE_1.from_unit(rng.random((size, 9))),

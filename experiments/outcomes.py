@@ -56,11 +56,11 @@ def designs(features, n, active, seed, sampling=None):
             classifier,
             TABLE_1,
             criterion(sampling.criterion),
-            boundaries,
-            sampling.exploration,
-            len(X) - INITIAL,
-            min(sampling.batch, n - len(X)),
-            np.random.default_rng([seed, len(X)]),
+            boundaries=boundaries,
+            exploration=sampling.exploration,
+            first=len(X) - INITIAL,
+            q=min(sampling.batch, n - len(X)),
+            rng=np.random.default_rng([seed, len(X)]),
         )
         X, outcome = np.concatenate([X, batch]), np.concatenate([outcome, outcome_of(batch)])
     return X, outcome

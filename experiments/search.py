@@ -34,17 +34,17 @@ def first_failure(campaign: Campaign, problem: RareProblem, searching: bool) -> 
         if searching:
             zeros = np.zeros(len(X), dtype=np.int8)
             known = History(X, outcome, zeros.astype(np.int64), zeros)
-            more = next_designs(campaign, classifier, known, iteration, BATCH, chosen)
+            more = next_designs(campaign, classifier, known, iteration, q=BATCH, chosen=chosen)
         else:
             more = propose_shared(
                 classifier,
                 campaign.space,
                 criterion_of(settings.criterion),
-                settings.boundaries,
-                settings.exploration,
-                chosen,
-                BATCH,
-                stream(campaign.settings.seed, "propose", iteration),
+                boundaries=settings.boundaries,
+                exploration=settings.exploration,
+                first=chosen,
+                q=BATCH,
+                rng=stream(campaign.settings.seed, "propose", iteration),
             )
         failed = problem.limit(more) <= 0.0
         if failed.any():

@@ -153,6 +153,7 @@ def propose(
     criterion: Pointwise | LookAhead,
     q: int,
     rng: np.random.Generator,
+    *,
     pending: Array | None = None,
     failed: Array | None = None,
 ) -> Array:
@@ -282,6 +283,7 @@ def propose_shared(
     classifier: Classifier,
     space: DesignSpace,
     criterion: Pointwise | LookAhead,
+    *,
     boundaries: Mapping[str, float],
     exploration: float,
     first: int,
@@ -320,7 +322,9 @@ def propose_shared(
         if count and not is_one_sided:
             in_flight = chosen if pending is None else np.concatenate([pending, chosen])
             latent = classifier.latent(outcome)
-            proposed = propose(latent, classifier.features, space, criterion, count, rng, in_flight, failed)
+            proposed = propose(
+                latent, classifier.features, space, criterion, count, rng, pending=in_flight, failed=failed
+            )
             chosen = np.concatenate([chosen, proposed])
     return chosen
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL
 from activefail.bearing.lanes import any_positive, positive, sign, sqrt, where
 from activefail.bearing.tuples import axpy
 
@@ -52,7 +52,7 @@ def meets_rim(u, w, plate):
     return abs(u) > plate.rim_distance and w < plate.rim_top
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
     """Force of one contact with inward normal n: Hertz, damped while approaching [Jankowski2006], and friction."""
     rate, slip = -(du * n_u + dw * n_w), du * n_w - dw * n_u
@@ -70,13 +70,13 @@ def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
     )
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _into_rim(u, w, plate):
     """Penetration of the rim [m], positive only for a vertex in contact with it."""
     return where(plate.rim_top - w, abs(u) - plate.rim_distance)
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def vertex_force(u, w, du, dw, plate):
     """`Force` of dish and rim on a vertex at (u, w) [m] with velocity (du, dw) [m/s].
 
@@ -95,7 +95,7 @@ def vertex_force(u, w, du, dw, plate):
     return Force(force_u, force_w, rim, dissipation, stored)
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     """Force of one contact and its derivatives, a tuple of 10.
 
@@ -150,7 +150,7 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     )
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def vertex_jacobian(u, w, du, dw, plate):
     """Force of dish and rim on a vertex and its derivatives, the sum of two `_contact_jacobian` tuples."""
     height = plate.radius - w

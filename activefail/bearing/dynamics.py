@@ -13,7 +13,7 @@ from numba.extending import overload
 from activefail.bearing import integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL
 from activefail.bearing.lanes import Lanes, lanes, numbers
 from activefail.bearing.pulse import ground_acceleration, ground_jerk
 from activefail.bearing.tuples import axpy_rows, scaled
@@ -108,7 +108,7 @@ def equilibrium(system):
     return 0.0, z_s, 0.0, 0.0, z_s + system.half_height + above
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def cosine_and_sine(angle):
     """cos and sin of an angle [rad], accurate except for the last digit; the polynomials of Cephes up to π/4."""
     if abs(angle) > 0.25 * math.pi:
@@ -159,13 +159,13 @@ class Vertices(NamedTuple):
     plate: Plate  # with lanes as attributes
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _sides(bottom, top):
     """Lanes of a quantity that differs only between the plates."""
     return lanes(bottom, bottom, top, top)
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def vertices(system, q, v):
     """The `Vertices` at a state."""
     bottom, top = system.bottom, system.top
@@ -191,14 +191,14 @@ def vertices(system, q, v):
     return Vertices(r_x, r_z, up, u, w, du, dw, plate)
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def of_plates(x):
     """Sums over the vertices that face the bottom plate, and over those that face the top plate."""
     a, b, c, d = numbers(x)
     return a + b, c + d
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _accelerations(system, f_x, f_z, moment, ground):
     """Accelerations, from the ground's and the forces and moments of the bottom and the top plate on the slider."""
     slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
@@ -221,7 +221,7 @@ def dfp_acceleration(system, t, q, v):
     return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(at.r_x * f_z - at.r_z * f_x), ground)
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _by_coordinates(system, below, above):
     """Derivatives of all accelerations, from those at the bottom and at the top vertices, each 3 x 3.
 
@@ -238,7 +238,7 @@ def _by_coordinates(system, below, above):
     )
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _of_plates_rows(rows):
     """Two 3 x 3 matrices from 3 x 3 lanes, summed over the vertices of each plate."""
     (a, b, c), (d, e, f), (g, h, i) = rows
@@ -295,7 +295,7 @@ def _linearisation(problem, t, q, v):
     return None
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def energy_of(system, t, q, v, force):
     """As `energy`, from known forces on the vertices."""
     m, M = system.slider_mass, system.plate_mass

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL
 from activefail.bearing.tuples import (
     axpy,
     axpy_rows,
@@ -146,9 +146,6 @@ class Trial(NamedTuple):
     error_v: Vector
     middle_q: Vector
     middle_v: Vector
-
-
-INLINE = {"forceinline": True, **KERNEL}
 
 
 @njit(**INLINE)

@@ -17,6 +17,9 @@ products, because numba compiles a power with a whole exponent as a function of 
 options of the first kernel that uses it.
 """
 
+INLINE: dict[str, Any] = {"forceinline": True, **KERNEL}
+"""Options of kernels that become part of their callers."""
+
 _PACKAGE = Path(__file__).parent
 
 _DEFAULTS = {

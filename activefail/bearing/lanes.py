@@ -15,12 +15,11 @@ from numba.core.types.containers import UniTuple
 from numba.core.typing import signature
 from numba.extending import intrinsic, overload, register_model
 
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL
 
 _VECTOR = ir.VectorType(ir.DoubleType(), 4)
 _ZERO = ir.Constant(_VECTOR, [0.0] * 4)
 _FLAGS = tuple(KERNEL["fastmath"])
-INLINE = {"forceinline": True, **KERNEL}
 
 
 class _LanesType(types.Type):

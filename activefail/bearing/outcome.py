@@ -7,7 +7,7 @@ from numba import njit
 
 from activefail.bearing.contact import gap, vertex_force
 from activefail.bearing.dynamics import energy_of, of_plates, vertices
-from activefail.bearing.kernels import KERNEL
+from activefail.bearing.kernels import INLINE, KERNEL
 from activefail.bearing.lanes import numbers, sign
 
 NO_IMPACT, IMPACT, FAILURE = 0, 1, 2
@@ -68,7 +68,7 @@ class Observation(NamedTuple):
     tilt: float  # |theta| [rad]
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def _observation(system, q, at, force):
     """The `Observation` of the vertices `at` under a force."""
     gap_0, gap_1, gap_2, gap_3 = numbers(gap(at.u, at.w, at.plate))
@@ -91,7 +91,7 @@ def observe(system, q, v):
     return _observation(system, q, at, vertex_force(at.u, at.w, at.du, at.dw, at.plate))
 
 
-@njit(forceinline=True, **KERNEL)
+@njit(**INLINE)
 def examine(system, t, q, v):
     """`energy` and `observe` of a state at once."""
     at = vertices(system, q, v)

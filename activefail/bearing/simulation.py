@@ -41,7 +41,7 @@ the slider by one radian moves a vertex by at most half a metre.
 """
 
 
-class Run(NamedTuple):
+class KernelResult(NamedTuple):
     """The kernel's result of one simulation."""
 
     outcome: int
@@ -67,7 +67,7 @@ def _record(history, row, system, state):
 def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
     """Integrate one bearing from rest until it fails, its outcome is settled or, with `to_the_end`, its time is over.
 
-    The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `Run`.
+    The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `KernelResult`.
     """
     t = -HALF_DURATION * system.period
     pulse_end = -t
@@ -158,15 +158,15 @@ def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_
         rejected_steps=state.rejections,
         evaluations=state.evaluations,
     )
-    return Run(outcome, cause, margins, statistics, rows)
+    return KernelResult(outcome, cause, margins, statistics, rows)
 
 
 def _simulate(
     bearing: Bearing, pulse: Pulse, model: Model, tolerance: Tolerance, history: Array, to_the_end: bool = False
-) -> Run:
+) -> KernelResult:
     # T_b as in the paper's eq. 2, without the slider's height.
     free_time = FREE_PERIODS * 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
-    run: Run = _run(
+    run: KernelResult = _run(
         system(bearing, pulse, model),
         bearing.displacement_capacity,
         free_time,

@@ -8,9 +8,7 @@ With arrays, the integrator's algebra takes three times as long.
 from numba import njit
 from numba.extending import overload
 
-from activefail.bearing.kernels import KERNEL
-
-INLINE = {"forceinline": True, **KERNEL}
+from activefail.bearing.kernels import INLINE
 
 
 def scaled(a, x):

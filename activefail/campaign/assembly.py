@@ -105,7 +105,7 @@ def _simulator(
 ) -> tuple[Simulator, dict[str, str]]:
     """The simulator in the settings, and the digest of its source if it is a Python function."""
     match settings.simulator:
-        case sections.PythonSimulator() as spec:
+        case sections.PythonSimulatorSettings() as spec:
             function = PythonSimulator(
                 space, spec.python, code, tuple(spec.outcomes), tuple(spec.margins), folder=run, renew=spec.renew
             )
@@ -113,7 +113,7 @@ def _simulator(
                 return function, {}
             source = function.load()
             return replace(function, source=source), {SIMULATOR_KEY: source}
-        case sections.CommandSimulator() as spec:
+        case sections.CommandSimulatorSettings() as spec:
             command = CommandSimulator(
                 space,
                 spec.command,
@@ -135,12 +135,12 @@ def _features(
 ) -> tuple[FeatureSet | CustomFeatures | ExpressionFeatures, dict[str, str]]:
     """The features in the settings, and the digest of their source if they are a Python function."""
     match settings.classifier.features:
-        case sections.PythonFeatures() if not custom:
+        case sections.PythonFeaturesSettings() if not custom:
             return "design", {}
-        case sections.PythonFeatures() as spec:
+        case sections.PythonFeaturesSettings() as spec:
             function, source = load_function(spec.python, code, FEATURES_KEY, run)
             return CustomFeatures(spec.python.partition(":")[2], function, spec.variables), {FEATURES_KEY: source}
-        case sections.ExpressionFeatures() as spec:
+        case sections.ExpressionFeaturesSettings() as spec:
             return ExpressionFeatures(spec.expressions, spec.variables), {}
         case feature_set:
             return feature_set, {}

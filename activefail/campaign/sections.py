@@ -146,7 +146,7 @@ _Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w
 """A Python function, "module:function"."""
 
 
-class CustomSimulator(Section):
+class CustomSimulatorSettings(Section):
     """Settings of every custom simulator.
 
     Attributes:
@@ -172,8 +172,8 @@ class CustomSimulator(Section):
         return names
 
 
-class PythonSimulator(CustomSimulator):
-    """A simulator that is a Python function (`activefail.simulators.function`), found like `PythonFeatures`.
+class PythonSimulatorSettings(CustomSimulatorSettings):
+    """A simulator that is a Python function (`activefail.simulators.function`), found like `PythonFeaturesSettings`.
 
     Attributes:
         renew: simulations after which a worker process is replaced; never if None.
@@ -183,7 +183,7 @@ class PythonSimulator(CustomSimulator):
     renew: int | None = Field(None, ge=1, le=1_000_000)
 
 
-class CommandSimulator(CustomSimulator):
+class CommandSimulatorSettings(CustomSimulatorSettings):
     """A simulator that is a program (`activefail.simulators.command`).
 
     Attributes:
@@ -228,7 +228,7 @@ class Sampling(Section):
         return self
 
 
-class PythonFeatures(Section):
+class PythonFeaturesSettings(Section):
     """Custom features: a Python function.
 
     Attributes:
@@ -240,7 +240,7 @@ class PythonFeatures(Section):
     variables: bool = True
 
 
-class ExpressionFeatures(Section):
+class ExpressionFeaturesSettings(Section):
     """Custom features: arithmetic expressions of the variables.
 
     Attributes:
@@ -253,8 +253,8 @@ class ExpressionFeatures(Section):
 
 
 KINDS: dict[str, dict[str, type[Section]]] = {
-    "simulator": {"python": PythonSimulator, "command": CommandSimulator},
-    "features": {"python": PythonFeatures, "expressions": ExpressionFeatures},
+    "simulator": {"python": PythonSimulatorSettings, "command": CommandSimulatorSettings},
+    "features": {"python": PythonFeaturesSettings, "expressions": ExpressionFeaturesSettings},
 }
 """Alternative tables of a setting, by the key that only they have."""
 
@@ -285,8 +285,8 @@ class ClassifierSettings(Section):
 
     features: Annotated[
         Annotated[FeatureSet, Tag(NAME)]
-        | Annotated[PythonFeatures, Tag(f"{WITH}python")]
-        | Annotated[ExpressionFeatures, Tag(f"{WITH}expressions")],
+        | Annotated[PythonFeaturesSettings, Tag(f"{WITH}python")]
+        | Annotated[ExpressionFeaturesSettings, Tag(f"{WITH}expressions")],
         by_key(KINDS["features"]),
     ] = "paper"
     kernel: Literal["rbf", "matern52"] = "rbf"

@@ -19,10 +19,10 @@ from activefail.campaign.sections import (
     AnyVariable,
     BearingSettings,
     ClassifierSettings,
-    CommandSimulator,
+    CommandSimulatorSettings,
     FixedVariable,
     Limits,
-    PythonSimulator,
+    PythonSimulatorSettings,
     Sampling,
     Section,
     Stop,
@@ -47,8 +47,8 @@ class CampaignSettings(Section):
     seed: int = Field(0, ge=0, lt=2**63)
     simulator: Annotated[
         Annotated[Literal["dfp"], Tag(NAME)]
-        | Annotated[PythonSimulator, Tag(f"{WITH}python")]
-        | Annotated[CommandSimulator, Tag(f"{WITH}command")],
+        | Annotated[PythonSimulatorSettings, Tag(f"{WITH}python")]
+        | Annotated[CommandSimulatorSettings, Tag(f"{WITH}command")],
         by_key(KINDS["simulator"]),
     ] = "dfp"
     bearing: BearingSettings = BearingSettings()

@@ -147,12 +147,12 @@ def status(folder: RunFolder) -> None:
         with open_run(folder, features=False) as opened:
             show_warnings(opened.store)
             summary = opened.summary
-    print(f"campaign   {visible(summary.plan.description or folder.name)}")
+    print(f"campaign   {visible(summary.settings.description or folder.name)}")
     for title, text in summary.lines:
         print(f"{title:<10} {text}")
     show_unseen(summary)
-    if summary.done < summary.plan.budget:
-        command = f"activefail resume {quoted(folder)}{' --code FOLDER' if summary.plan.custom_code else ''}"
+    if summary.done < summary.settings.budget:
+        command = f"activefail resume {quoted(folder)}{' --code FOLDER' if summary.settings.custom_code else ''}"
         print(f"continue   {command}")
         if is_verified(folder, summary):
             print(f"           {command} --ignore-stop, if it ended by its stop rule")

@@ -96,7 +96,7 @@ def _compare_seeds(
     out: Path,
 ) -> None:
     from activefail.campaign.settings import read_settings
-    from activefail.comparison.seeds import CUSTOM, Plan, compare_seeds
+    from activefail.comparison.seeds import CUSTOM, ComparisonPlan, compare_seeds
     from activefail.report.comparison import comparison_lines, write_comparison
 
     check_output("--out", out)
@@ -105,7 +105,7 @@ def _compare_seeds(
     if any(size < 2 for size in sizes):
         raise InputError(f"--static: must be at least 2, got {sizes[0]}.")
     sampling, default_features = settings.sampling, settings.classifier.features
-    plan = Plan(
+    plan = ComparisonPlan(
         settings,
         seeds,
         _parse_names(criteria) or (settings.acquisition.criterion,),

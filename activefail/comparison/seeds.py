@@ -71,7 +71,7 @@ class Arm:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ComparisonPlan:
     """The definition of a comparison.
 
     Attributes:
@@ -125,7 +125,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Score:
+class ArmScore:
     """The measures of an arm after a number of simulations."""
 
     arm: Arm
@@ -163,7 +163,7 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
             yield n, known.designs, known.outcome
 
 
-def _score_arm(job: _Job) -> list[Score] | None:
+def _score_arm(job: _Job) -> list[ArmScore] | None:
     """Score an arm in a worker process; None if stopped."""
     campaign = Campaign.of(parse_settings(job.settings, job.arm.name), job.code)
     with one_thread():
@@ -178,7 +178,7 @@ def _score_arm(job: _Job) -> list[Score] | None:
             classifier = train(
                 X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel
             )
-            scores.append(Score(job.arm, n, measures(classifier, campaign.severity, job.test)))
+            scores.append(ArmScore(job.arm, n, measures(classifier, campaign.severity, job.test)))
     return scores or None
 
 
@@ -188,12 +188,12 @@ def _write(path: Path, text: str) -> None:
         file.write(text)
 
 
-def _saved(path: Path) -> list[Score] | None:
+def _saved(path: Path) -> list[ArmScore] | None:
     # An arm with an unreadable file is scored again.
     with suppress(OSError, ValueError, TypeError, KeyError):
         rows = json.loads(path.read_text(encoding="utf-8"))
         return [
-            Score(
+            ArmScore(
                 Arm(**row["arm"]),
                 row["simulations"],
                 {name: float("nan") if value is None else value for name, value in row["measures"].items()},
@@ -203,7 +203,7 @@ def _saved(path: Path) -> list[Score] | None:
     return None
 
 
-def _text(scores: list[Score]) -> str:
+def _text(scores: list[ArmScore]) -> str:
     """Scores as JSON, with null for NaN."""
     rows = [asdict(score) for score in scores]
     for row in rows:
@@ -211,7 +211,7 @@ def _text(scores: list[Score]) -> str:
     return json.dumps(rows, indent=1, allow_nan=False)
 
 
-def prepare(folder: Path, plan: Plan) -> None:
+def prepare(folder: Path, plan: ComparisonPlan) -> None:
     """Create the folder of a comparison, or check that it holds the same comparison.
 
     Raises:
@@ -232,7 +232,7 @@ def prepare(folder: Path, plan: Plan) -> None:
         (folder / part).mkdir(exist_ok=True)
 
 
-def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, Any]]:
+def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, Any]]:
     """The test set and the static designs with their outcomes, stored in the folder `designs`."""
     campaign = Campaign.of(plan.settings.changed({"validation.size": 0}), plan.code, folder)
     space, first = campaign.space, plan.settings.seed
@@ -269,13 +269,13 @@ def _simulated(plan: Plan, folder: Path, stage: Callable[[str], None]) -> tuple[
 
 
 def compare_seeds(
-    plan: Plan,
+    plan: ComparisonPlan,
     folder: Path,
     jobs: int,
     stage: Callable[[str], None] = lambda _: None,
     done: Callable[[int, int], None] = lambda _done, _total: None,
     stop: Callable[[], bool] = lambda: False,
-) -> list[Score] | None:
+) -> list[ArmScore] | None:
     """Score all arms, `jobs` in parallel; None if stopped, with the scores so far saved.
 
     Raises:
@@ -327,7 +327,7 @@ class Point:
         return Estimate.over(self.values) if len(self.values) > 1 else None
 
 
-def curves(scores: list[Score], measure: str) -> dict[tuple[str, str], list[Point]]:
+def curves(scores: list[ArmScore], measure: str) -> dict[tuple[str, str], list[Point]]:
     """Points by features and sampling, ordered by simulations."""
     values: dict[tuple[str, str], dict[int, list[float]]] = {}
     for score in scores:

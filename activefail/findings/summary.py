@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import StoreError
 from activefail.files import check_dots, read_regular
-from activefail.record.batch import ACTIVE, SEED, Batch
-from activefail.record.layout import LARGEST_SETTINGS, SETTINGS, refuse_links
+from activefail.record.batch import ACTIVE, INITIAL, Batch
+from activefail.record.layout import LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
 from activefail.record.recovery import is_segment, plain_files
 from activefail.record.segment import Outline, chain_start, decode_outline
 from activefail.shares import percent
@@ -29,7 +29,7 @@ from activefail.visible import visible
 
 
 @dataclass(frozen=True)
-class Plan:
+class SettingsInBrief:
     """A campaign's settings in brief. All text is made visible, since a run folder may come from a stranger.
 
     Attributes:
@@ -57,7 +57,7 @@ class Plan:
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """The plan of a frozen campaign.toml, which contains all defaults.
+        """The settings in brief of a frozen campaign.toml, which contains all defaults.
 
         Raises:
             ValueError: if the text is not such a file.
@@ -128,14 +128,14 @@ class Summary:
     """The state of a campaign in counts.
 
     Attributes:
-        plan: its settings in brief.
+        settings: of the campaign.
         outcomes: names of the outcomes, as visible text.
         iteration: active batches so far.
         initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and active ones, by
             outcome, numerical failures last.
     """
 
-    plan: Plan
+    settings: SettingsInBrief
     outcomes: tuple[str, ...]
     iteration: int
     initial: NDArray[np.int64]
@@ -154,18 +154,18 @@ class Summary:
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts that `activefail status` prints."""
-        plan = self.plan
+        settings = self.settings
         sought = " and ".join(
             f"the {name} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
-            for name, share in plan.boundaries.items()
+            for name, share in settings.boundaries.items()
         )
-        done = f"{self.done} of {plan.budget} simulations"
-        if self.done > plan.budget:
-            done = f"{self.done} simulations, {plan.budget} planned"
+        done = f"{self.done} of {settings.budget} simulations"
+        if self.done > settings.budget:
+            done = f"{self.done} simulations, {settings.budget} planned"
         names = (*self.outcomes, "numerical failures")
         return [
-            ("simulator", f"{plan.simulator}, {plan.variables} variables, seed {plan.seed}"),
-            ("learner", f"{plan.kernel} on {plan.features} features, {plan.criterion} at {sought}"),
+            ("simulator", f"{settings.simulator}, {settings.variables} variables, seed {settings.seed}"),
+            ("learner", f"{settings.kernel} on {settings.features} features, {settings.criterion} at {sought}"),
             ("done", f"{done}, iteration {self.iteration}"),
             *(
                 (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))
@@ -188,21 +188,21 @@ class Summary:
         none = np.empty(0, dtype=np.int8)
         initial, chosen = (
             np.concatenate([none, *(one.results.outcome[one.origin == origin] for one in batches)])
-            for origin in (SEED, ACTIVE)
+            for origin in (INITIAL, ACTIVE)
         )
         n = len(outcomes)
         iteration = batches[-1].iteration if batches else 0
-        return cls(Plan.of(settings), _shown(outcomes), iteration, _counts(initial, n), _counts(chosen, n))
+        return cls(SettingsInBrief.of(settings), _shown(outcomes), iteration, _counts(initial, n), _counts(chosen, n))
 
 
 def is_verified(folder: Path, summary: Summary) -> bool:
     """Whether the stop rule looked after the last batch, so that it may have ended the campaign."""
-    simulations = summary.plan.stop_simulations
+    simulations = summary.settings.stop_simulations
     if simulations is None:
         return False
     # Older versions stored looks as verifications.
     names = name_of_look(summary.iteration, simulations), name_of_verification(summary.iteration, simulations)
-    return any((folder / "sets" / f"{first_part(name)}.h5").is_file() for name in names)
+    return any(set_file(folder, first_part(name)).is_file() for name in names)
 
 
 def read_summary(folder: Path) -> Summary | None:
@@ -217,12 +217,12 @@ def read_summary(folder: Path) -> Summary | None:
     refuse_links(folder)
     try:
         settings = read_regular(folder / SETTINGS, LARGEST_SETTINGS).decode()
-        names = [name for name in plain_files(folder / "segments") if is_segment(name)]
+        names = [name for name in plain_files(folder / SEGMENTS) if is_segment(name)]
         outlines = sorted(
-            (decode_outline(name, (folder / "segments" / name).read_bytes()) for name in names),
+            (decode_outline(name, (folder / SEGMENTS / name).read_bytes()) for name in names),
             key=lambda outline: outline.first,
         )
-        plan = Plan.of(settings)
+        brief = SettingsInBrief.of(settings)
     except (OSError, MemoryError, RecursionError, ValueError, StoreError):
         return None
     if not outlines or not _is_chain(outlines, settings):
@@ -231,9 +231,9 @@ def read_summary(folder: Path) -> Summary | None:
     n = len(outcomes)
     initial = chosen = np.zeros(n + 1, dtype=np.int64)
     for outline in outlines:
-        initial = initial + _counts(outline.outcome[outline.origin == SEED], n)
+        initial = initial + _counts(outline.outcome[outline.origin == INITIAL], n)
         chosen = chosen + _counts(outline.outcome[outline.origin == ACTIVE], n)
-    return Summary(plan, _shown(outcomes), int(outlines[-1].iterations[-1]), initial, chosen)
+    return Summary(brief, _shown(outcomes), int(outlines[-1].iterations[-1]), initial, chosen)
 
 
 def _shown(names: Sequence[str]) -> tuple[str, ...]:

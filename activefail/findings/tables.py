@@ -12,7 +12,7 @@ from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.csv_table import DesignTable, writing
 from activefail.errors import InputError
-from activefail.record.batch import SEED
+from activefail.record.batch import INITIAL
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
 from activefail.space import Array
@@ -142,7 +142,7 @@ def export_table(campaign: Campaign, store: Store, target: Path) -> int:
                         [
                             number,
                             batch.iteration,
-                            "seed" if batch.origin[row] == SEED else "active",
+                            "seed" if batch.origin[row] == INITIAL else "active",
                             *map(repr, batch.designs[row].tolist()),
                             "numerical_failure" if outcome == NUMERICAL_FAILURE else names[outcome],
                             cause_name(campaign.simulator.causes, int(results.cause[row])),

@@ -21,7 +21,7 @@ from activefail.loop.learning import learn, restore
 from activefail.loop.progress import standing
 from activefail.loop.proposing import initial_designs, initial_sets, next_designs
 from activefail.loop.task import Task
-from activefail.record.batch import ACTIVE, SEED, Batch
+from activefail.record.batch import ACTIVE, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
@@ -70,7 +70,7 @@ class Course:
         iteration = history.last_iteration
         classifier = learn(campaign, history, iteration, self.classifier)
         chosen = max(0, proposed - len(initial))
-        designs = next_designs(campaign, classifier, history, iteration + 1, free, chosen, flight)
+        designs = next_designs(campaign, classifier, history, iteration + 1, q=free, chosen=chosen, pending=flight)
         return Course(classifier, iteration, np.concatenate([flight, designs]))
 
     def save(self, store: Store) -> None:
@@ -172,8 +172,7 @@ def run_asynchronously(task: Task) -> bool:
         if arrived is None:
             return ended
         designs, results = arrived
-        task.faults.extend(results.faults.values())
-        origin = np.array([SEED if design.tobytes() in initial else ACTIVE for design in designs], dtype=np.int8)
+        origin = np.array([INITIAL if design.tobytes() in initial else ACTIVE for design in designs], dtype=np.int8)
         store.commit(Batch(course.next_iteration, designs, origin, results))
         observer.stage("learning")
         course = course.after(campaign, store.batches)

@@ -12,10 +12,11 @@ from activefail.execution.executor import AsynchronousExecutor, Executor
 from activefail.loop.asynchronous import run_asynchronously
 from activefail.loop.history import History
 from activefail.loop.learning import current_classifier, learn
+from activefail.loop.observed import ObservedExecutor
 from activefail.loop.progress import Observer, standing
 from activefail.loop.proposing import initial_designs, initial_sets, next_designs
 from activefail.loop.task import Task
-from activefail.record.batch import ACTIVE, SEED, Batch
+from activefail.record.batch import ACTIVE, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.state import classifier_state
@@ -32,7 +33,6 @@ def run(
     failure_limit: float | None = None,
     use_stop_rule: bool = True,
     resume_command: str = "activefail resume DIR",
-    faults: list[str] | None = None,
 ) -> bool:
     """Continue a campaign from its record to its budget, or until its stop rule is met.
 
@@ -43,42 +43,39 @@ def run(
         store: its record.
         executor: runs the simulations.
         budget: simulations in all.
-        observer: receives progress and requests a stop.
+        observer: receives progress and faults, and requests a stop.
         failure_limit: largest accepted share of numerical failures; replaces the campaign's.
         use_stop_rule: whether the stop rule may end the campaign before its budget.
         resume_command: the command that continues the campaign, for messages.
-        faults: receives the faults of all simulations of this call, in order of arrival.
 
     Raises:
         SimulationError: if the workers or too many of the simulations fail.
         StoreError: if a batch cannot be recorded.
     """
     observer = observer or Observer()
-    faults = [] if faults is None else faults
+    observer.faults.clear()
+    executor = ObservedExecutor(executor, observer.faults)
     limit = campaign.settings.limits.numerical_failures if failure_limit is None else failure_limit
     run_loop = run_asynchronously if campaign.settings.sampling.asynchronous else _run_in_batches
     with one_thread():
-        validation = _validation_set(campaign, store, executor, observer, faults)
+        validation = _validation_set(campaign, store, executor, observer)
         history = History.of(store.batches)
         initial = initial_designs(campaign, initial_sets(campaign, history))
-        # Failures before the first outcome came from a simulator that has been fixed since.
-        ignored = history.leading_failures
-        return run_loop(
-            Task(
-                campaign,
-                store,
-                executor,
-                budget,
-                observer,
-                limit,
-                use_stop_rule,
-                resume_command,
-                validation,
-                initial,
-                ignored,
-                faults,
-            )
+        task = Task(
+            campaign=campaign,
+            store=store,
+            executor=executor,
+            budget=budget,
+            observer=observer,
+            failure_limit=limit,
+            use_stop_rule=use_stop_rule,
+            resume_command=resume_command,
+            validation=validation,
+            initial=initial,
+            # Failures before the first outcome came from a simulator that has been fixed since.
+            ignored_failures=history.leading_failures,
         )
+        return run_loop(task)
 
 
 def _run_in_batches(task: Task) -> bool:
@@ -95,7 +92,7 @@ def _run_in_batches(task: Task) -> bool:
             return False
         observer.stage("simulating the initial design")
         designs = initial[progress.done : min(progress.done + batch, budget)]
-        _simulate_and_record(task, 0, SEED, designs)
+        _simulate_and_record(task, 0, INITIAL, designs)
 
     task.check(progress)
     observer.stage("learning")
@@ -116,7 +113,7 @@ def _run_in_batches(task: Task) -> bool:
         iteration = progress.iteration + 1
         observer.stage("proposing")
         chosen, history = (iteration - 1) * batch, History.of(store.batches)
-        designs = next_designs(campaign, classifier, history, iteration, min(batch, left), chosen)
+        designs = next_designs(campaign, classifier, history, iteration, q=min(batch, left), chosen=chosen)
         observer.stage("simulating")
         _simulate_and_record(task, iteration, ACTIVE, designs)
         observer.stage("learning")
@@ -127,16 +124,15 @@ def _run_in_batches(task: Task) -> bool:
 
 def _simulate_and_record(task: Task, iteration: int, origin: int, designs: Array) -> None:
     results = task.executor.run(task.campaign.simulator, designs)
-    task.faults.extend(results.faults.values())
     task.store.commit(Batch(iteration, designs, np.full(len(designs), origin, dtype=np.int8), results))
 
 
 def _validation_set(
-    campaign: Campaign, store: Store, executor: Executor, observer: Observer, faults: list[str]
+    campaign: Campaign, store: Store, executor: Executor, observer: Observer
 ) -> tuple[Array, NDArray[np.int8]] | None:
     size = campaign.settings.validation.size
     if size == 0:
         return None
     observer.stage("simulating the validation set")
     X = campaign.space.from_unit(stream(campaign.settings.seed, "validation").random((size, campaign.space.dimension)))
-    return simulated_set(campaign, store, executor, VALIDATION, X, observer.stop, faults)
+    return simulated_set(campaign, store, executor, VALIDATION, X, observer.stop)

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.record.batch import SEED, Batch
+from activefail.record.batch import INITIAL, Batch
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 
@@ -20,7 +20,7 @@ class History:
         designs: (n, d), in the variables' units; (0, 0) for an empty record.
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
         iteration: (n,) int64, iteration of each simulation's batch; 0 in the initial design.
-        origin: (n,) int8, SEED or ACTIVE.
+        origin: (n,) int8, INITIAL or ACTIVE.
     """
 
     designs: Array
@@ -64,7 +64,7 @@ class History:
     @property
     def initial(self) -> NDArray[np.bool_]:
         """Which simulations belong to the initial design, (n,); only these are a sample of the design space."""
-        return np.asarray(self.origin == SEED)
+        return np.asarray(self.origin == INITIAL)
 
     @property
     def failed_designs(self) -> Array:

@@ -1,7 +1,7 @@
 """Progress of a running campaign, as its observer sees it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,11 +47,19 @@ class Progress:
 
 @dataclass(frozen=True)
 class Observer:
-    """Callbacks of a running campaign: `progress` and `stage` report, `stop` ends it after the current batch."""
+    """What sees a running campaign.
+
+    Attributes:
+        progress: receives the progress after each batch.
+        stage: receives the name of each stage as it begins.
+        stop: whether to end the campaign after the current batch.
+        faults: why simulations were abandoned, in order of arrival; the loop empties it first.
+    """
 
     progress: Callable[[Progress], None] = lambda _: None
     stage: Callable[[str], None] = lambda _: None
     stop: Callable[[], bool] = lambda: False
+    faults: list[str] = field(default_factory=list)
 
 
 def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Progress:

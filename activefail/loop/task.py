@@ -21,7 +21,7 @@ _LEAST_FOR_RATE = 20
 """Fewest simulations for which the share of numerical failures is checked."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Task:
     """Parameters of a loop and its fixed designs.
 
@@ -31,7 +31,6 @@ class Task:
         validation: designs and outcomes of the validation set, if any.
         initial: the initial design.
         ignored_failures: numerical failures that do not count towards the limit.
-        faults: the faults of the simulations so far, in order of arrival; grows.
     """
 
     campaign: Campaign
@@ -45,7 +44,6 @@ class Task:
     validation: tuple[Array, NDArray[np.int8]] | None
     initial: Array
     ignored_failures: int
-    faults: list[str]
 
     def check(self, progress: Progress) -> None:
         """Check that not all, and not too many, simulations failed numerically.
@@ -61,10 +59,10 @@ class Task:
                 f"None of the {progress.done} simulations gave an outcome, so there is nothing to learn from. They are "
                 f"recorded; the campaign stops here. The first failed with cause `{first or 'unnamed'}`. Fix the "
                 f"simulator, then `{self.resume_command}{f' --budget {needed}' if self.budget < needed else ''}` "
-                f"continues with other initial designs." + first_fault_text(self.faults)
+                f"continues with other initial designs." + first_fault_text(self.observer.faults)
             )
         done, failures = progress.done - self.ignored_failures, progress.numerical_failures - self.ignored_failures
-        _check_numerical_failures(done, failures, self.failure_limit, self.faults, self.resume_command)
+        _check_numerical_failures(done, failures, self.failure_limit, self.observer.faults, self.resume_command)
 
     def judged(self, progress: Progress, classifier: Classifier, verify_now: bool) -> Progress:
         """The progress with the classifier's accuracy and verified error."""
@@ -73,13 +71,7 @@ class Task:
         if self.use_stop_rule and verify_now and not progress.unseen:
             self.observer.stage("verifying")
             error, stop_rule_met = verify_by_rule(
-                self.campaign,
-                self.store,
-                self.executor,
-                classifier,
-                progress.iteration,
-                self.observer.stop,
-                self.faults,
+                self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer.stop
             )
         share = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
         return replace(progress, accuracy=share, error=error, stop_rule_met=stop_rule_met)

@@ -12,7 +12,7 @@ from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results
 from activefail.space import Array
 
-SEED = 0
+INITIAL = 0
 """Origin of a design of the initial design."""
 
 ACTIVE = 1
@@ -30,7 +30,7 @@ class Batch:
     Attributes:
         iteration: iteration of the loop; 0 is the initial design.
         designs: (n, d) float64, in the variables' units; at least one row.
-        origin: (n,) int8, SEED or ACTIVE.
+        origin: (n,) int8, INITIAL or ACTIVE.
         results: results of the n designs.
 
     Raises:

@@ -16,8 +16,9 @@ LARGEST_SETTINGS = 1_000_000
 
 LOCK = ".lock"
 
-FOLDERS = ("segments", "state", "sets")
-"""Folders of the record."""
+SEGMENTS, STATES, SETS = "segments", "state", "sets"
+FOLDERS = (SEGMENTS, STATES, SETS)
+"""Folders of the record: batches, saved states, and sets of designs outside the budget."""
 
 SIMULATIONS = "simulations"
 """The folder in which custom programs run."""
@@ -25,13 +26,26 @@ SIMULATIONS = "simulations"
 COMPARISON = "compare"
 """The folder to which `compare` writes."""
 
+SCORES = "scores.csv"
+"""The table of a comparison."""
+
 REPORT = "report.html"
 """The default output of `report`."""
 
-_OWN = (SETTINGS, LOCK, REPORT, *FOLDERS, SIMULATIONS, COMPARISON)
+_RESERVED = (SETTINGS, LOCK, REPORT, *FOLDERS, SIMULATIONS, COMPARISON)
 
 
-def refuse_links(folder: Path, names: Sequence[str] = _OWN) -> None:
+def state_file(folder: Path, iteration: int) -> Path:
+    """The file of the state saved after an iteration."""
+    return folder / STATES / f"{iteration:09d}.h5"
+
+
+def set_file(folder: Path, name: str) -> Path:
+    """The file of a part of a set."""
+    return folder / SETS / f"{name}.h5"
+
+
+def refuse_links(folder: Path, names: Sequence[str] = _RESERVED) -> None:
     """Check that no file or folder that activefail uses in a run folder is a symbolic link.
 
     A run folder may come from someone else, and writing through a link in it could replace or remove the user's files.

@@ -26,7 +26,18 @@ from activefail.files import TEMPORARY, make_folder, publish, read_regular, repl
 from activefail.record import compaction
 from activefail.record.attachments import decode_set, decode_state, encode_set, encode_state
 from activefail.record.batch import Batch, Schema, checked_copy
-from activefail.record.layout import FOLDERS, LARGEST_SETTINGS, LOCK, SETTINGS, refuse_links
+from activefail.record.layout import (
+    FOLDERS,
+    LARGEST_SETTINGS,
+    LOCK,
+    SEGMENTS,
+    SETS,
+    SETTINGS,
+    STATES,
+    refuse_links,
+    set_file,
+    state_file,
+)
 from activefail.record.lock import FolderLock
 from activefail.record.recovery import (
     QUARANTINE,
@@ -183,7 +194,7 @@ class FolderStore:
         try:
             settings = read_regular(path, LARGEST_SETTINGS).decode()
         except FileNotFoundError:
-            names = [name for name in plain_files(folder / "segments") if is_segment(name)]
+            names = [name for name in plain_files(folder / SEGMENTS) if is_segment(name)]
             hint = f" Restore it: segments/{names[0]} holds its text, in the dataset 'settings'." if names else ""
             raise StoreError(f"{folder} is not a run folder: campaign.toml is missing.{hint}") from None
         except OSError as error:
@@ -202,7 +213,7 @@ class FolderStore:
 
     def _load(self) -> None:
         """Read and check all batches; only then, and only under the lock, clean up."""
-        folder = self.folder / "segments"
+        folder = self.folder / SEGMENTS
         segments, damaged = read_segments(folder)
         check_campaign(segments, self.settings, self.schema)
         if self.schema is None and segments:
@@ -249,7 +260,7 @@ class FolderStore:
 
     def _tidy(self, recovery: Recovery) -> None:
         """Create missing folders, quarantine damaged files, and remove temporary files and inputs of compactions."""
-        folder = self.folder / "segments"
+        folder = self.folder / SEGMENTS
         try:
             for name in FOLDERS:
                 with suppress(FileExistsError):
@@ -340,7 +351,7 @@ class FolderStore:
 
     def _publish(self, segment: Segment, data: bytes) -> None:
         """Commit a segment of new designs, protected against a writer that the lock did not stop."""
-        path = self.folder / "segments" / segment.name
+        path = self.folder / SEGMENTS / segment.name
         reason = f"another writer was faster. Open {self.folder} again."
         if rival := self._rival(segment):
             raise StoreError(f"Cannot write {path}: {rival} already holds its designs; {reason}")
@@ -353,7 +364,7 @@ class FolderStore:
 
     def _rival(self, segment: Segment) -> str | None:
         """Another file that contains ids of the segment."""
-        for name in plain_files(self.folder / "segments"):
+        for name in plain_files(self.folder / SEGMENTS):
             if is_segment(name) and name != segment.name:
                 first, last = (int(number) for number in name.removesuffix(".h5").split("-"))
                 if first <= segment.last and segment.first <= last:
@@ -367,7 +378,7 @@ class FolderStore:
             StoreError: if a merged file cannot be written; its inputs remain.
         """
         self._writable()
-        folder = self.folder / "segments"
+        folder = self.folder / SEGMENTS
         while run := compaction.due(self._segments):
             merged = compaction.merge(run)
             if merged.after != run[-1].after:
@@ -388,7 +399,7 @@ class FolderStore:
         self._writable()
         data = encode_state(iteration, checked_state(iteration, arrays), self._digest)
         with self._writing():
-            replace(self.folder / "state" / f"{iteration:09d}.h5", data)
+            replace(state_file(self.folder, iteration), data)
             self._rejected.discard(iteration)
             older = [path for i, path in self._states() if i < iteration]
             for path in older[: 1 - STATES_KEPT] + [path for i, path in self._states() if i > iteration]:
@@ -397,7 +408,7 @@ class FolderStore:
 
     def _states(self) -> list[tuple[int, Path]]:
         """The state files, oldest first."""
-        folder = self.folder / "state"
+        folder = self.folder / STATES
         names = [name for name in plain_files(folder) if re.fullmatch(r"\d{9,}\.h5", name)]
         return sorted((int(name.removesuffix(".h5")), folder / name) for name in names)
 
@@ -427,11 +438,11 @@ class FolderStore:
         check_set(name, X, results, schema)
         data = encode_set(X, results, schema, self._start)
         with self._writing():
-            replace(self.folder / "sets" / f"{name}.h5", data)
+            replace(set_file(self.folder, name), data)
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
         """The set, or None (see Store); a damaged or foreign set is quarantined."""
-        path = self.folder / "sets" / f"{name}.h5"
+        path = set_file(self.folder, name)
         if path.name not in plain_files(path.parent):
             return None
         try:
@@ -446,7 +457,7 @@ class FolderStore:
 
     def set_names(self) -> list[str]:
         """Names of the sets (see Store)."""
-        names = plain_files(self.folder / "sets")
+        names = plain_files(self.folder / SETS)
         return [name.removesuffix(".h5") for name in names if name.endswith(".h5") and not name.startswith(TEMPORARY)]
 
     def close(self) -> None:

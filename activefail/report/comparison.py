@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from activefail.comparison.score import DISPLACEMENT, NEIGHBOURS
-from activefail.comparison.seeds import STATIC, Plan, Point, Score, curves, simulations_to_reach
+from activefail.comparison.seeds import STATIC, ArmScore, ComparisonPlan, Point, curves, simulations_to_reach
 from activefail.csv_table import writing
 from activefail.figures.curves import plot_sampling_curves
 from activefail.figures.style import save_figure
@@ -37,13 +37,13 @@ def _needed(points: list[Point], level: float) -> str:
     return f"> {points[-1].simulations}" if simulations is None else f"{simulations:.0f}"
 
 
-def _command(plan: Plan) -> str:
+def _command(plan: ComparisonPlan) -> str:
     lists = {"criteria": plan.criteria, "features": plan.features, "static": plan.static}
     options = " ".join(f"--{name} {','.join(map(str, values))}" for name, values in lists.items())
     return f"activefail compare CAMPAIGN.toml --seeds {plan.seeds} {options} --test {plan.test} --out DIR"
 
 
-def _sought(plan: Plan) -> str:
+def _sought(plan: ComparisonPlan) -> str:
     shares = plan.settings.acquisition.boundaries
     if len(shares) == 1:
         return next(iter(shares))
@@ -54,7 +54,7 @@ def _row(cells: list[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def comparison_text(plan: Plan, scores: list[Score]) -> str:
+def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
     """The page as Markdown."""
     boundary = plan.settings.acquisition.main_boundary
     main = {*MEASURES, f"accuracy_{boundary}"}
@@ -108,7 +108,7 @@ def comparison_text(plan: Plan, scores: list[Score]) -> str:
     return "\n".join([*lines, "", "![Learning curves](accuracy.svg)", ""])
 
 
-def comparison_lines(scores: list[Score]) -> list[str]:
+def comparison_lines(scores: list[ArmScore]) -> list[str]:
     """A summary for a terminal: medians of accuracy, accuracy near the boundary and log score."""
     shown = ("accuracy", "accuracy_near", "log_score")
     by_measure = {name: curves(scores, name) for name in shown}
@@ -121,7 +121,7 @@ def comparison_lines(scores: list[Score]) -> list[str]:
     return lines
 
 
-def write_comparison(plan: Plan, scores: list[Score], out: Path) -> Path:
+def write_comparison(plan: ComparisonPlan, scores: list[ArmScore], out: Path) -> Path:
     """Write `comparison.md`, `scores.csv` and the curves (SVG, PNG) into the folder; returns the page's path."""
     names = list(scores[0].measures)
     with writing(out / "scores.csv", ["features", "sampling", "seed", "simulations", *names]) as write:

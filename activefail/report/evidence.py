@@ -17,6 +17,7 @@ from activefail.errors import InputError
 from activefail.files import read_regular
 from activefail.loop.history import History
 from activefail.loop.proposing import initial_sets
+from activefail.record.layout import COMPARISON, SCORES
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
@@ -135,7 +136,7 @@ def _curve(
     campaign: Campaign, store: Store, folder: Path, stage: Callable[[str], None]
 ) -> tuple[Curve | None, str | None]:
     """The learning curve, and a note on what it lacks."""
-    path = folder / "compare" / "scores.csv"
+    path = folder / COMPARISON / SCORES
     note = "no comparison with static designs"
     if path.exists():
         try:

@@ -16,7 +16,7 @@ from activefail.acquisition.criteria import bald
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
-from activefail.campaign.sections import PythonFeatures
+from activefail.campaign.sections import PythonFeaturesSettings
 from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
@@ -32,9 +32,10 @@ from activefail.findings import quantities
 from activefail.findings.prediction import predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
-from activefail.findings.summary import Plan, Summary
+from activefail.findings.summary import SettingsInBrief, Summary
 from activefail.loop.progress import standing
 from activefail.parameter import Parameter
+from activefail.record.layout import SETTINGS
 from activefail.record.store import Store
 from activefail.report.evidence import Evidence
 from activefail.shares import interval_percent, percent
@@ -263,7 +264,7 @@ def _learner(findings: Findings) -> dict[str, Any]:
 
 
 def _features_need_code(campaign: Campaign) -> bool:
-    return isinstance(campaign.settings.classifier.features, PythonFeatures)
+    return isinstance(campaign.settings.classifier.features, PythonFeaturesSettings)
 
 
 def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> list[str]:
@@ -288,9 +289,9 @@ def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> 
 def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable[[str], None] = lambda _: None) -> str:
     """The page as HTML."""
     campaign, folder = findings.campaign, findings.folder
-    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    text = (folder / SETTINGS).read_text(encoding="utf-8")
     settings, outcomes = campaign.settings, campaign.simulator.outcomes
-    plan = Plan.of(settings.text())
+    brief = SettingsInBrief.of(settings.text())
     done = standing(campaign, store.batches, 0).done
     counts = _counts(findings)
     scales = length_scales(findings.classifier)
@@ -303,8 +304,8 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
         "title": visible(settings.description or folder.name),
         "version": __version__,
         "settings": settings,
-        "simulator": plan.simulator,
-        "features": plan.features,
+        "simulator": brief.simulator,
+        "features": brief.features,
         "learner": _learner(findings),
         "error": evidence.error,
         "expected": findings.expected,

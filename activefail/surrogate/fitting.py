@@ -141,6 +141,7 @@ def condition(
     kernel: str,
     hyperparameters: Hyperparameters,
     sites: Sites | None = None,
+    *,
     tolerance: float = 1e-5,
     evaluations: int = 0,
     learned_on: int = 0,
@@ -149,6 +150,10 @@ def condition(
     """The variational posterior for fixed hyperparameters, with its sites iterated from `sites`.
 
     Args:
+        sites: initial values of the sites.
+        tolerance: of the bound [nats].
+        evaluations: of the objective so far, for the result.
+        learned_on: number of points when the hyperparameters were last learned, for the result.
         inducing: with more than `EXACT` points, rows to keep as inducing points; others are added.
     """
     sites = _default_start(features, labels)[1] if sites is None else sites
@@ -316,8 +321,16 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
     # Inducing points lose more of the bound than the tolerance; with them the accuracy per point is constant.
     accuracy = 0.01 * tolerance if n <= EXACT else tolerance * n / EXACT
     if warm is not None and n <= (1.0 + GROWTH) * warm.learned_on:
-        start, sites = warm.hyperparameters, _extended_sites(warm, features, labels)
-        return condition(features, labels, kernel, start, sites, accuracy, 0, warm.learned_on, warm.inducing)
+        return condition(
+            features,
+            labels,
+            kernel,
+            warm.hyperparameters,
+            _extended_sites(warm, features, labels),
+            tolerance=accuracy,
+            learned_on=warm.learned_on,
+            inducing=warm.inducing,
+        )
     learned, evaluations = warm, 0
     for size in sorted({min(n, size) for size in ((_COARSE, LEARNED_ON) if warm is None else (LEARNED_ON,))}):
         rows = _spread(n, size)
@@ -327,16 +340,17 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
         evaluations += learned.evaluations
     assert learned is not None
     h = learned.hyperparameters
+    conditioned = partial(
+        condition, features, labels, kernel, tolerance=accuracy, evaluations=evaluations, learned_on=n
+    )
     if n <= LEARNED_ON:
-        return condition(features, labels, kernel, h, learned.sites, accuracy, evaluations, n)
+        return conditioned(h, learned.sites)
     if n > 2 * _HALFWAY:
         return _fit_many(features, labels, kernel, warm, learned, accuracy, evaluations)
-    sites = _predicted_sites(learned, features, labels)
-    updated = condition(features, labels, kernel, h, sites, accuracy, evaluations, n)
+    updated = conditioned(h, _predicted_sites(learned, features, labels))
     if warm is None:
         return updated
-    sites = _extended_sites(warm, features, labels)
-    previous = condition(features, labels, kernel, warm.hyperparameters, sites, accuracy, evaluations, n, warm.inducing)
+    previous = conditioned(warm.hyperparameters, _extended_sites(warm, features, labels), inducing=warm.inducing)
     # Hyperparameters learned on a subset may be worse for all points.
     return max(previous, updated, key=objective)
 
@@ -353,7 +367,7 @@ def _fit_many(
     subset = features[rows], labels[rows]
 
     def on_subset(trained: Fit) -> Fit:
-        return condition(*subset, kernel, trained.hyperparameters, _predicted_sites(trained, *subset), 1.0)
+        return condition(*subset, kernel, trained.hyperparameters, _predicted_sites(trained, *subset), tolerance=1.0)
 
     latest = on_subset(learned)
     if warm is not None and objective(on_subset(warm)) >= objective(latest):
@@ -361,7 +375,17 @@ def _fit_many(
     else:
         assert latest.inducing is not None
         h, sites, inducing = latest.hyperparameters, _predicted_sites(latest, features, labels), rows[latest.inducing]
-    return condition(features, labels, kernel, h, sites, accuracy, evaluations, len(labels), inducing)
+    return condition(
+        features,
+        labels,
+        kernel,
+        h,
+        sites,
+        tolerance=accuracy,
+        evaluations=evaluations,
+        learned_on=len(labels),
+        inducing=inducing,
+    )
 
 
 def objective(trained: Fit) -> float:

@@ -220,12 +220,11 @@ def verify_by_rule(
     classifier: Classifier,
     iteration: int,
     stop: Callable[[], bool] = lambda: False,
-    faults: list[str] | None = None,
 ) -> tuple[ErrorEstimate | None, bool]:
     """The verified error if the stop rule looks now, otherwise None, and whether the rule is met.
 
     Simulates nothing if the classifier itself expects a larger error than the rule allows, or if the rule has too few
-    simulations to show so small an error. `faults` receives the faults of the simulations.
+    simulations to show so small an error.
     """
     rule = campaign.settings.stop
     if rule is None or expected_error(campaign, classifier) > rule.error:
@@ -235,7 +234,7 @@ def verify_by_rule(
     if not could_show(plan, rule.error, confidence):
         return None, False
     name, twin = name_of_look(iteration, rule.simulations), name_of_verification(iteration, rule.simulations)
-    outcome = simulated_outcomes(campaign, store, executor, name, plan.designs, stop, twin, faults)
+    outcome = simulated_outcomes(campaign, store, executor, name, plan.designs, stop, twin)
     if outcome is None:
         return None, False
     error = _judged(campaign, plan, outcome, rule.confidence)

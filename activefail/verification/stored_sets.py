@@ -114,7 +114,6 @@ def simulated_outcomes(
     X: Array,
     stop: Callable[[], bool] = lambda: False,
     twin: str = "",
-    faults: list[str] | None = None,
 ) -> NDArray[np.int8] | None:
     """Outcomes, (n,), of the designs of a set, (n, d); -1 for a numerical failure. None if stopped.
 
@@ -128,7 +127,6 @@ def simulated_outcomes(
         X: its designs.
         stop: whether to stop before the next part.
         twin: name of a set that may hold the same designs; its parts are copied instead of simulated.
-        faults: receives the faults of the new simulations.
 
     Raises:
         SimulationError: if every simulation of a part fails, which is a fault of the simulator. That part is not
@@ -149,8 +147,6 @@ def simulated_outcomes(
                     f"None of the {len(rows)} simulations for {name} gave an outcome; they are not kept."
                     + first_fault_text(results.faults.values())
                 )
-            if faults is not None:
-                faults.extend(results.faults.values())
             saved = (rows, results)
             store.write_set(key, *saved)
         outcomes.append(saved[1].outcome)
@@ -174,10 +170,9 @@ def simulated_set(
     name: str,
     X: Array,
     stop: Callable[[], bool] = lambda: False,
-    faults: list[str] | None = None,
 ) -> tuple[Array, NDArray[np.int8]] | None:
     """Designs and outcomes of a set, without numerical failures; None if stopped (see `simulated_outcomes`)."""
-    outcome = simulated_outcomes(campaign, store, executor, name, X, stop, faults=faults)
+    outcome = simulated_outcomes(campaign, store, executor, name, X, stop)
     if outcome is None:
         return None
     answered = outcome != NUMERICAL_FAILURE

@@ -241,22 +241,23 @@ def test_fantasies_one_after_the_other_are_the_fantasies_at_once(learned):
 def test_designs_in_flight_are_not_proposed_again(learned, name):
     latent, features = learned.latent("in"), learned.features
 
-    def ask(pending):
-        return propose(latent, features, SPACE, criterion(name), 4, np.random.default_rng(16), pending)
+    def proposed(pending):
+        return propose(latent, features, SPACE, criterion(name), 4, np.random.default_rng(16), pending=pending)
 
     def gap(X, Y):
         return np.linalg.norm(X[:, None] - Y[None], axis=2).min(axis=1).mean()
 
-    first = ask(None)
-    assert gap(ask(None), first) == 0.0
-    assert gap(ask(first), first) > 0.05
+    first = proposed(None)
+    assert gap(proposed(None), first) == 0.0
+    assert gap(proposed(first), first) > 0.05
 
 
 def test_no_design_in_flight_is_as_if_none_had_been_named(learned):
-    def ask(pending):
-        return propose(learned.latent("in"), learned.features, SPACE, entropy, 3, np.random.default_rng(18), pending)
+    def proposed(pending):
+        rng = np.random.default_rng(18)
+        return propose(learned.latent("in"), learned.features, SPACE, entropy, 3, rng, pending=pending)
 
-    assert np.array_equal(ask(None), ask(np.empty((0, 2))))
+    assert np.array_equal(proposed(None), proposed(np.empty((0, 2))))
 
 
 # --- shares ------------------------------------------------------------------------------------------------------
@@ -291,23 +292,29 @@ def nested():
     return train(X, outcome, ("out", "ring", "core"), feature_map("design", SPACE), "rbf")
 
 
+def shared(classifier, boundaries, q, seed, criterion=entropy, **options):
+    """`propose_shared` from the seed, without exploration, as in the first batch unless the options say otherwise."""
+    options = {"exploration": 0.0, "first": 0} | options
+    rng = np.random.default_rng(seed)
+    return propose_shared(classifier, SPACE, criterion, boundaries=boundaries, q=q, rng=rng, **options)
+
+
 @pytest.mark.parametrize("name", ["entropy", "globalmi"])
 def test_designs_are_shared_between_the_boundaries_by_their_weights(nested, name):
-    shares = {"core": 0.25, "ring": 0.75}
-    designs = propose_shared(nested, SPACE, criterion(name), shares, 0.0, 0, 12, np.random.default_rng(1))
+    designs = shared(nested, {"core": 0.25, "ring": 0.75}, 12, 1, criterion(name))
     distance = np.hypot(*(designs - 0.5).T)
     assert np.count_nonzero(distance < 0.275) == 3
     assert np.abs(distance[distance > 0.275] - 0.4).max() < 0.12
 
 
 def test_one_boundary_without_exploration_is_what_propose_gives(nested):
-    shared = propose_shared(nested, SPACE, entropy, {"core": 1.0}, 0.0, 30, 6, np.random.default_rng(2))
+    designs = shared(nested, {"core": 1.0}, 6, 2, first=30)
     alone = propose(nested.latent("core"), nested.features, SPACE, entropy, 6, np.random.default_rng(2))
-    assert np.array_equal(shared, alone)
+    assert np.array_equal(designs, alone)
 
 
 def test_exploration_is_a_latin_hypercube_of_its_share(nested):
-    designs = propose_shared(nested, SPACE, entropy, {"core": 1.0}, 0.5, 0, 10, np.random.default_rng(3))
+    designs = shared(nested, {"core": 1.0}, 10, 3, exploration=0.5)
     strata = np.sort(np.floor(5 * SPACE.to_unit(designs[:5])), axis=0)
     assert np.array_equal(strata, np.column_stack([np.arange(5), np.arange(5)]))
     assert np.abs(np.hypot(*(designs[5:] - 0.5).T) - 0.15).max() < 0.1
@@ -315,20 +322,18 @@ def test_exploration_is_a_latin_hypercube_of_its_share(nested):
 
 def test_designs_for_one_boundary_are_in_flight_for_the_next(nested):
     pending = np.array([[0.5, 0.9]])
-    asked = []
+    calls = []
 
-    def spy(latent, features, space, criterion, q, rng, pending=None, failed=None):
-        asked.append((q, pending))
-        return np.full((q, 2), 0.1 * len(asked))
+    def spy(latent, features, space, criterion, q, rng, *, pending=None, failed=None):
+        calls.append((q, pending))
+        return np.full((q, 2), 0.1 * len(calls))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch, "propose", spy)
-        designs = propose_shared(
-            nested, SPACE, entropy, {"core": 0.5, "ring": 0.5}, 0.0, 0, 4, np.random.default_rng(4), pending
-        )
-    assert [q for q, _ in asked] == [2, 2]
-    assert np.array_equal(asked[0][1], pending)
-    assert np.array_equal(asked[1][1], np.concatenate([pending, designs[:2]]))
+        designs = shared(nested, {"core": 0.5, "ring": 0.5}, 4, 4, pending=pending)
+    assert [q for q, _ in calls] == [2, 2]
+    assert np.array_equal(calls[0][1], pending)
+    assert np.array_equal(calls[1][1], np.concatenate([pending, designs[:2]]))
 
 
 def test_a_design_that_was_simulated_or_is_in_flight_is_not_proposed_again(monkeypatch):
@@ -338,7 +343,7 @@ def test_a_design_that_was_simulated_or_is_in_flight_is_not_proposed_again(monke
 
     def chosen(q):
         rng = np.random.default_rng(3)
-        rows = propose(few.latent("in"), few.features, SPACE, criterion("entropy"), q, rng, corners[2:])
+        rows = propose(few.latent("in"), few.features, SPACE, criterion("entropy"), q, rng, pending=corners[2:])
         return [row.tobytes() for row in rows]
 
     known = {row.tobytes() for row in (*X, *corners)}
@@ -355,9 +360,7 @@ def test_a_design_that_failed_is_not_proposed_again():
     few = train(X, np.array([0, 0, 0, 1], dtype=np.int8), ("out", "in"), feature_map("design", SPACE), "rbf")
 
     def chosen(failed):
-        rng = np.random.default_rng(3)
-        rows = propose_shared(few, SPACE, entropy, {"in": 1.0}, 0.0, 0, 40, rng, failed=failed)
-        return {row.tobytes() for row in rows}
+        return {row.tobytes() for row in shared(few, {"in": 1.0}, 40, 3, failed=failed)}
 
     corners = np.array([[0.0, 1.0], [1.0, 1.0]])
     # The searches do end there.
@@ -385,8 +388,7 @@ def test_designs_that_search_take_turns_in_their_widths_whatever_the_size_of_a_b
     if known_side == "one":
         classifier = train(X, np.zeros(20, dtype=np.int8), ("out", "in"), feature_map("design", SPACE), "rbf")
     for first in range(0, 40, q):
-        rng = np.random.default_rng(first)
-        designs = propose_shared(classifier, SPACE, entropy, {"in": 1.0}, 0.0, first, q, rng, unseen=Search(X, ("in",)))
+        designs = shared(classifier, {"in": 1.0}, q, first, first=first, unseen=Search(X, ("in",)))
         assert designs.shape == (q, 2)
     # One after the other, without a gap: the widths take turns by these numbers.
     assert numbers == list(range(40 if known_side == "one" else round(40 * SEARCH_SHARE)))

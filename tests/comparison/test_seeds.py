@@ -9,14 +9,23 @@ import pytest
 from activefail.bearing import simulate
 from activefail.campaign.opening import open_campaign
 from activefail.campaign.settings import CampaignSettings
-from activefail.comparison.seeds import STATIC, Arm, Plan, Point, Score, compare_seeds, curves, simulations_to_reach
+from activefail.comparison.seeds import (
+    STATIC,
+    Arm,
+    ArmScore,
+    ComparisonPlan,
+    Point,
+    compare_seeds,
+    curves,
+    simulations_to_reach,
+)
 from activefail.errors import InputError
 from activefail.report.comparison import comparison_lines, comparison_text, write_comparison
 
 SETTINGS = CampaignSettings().changed(
     {"seed": 3, "sampling.initial": 30, "sampling.budget": 40, "sampling.batch": 5, "classifier.kernel": "matern52"}
 )
-PLAN = Plan(SETTINGS, 2, ("entropy",), ("paper", "design"), (30, 60), 300)
+PLAN = ComparisonPlan(SETTINGS, 2, ("entropy",), ("paper", "design"), (30, 60), 300)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +107,7 @@ def test_the_page_has_every_median_and_the_table_every_score(tmp_path, scores):
 
 
 def made(sampling, n, accuracies):
-    return [Score(Arm("paper", sampling, n, seed), n, {"accuracy": a}) for seed, a in enumerate(accuracies)]
+    return [ArmScore(Arm("paper", sampling, n, seed), n, {"accuracy": a}) for seed, a in enumerate(accuracies)]
 
 
 def test_simulations_to_reach_a_level_are_interpolated_in_their_logarithm():

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from activefail.errors import InputError, StoreError
-from activefail.record.batch import ACTIVE, SEED, Batch, Schema
+from activefail.record.batch import ACTIVE, INITIAL, Batch, Schema
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
@@ -56,7 +56,7 @@ def results(n: int, seed: int) -> Results:
 
 def batch(n: int, seed: int, iteration: int = 0) -> Batch:
     rng = np.random.default_rng(seed)
-    origin = np.full(n, SEED if iteration == 0 else ACTIVE, dtype=np.int8)
+    origin = np.full(n, INITIAL if iteration == 0 else ACTIVE, dtype=np.int8)
     return Batch(iteration, rng.normal(size=(n, 2)), origin, results(n, seed + 1000))
 
 

@@ -183,9 +183,9 @@ def test_a_worker_that_is_killed_without_batches_costs_no_simulation(cluster: Cl
             cluster.workers["one"].wait()
 
     with DaskExecutor(cluster.address) as executor:
-        faults: list[str] = []
-        assert run(campaign, store, executor, 28, Observer(kill), faults=faults)
-        assert faults == []
+        observer = Observer(kill)
+        assert run(campaign, store, executor, 28, observer)
+        assert observer.faults == []
     check_whole(campaign, store)
     assert cluster.workers["one"].returncode == -signal.SIGKILL
 
@@ -214,10 +214,10 @@ def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_ba
     with ThreadExecutor(2) as here:
         assert run(disc(), undisturbed, here, 28)
     design = tuple(undisturbed.batches[batch].designs[1].tolist())
-    faults: list[str] = []
+    observer = Observer()
     with DaskExecutor(cluster.address) as executor:
-        assert run(disc(Ambush(folder=str(tmp_path), design=design)), store, executor, 28, faults=faults)
-        assert faults == []
+        assert run(disc(Ambush(folder=str(tmp_path), design=design)), store, executor, 28, observer)
+        assert observer.faults == []
     cluster_bits, bits = (
         [(one.iteration, *(array.tobytes() for array in columns_of(one).values())) for one in kept.batches]
         for kept in (store, undisturbed)

@@ -38,7 +38,7 @@ from activefail.errors import DamagedError, StoreError
 from activefail.loop.proposing import initial_designs
 from activefail.record import hdf5 as image
 from activefail.record.attachments import decode_set, decode_state
-from activefail.record.batch import SEED, Batch
+from activefail.record.batch import INITIAL, Batch
 from activefail.record.run_folder import FolderStore
 from activefail.record.segment import decode_segment
 
@@ -263,7 +263,7 @@ def test_a_foreign_run_folder_brings_no_command_to_a_traceback(tmp_path: Path, c
     with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
         for first in (0, 3):
             X = initial_designs(campaign)[first : first + 3]
-            store.commit(Batch(0, X, np.full(3, SEED, dtype=np.int8), campaign.simulator.run(X)))
+            store.commit(Batch(0, X, np.full(3, INITIAL, dtype=np.int8), campaign.simulator.run(X)))
     path = newest(folder, "segments")
     forged(path, change)
     for command in (["status", folder], ["export", folder, "--csv", tmp_path / "out.csv"], ["resume", folder]):

@@ -27,7 +27,7 @@ from activefail.errors import InputError, StoreError
 from activefail.loop.learning import restore
 from activefail.parameter import Parameter
 from activefail.record.attachments import decode_state, encode_state
-from activefail.record.batch import SEED, Batch, Schema
+from activefail.record.batch import INITIAL, Batch, Schema
 from activefail.record.layout import run_folder_owning
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
@@ -326,7 +326,7 @@ def test_settings_of_any_shape_end_in_an_answer_or_one_message(
     one = Results(np.ones(1, np.int8), np.zeros(1, np.int8), np.ones((1, 1)), np.ones(1))
     if "\0" not in text:
         with FolderStore.create(home / "forged", text, schema) as store:
-            store.commit(Batch(0, np.full((1, 2), 0.5), np.full(1, SEED, np.int8), one))
+            store.commit(Batch(0, np.full((1, 2), 0.5), np.full(1, INITIAL, np.int8), one))
     for folder in (home / "changed", home / "forged"):
         for words in commands(folder):
             if words[0] in ("status", "export", "predict") and folder.exists():

@@ -24,7 +24,7 @@ from activefail.execution import frames
 from activefail.execution import processes as workers
 from activefail.execution.local import ProcessExecutor
 from activefail.loop.batches import run
-from activefail.loop.progress import standing
+from activefail.loop.progress import Observer, standing
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import NUMERICAL_FAILURE, Simulator, cause_name
 from activefail.space import Array
@@ -45,10 +45,10 @@ def test_workers_that_die_or_hang_now_and_then_change_no_bit_of_the_campaign(
         FolderStore.create(tmp_path / "run", campaign().settings.text(), one.schema) as store,
         ProcessExecutor(2, time_limit=2.0) as executor,
     ):
-        faults: list[str] = []
-        assert run(one, store, executor, BUDGET, faults=faults)
+        observer = Observer()
+        assert run(one, store, executor, BUDGET, observer)
         assert Course.of(store) == uninterrupted
-        assert faults == []
+        assert observer.faults == []
     injected = len(list(tmp_path.glob("at-*")))
     assert injected > 2
     survived(injected)
@@ -129,10 +129,10 @@ def test_a_simulator_that_meddles_with_its_worker_now_and_then_changes_no_bit_of
         FolderStore.create(tmp_path / "run", campaign().settings.text(), one.schema) as store,
         ProcessExecutor(2) as executor,
     ):
-        faults: list[str] = []
-        assert run(one, store, executor, BUDGET, faults=faults)
+        observer = Observer()
+        assert run(one, store, executor, BUDGET, observer)
         assert Course.of(store) == uninterrupted
-        assert faults == []
+        assert observer.faults == []
     injected = len(list(tmp_path.glob("at-*")))
     assert injected > 2
     survived(injected)

@@ -13,10 +13,10 @@ from campaign.stub import Disc, disc
 
 from activefail.campaign.settings import parse_settings
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.summary import Plan, Summary, read_summary
+from activefail.findings.summary import SettingsInBrief, Summary, read_summary
 from activefail.loop.batches import run
 from activefail.record import compaction
-from activefail.record.batch import SEED, Batch
+from activefail.record.batch import INITIAL, Batch
 from activefail.record.run_folder import FolderStore
 
 
@@ -66,7 +66,7 @@ def test_designs_are_counted_by_who_asked_for_them_not_by_when_they_were_answere
     ):
         run(campaign, store, executor, 28)
         # The last initial designs are answered when the first chosen ones are out.
-        assert any((batch.origin == SEED).any() for batch in store.batches if batch.iteration > 0)
+        assert any((batch.origin == INITIAL).any() for batch in store.batches if batch.iteration > 0)
     said = read_summary(tmp_path)
     assert values(said) == values(whole(tmp_path))
     assert said is not None
@@ -106,7 +106,7 @@ def test_where_only_the_record_can_say_what_is_wrong_there_is_no_summary(folder:
             with FolderStore.open(folder, write=False) as store:
                 one = store.batches[0]
             inputs = FolderStore.create(folder.with_name("copy"), settings.read_text(), disc().schema)
-            inputs.commit(Batch(0, one.designs, np.full(len(one), SEED, dtype=np.int8), one.results))
+            inputs.commit(Batch(0, one.designs, np.full(len(one), INITIAL, dtype=np.int8), one.results))
             inputs.close()
             (path,) = (folder.with_name("copy") / "segments").iterdir()
             path.rename(folder / "segments" / path.name)
@@ -150,8 +150,8 @@ def test_counting_loads_neither_learning_nor_physics(folder: Path) -> None:
         ('{ python = "mine:physics", variables = false }', "mine:physics"),
     ],
 )
-def test_a_plan_names_all_that_the_classifier_sees(features: str, words: str) -> None:
+def test_the_settings_in_brief_name_all_that_the_classifier_sees(features: str, words: str) -> None:
     settings = parse_settings(f"classifier.features = {features}", "test")
-    plan = Plan.of(settings.text())
-    assert plan.features == words
-    assert plan.custom_code == ("python" in features)
+    brief = SettingsInBrief.of(settings.text())
+    assert brief.features == words
+    assert brief.custom_code == ("python" in features)

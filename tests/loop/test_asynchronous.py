@@ -23,7 +23,7 @@ from activefail.loop.history import History
 from activefail.loop.learning import current_classifier, learn
 from activefail.loop.progress import Observer, Progress
 from activefail.loop.proposing import initial_designs
-from activefail.record.batch import ACTIVE, SEED
+from activefail.record.batch import ACTIVE, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
@@ -32,13 +32,13 @@ from activefail.space import Array
 from activefail.surrogate.state import classifier_state
 from activefail.surrogate.threads import one_thread
 
-INITIAL, BUDGET, SIZE = 12, 30, 4
+INITIAL_SIZE, BUDGET, SIZE = 12, 30, 4
 
 
 def plan(
     simulator: Simulator | None = None, budget: int = BUDGET, batch: int = SIZE, more: str = "", seed: int = 1
 ) -> Campaign:
-    return disc(simulator, seed, initial=INITIAL, budget=budget, batch=batch, asynchronous=True, more=more)
+    return disc(simulator, seed, initial=INITIAL_SIZE, budget=budget, batch=batch, asynchronous=True, more=more)
 
 
 class Arbitrary:
@@ -107,10 +107,10 @@ def test_every_design_is_asked_for_once_and_the_initial_ones_first(uninterrupted
     assert len(X) == BUDGET
     assert len(np.unique(X, axis=0)) == BUDGET
     initial = initial_designs(campaign)
-    assert sorted(map(tuple, X[origin == SEED])) == sorted(map(tuple, initial))
-    assert (origin == ACTIVE).sum() == BUDGET - INITIAL
+    assert sorted(map(tuple, X[origin == INITIAL])) == sorted(map(tuple, initial))
+    assert (origin == ACTIVE).sum() == BUDGET - INITIAL_SIZE
     # Chosen designs were begun before the last of the initial ones was answered, which is the point of it.
-    assert np.flatnonzero(origin == SEED).max() > np.flatnonzero(origin == ACTIVE).min()
+    assert np.flatnonzero(origin == INITIAL).max() > np.flatnonzero(origin == ACTIVE).min()
     assert [batch.iteration for batch in uninterrupted.batches] == sorted(b.iteration for b in uninterrupted.batches)
     training = History.of(uninterrupted.batches).training
     assert sorted(map(tuple, training.designs[training.initial])) == sorted(map(tuple, initial))
@@ -151,7 +151,7 @@ def test_stopped_after_any_commit_it_goes_on_to_the_same_campaign(uninterrupted:
             assert kept(store) == kept(uninterrupted)
 
 
-@pytest.mark.parametrize("first", [INITIAL, 17, 24])
+@pytest.mark.parametrize("first", [INITIAL_SIZE, 17, 24])
 def test_what_is_in_flight_follows_from_the_record_also_beyond_a_budget(first: int, tmp_path: Path) -> None:
     campaign = plan()
     with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store, one_thread():
@@ -187,7 +187,7 @@ def test_what_it_has_learned_is_what_reading_the_record_gives(uninterrupted: Sto
         assert course.classifier is not None
         assert bits(course)[2] == {name: array.tobytes() for name, array in classifier_state(read).items()}
         first = learn(campaign, History.of(uninterrupted.batches), 0, None)
-    assert first.latents[0].trained.labels.shape[0] < INITIAL
+    assert first.latents[0].trained.labels.shape[0] < INITIAL_SIZE
 
 
 def test_numerical_failures_leave_the_flight_too() -> None:
@@ -226,7 +226,7 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
     X = np.concatenate([batch.designs for batch in store.batches])
     origin = np.concatenate([batch.origin for batch in store.batches])
     assert len(np.unique(X, axis=0)) == 48
-    assert sorted(map(tuple, X[origin == SEED])) == sorted(map(tuple, initial_designs(mended, 3)))
+    assert sorted(map(tuple, X[origin == INITIAL])) == sorted(map(tuple, initial_designs(mended, 3)))
     with one_thread():
         assert bits(resumed(mended, store)) == bits(again(mended, store))
     for commits in range(len(failed) + 1, len(store.batches)):
@@ -255,9 +255,9 @@ def test_where_only_the_last_initial_design_is_answered_all_others_are_waited_fo
     store = take(campaign)
     X = np.concatenate([batch.designs for batch in store.batches])
     origin = np.concatenate([batch.origin for batch in store.batches])
-    assert (origin[:INITIAL] == SEED).all()
-    assert (origin[INITIAL:] == ACTIVE).all()
-    assert [tuple(row) for row in X[:INITIAL].tolist()] == order
+    assert (origin[:INITIAL_SIZE] == INITIAL).all()
+    assert (origin[INITIAL_SIZE:] == ACTIVE).all()
+    assert [tuple(row) for row in X[:INITIAL_SIZE].tolist()] == order
     assert len(np.unique(X, axis=0)) == BUDGET
     with one_thread():
         assert bits(resumed(campaign, store)) == bits(again(campaign, store))
@@ -266,7 +266,7 @@ def test_where_only_the_last_initial_design_is_answered_all_others_are_waited_fo
 def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> None:
     campaign = plan(budget=200, more="stop = { error = 0.2, confidence = 0.5, simulations = 20, every = 2 }")
     store = take(campaign, budget=200)
-    assert INITIAL <= sum(map(len, store.batches)) < 200
+    assert INITIAL_SIZE <= sum(map(len, store.batches)) < 200
 
 
 def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ from activefail.loop.history import History
 from activefail.loop.learning import accuracy, current_classifier
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.loop.proposing import initial_designs
-from activefail.record.batch import ACTIVE, SEED, Batch
+from activefail.record.batch import ACTIVE, INITIAL, Batch
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
@@ -35,9 +35,9 @@ from activefail.surrogate import fitting
 from activefail.surrogate.classifier import Classifier, train
 from activefail.surrogate.threads import one_thread
 
-INITIAL, BUDGET, BATCH = 12, 28, 4
+INITIAL_SIZE, BUDGET, BATCH = 12, 28, 4
 COMMITS = BUDGET // BATCH
-SEED_COMMITS = INITIAL // BATCH
+INITIAL_COMMITS = INITIAL_SIZE // BATCH
 
 
 def take(
@@ -92,7 +92,7 @@ def uninterrupted() -> Store:
 def test_a_campaign_spends_its_budget_in_whole_batches_seed_first(uninterrupted: Store) -> None:
     assert [len(batch) for batch in uninterrupted.batches] == [BATCH] * COMMITS
     assert [batch.iteration for batch in uninterrupted.batches] == [0, 0, 0, 1, 2, 3, 4]
-    origins = [SEED] * SEED_COMMITS + [ACTIVE] * (COMMITS - SEED_COMMITS)
+    origins = [INITIAL] * INITIAL_COMMITS + [ACTIVE] * (COMMITS - INITIAL_COMMITS)
     assert [set(batch.origin.tolist()) for batch in uninterrupted.batches] == [{origin} for origin in origins]
 
 
@@ -102,15 +102,15 @@ def test_a_budget_that_batches_do_not_divide_is_spent_to_the_last_simulation(
 ) -> None:
     store = take(disc(initial=initial, budget=budget, batch=batch))
     assert sum(len(one) for one in store.batches) == budget
-    assert len(designs(store, SEED)) == initial
+    assert len(designs(store, INITIAL)) == initial
     assert max(len(one) for one in store.batches) <= batch
 
 
 def test_the_seed_is_one_latin_hypercube_however_it_is_cut_into_batches(uninterrupted: Store) -> None:
-    X = designs(uninterrupted, SEED)
+    X = designs(uninterrupted, INITIAL)
     space = disc().space
     assert X.tobytes() == initial_designs(disc()).tobytes()
-    assert (np.sort(np.floor(space.to_unit(X) * INITIAL), axis=0) == np.arange(INITIAL)[:, None]).all()
+    assert (np.sort(np.floor(space.to_unit(X) * INITIAL_SIZE), axis=0) == np.arange(INITIAL_SIZE)[:, None]).all()
 
 
 def test_every_design_lies_in_the_space_and_none_is_simulated_twice(uninterrupted: Store) -> None:
@@ -147,7 +147,7 @@ def test_a_campaign_that_sees_one_outcome_only_goes_on_and_expects_more_of_it(ou
     campaign = disc(Alike(outcome), initial=6, budget=10, batch=2)
     store = take(campaign)
     assert sum(len(batch) for batch in store.batches) == 10
-    probabilities = current_classifier(campaign, store, write=False).probabilities(designs(store, SEED))
+    probabilities = current_classifier(campaign, store, write=False).probabilities(designs(store, INITIAL))
     assert (probabilities[:, outcome] > 0.5).all()
 
 
@@ -164,7 +164,7 @@ def found(request: pytest.FixtureRequest) -> list[tuple[Campaign, Store]]:
 
 def test_the_chosen_designs_crowd_along_the_true_boundary(found: list[tuple[Campaign, Store]]) -> None:
     for _, store in found:
-        active, seed = (float(np.median(np.abs(distance(designs(store, o))))) for o in (ACTIVE, SEED))
+        active, seed = (float(np.median(np.abs(distance(designs(store, o))))) for o in (ACTIVE, INITIAL))
         assert active < seed / 2.0
 
 
@@ -215,7 +215,7 @@ def test_numerical_failures_are_recorded_and_counted_but_never_learned_from() ->
 
 def test_a_campaign_with_numerical_failures_learns_what_it_would_without_those_rows() -> None:
     campaign = disc(FOGGY, more="limits.numerical_failures = 1.0")
-    foggy = take(campaign, budget=INITIAL)
+    foggy = take(campaign, budget=INITIAL_SIZE)
     X = initial_designs(campaign)
     X = X[X[:, 0] >= FOGGY.blind]
     probe = campaign.space.sobol(64, np.random.default_rng(0))
@@ -231,7 +231,7 @@ def test_a_design_that_failed_numerically_is_not_proposed_again_nor_after_an_int
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET
     assert sum((batch.results.outcome == NUMERICAL_FAILURE).sum() for batch in store.batches) > 1
-    for commits in range(SEED_COMMITS, COMMITS):
+    for commits in range(INITIAL_COMMITS, COMMITS):
         interrupted = MemoryStore(campaign.schema)
         take(campaign, interrupted, observer=stop_after(commits, interrupted))
         assert recorded(take(campaign, interrupted)) == recorded(store)
@@ -277,10 +277,11 @@ def test_a_simulator_that_raises_stops_the_campaign_with_what_it_raised_and_wher
 def test_the_caller_receives_the_faults_of_all_simulations_of_a_call_and_of_no_earlier_one(asynchronous: bool) -> None:
     more = "validation.size = 20\nlimits.numerical_failures = 0.9"
     campaign = disc(Raising(), budget=BUDGET, asynchronous=asynchronous, more=more)
-    store, faults = MemoryStore(campaign.schema), ([], [])
+    store, observer, faults = MemoryStore(campaign.schema), Observer(), []
     with ThreadExecutor(2) as executor:
-        for budget, received in zip((BUDGET - BATCH, BUDGET), faults, strict=True):
-            assert run(campaign, store, executor, budget, faults=received)
+        for budget in (BUDGET - BATCH, BUDGET):
+            assert run(campaign, store, executor, budget, observer)
+            faults.append(list(observer.faults))
     validation = store.read_set("validation-0")
     assert validation is not None
     X = np.concatenate([validation[0], *(batch.designs for batch in store.batches)])
@@ -310,7 +311,7 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
     for sets in (1, 2):
         with pytest.raises(SimulationError) as stopped:
             take(broken, store)
-        done, first = sets * INITIAL, initial_designs(broken, sets)[-INITIAL].tolist()
+        done, first = sets * INITIAL_SIZE, initial_designs(broken, sets)[-INITIAL_SIZE].tolist()
         message = str(stopped.value)
         assert f"None of the {done} simulations gave an outcome" in message
         assert "The first failed with cause `raised`." in message
@@ -325,9 +326,9 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
     take(mended, store)
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == 48
-    assert designs(store, SEED).tobytes() == initial_designs(mended, 3).tobytes()
+    assert designs(store, INITIAL).tobytes() == initial_designs(mended, 3).tobytes()
     classifier = current_classifier(mended, store, write=False)
-    assert len(classifier.latents[0].trained.labels) == 48 - 2 * INITIAL
+    assert len(classifier.latents[0].trained.labels) == 48 - 2 * INITIAL_SIZE
     for commits in range(len(failed) + 1, len(store.batches)):
         interrupted = MemoryStore(mended.schema)
         for batch in failed:
@@ -346,7 +347,7 @@ def test_failures_before_the_first_answer_are_no_reason_to_stop_once_the_simulat
             take(broken, store)
         assert standing(broken, store.batches, 60).numerical_failures == failed
     take(mended, store)
-    assert designs(store, SEED).tobytes() == initial_designs(mended).tobytes()
+    assert designs(store, INITIAL).tobytes() == initial_designs(mended).tobytes()
     # Neither are they later: a campaign that is taken on counts from its first answer, too.
     with pytest.raises(SimulationError, match="4 of 24 simulations failed numerically"):
         take(broken, store, budget=80)
@@ -415,7 +416,7 @@ def test_the_validation_set_is_outside_the_budget_and_changes_no_choice(uninterr
         for latent in current_classifier(campaign, store, write=False).latents
     ]
     assert seen[-1].accuracy == np.mean(right[0])
-    assert [progress.accuracy is None for progress in seen] == [True] * SEED_COMMITS + [False] * 5
+    assert [progress.accuracy is None for progress in seen] == [True] * INITIAL_COMMITS + [False] * 5
 
 
 def test_the_validation_set_is_simulated_once() -> None:
@@ -467,10 +468,10 @@ def test_stopped_after_every_batch_a_campaign_is_the_uninterrupted_one_bit_for_b
 def test_with_inducing_points_too_a_resumed_campaign_is_the_uninterrupted_one_bit_for_bit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for limit, points in (("EXACT", INITIAL + BATCH), ("LEARNED_ON", INITIAL), ("_COARSE", INITIAL - 4)):
+    for limit, points in (("EXACT", INITIAL_SIZE + BATCH), ("LEARNED_ON", INITIAL_SIZE), ("_COARSE", INITIAL_SIZE - 4)):
         monkeypatch.setattr(fitting, limit, points)
     whole, store = take(disc()), MemoryStore(disc().schema)
-    for commits in range(SEED_COMMITS, COMMITS + 1):
+    for commits in range(INITIAL_COMMITS, COMMITS + 1):
         take(disc(), store, observer=stop_after(commits, store))
     assert recorded(store) == recorded(whole)
     assert learned(store) == learned(whole)
@@ -481,7 +482,7 @@ def test_with_inducing_points_too_a_resumed_campaign_is_the_uninterrupted_one_bi
 def test_shares_that_a_batch_cannot_hold_are_carried_over_an_interruption(criterion: str) -> None:
     more = f'acquisition.criterion = "{criterion}"\nacquisition.exploration = 0.3'
     store = MemoryStore(disc().schema)
-    for commits in range(SEED_COMMITS, COMMITS + 1):
+    for commits in range(INITIAL_COMMITS, COMMITS + 1):
         campaign = disc(more=more)
         take(campaign, store, observer=stop_after(commits, store))
     assert recorded(store) == recorded(take(disc(more=more)))
@@ -489,7 +490,7 @@ def test_shares_that_a_batch_cannot_hold_are_carried_over_an_interruption(criter
     for iteration, explored in enumerate([1, 1, 2, 1], start=1):
         rng = stream(campaign.settings.seed, "propose", iteration)
         drawn = campaign.space.latin_hypercube(explored, rng)
-        X = store.batches[SEED_COMMITS + iteration - 1].designs
+        X = store.batches[INITIAL_COMMITS + iteration - 1].designs
         assert np.array_equal(X[:explored], drawn)
 
 
@@ -549,8 +550,8 @@ class Dying(MemoryStore):
 @pytest.mark.parametrize(
     ("call", "number"),
     [
-        *(("commit", n) for n in range(SEED_COMMITS - 1, COMMITS)),
-        *(("write_state", n) for n in range(COMMITS - SEED_COMMITS + 1)),
+        *(("commit", n) for n in range(INITIAL_COMMITS - 1, COMMITS)),
+        *(("write_state", n) for n in range(COMMITS - INITIAL_COMMITS + 1)),
     ],
 )
 def test_killed_at_a_write_and_resumed_a_campaign_is_the_uninterrupted_one(
@@ -564,7 +565,7 @@ def test_killed_at_a_write_and_resumed_a_campaign_is_the_uninterrupted_one(
     assert learned(store) == learned(uninterrupted)
 
 
-@pytest.mark.parametrize("commits", [SEED_COMMITS, SEED_COMMITS + 2, COMMITS])
+@pytest.mark.parametrize("commits", [INITIAL_COMMITS, INITIAL_COMMITS + 2, COMMITS])
 def test_what_was_learned_is_learned_again_when_its_files_are_gone(
     commits: int, uninterrupted: Store, tmp_path: Path
 ) -> None:
@@ -619,7 +620,7 @@ def test_the_number_of_workers_changes_no_bit(workers: int, uninterrupted: Store
     assert learned(store) == learned(uninterrupted)
 
 
-@pytest.mark.parametrize("budget", [INITIAL, INITIAL + 2 * BATCH])
+@pytest.mark.parametrize("budget", [INITIAL_SIZE, INITIAL_SIZE + 2 * BATCH])
 def test_taken_beyond_its_budget_a_campaign_is_the_one_that_had_the_larger_budget(
     budget: int, uninterrupted: Store
 ) -> None:
@@ -645,7 +646,7 @@ def test_halted_within_the_seed_by_a_smaller_budget_and_resumed_a_campaign_goes_
     campaign = disc()
     store = take(campaign, budget=budget)
     take(campaign, store)
-    assert designs(store, SEED).tobytes() == initial_designs(campaign).tobytes()
+    assert designs(store, INITIAL).tobytes() == initial_designs(campaign).tobytes()
     assert sum(len(batch) for batch in store.batches) == BUDGET
     # Cut into other batches or not, the seed is the same, and so is all that was learned from it.
     straight = take(campaign)

@@ -14,7 +14,7 @@ import pytest
 from commandline import activefail
 
 from activefail.record import segment as segment_module
-from activefail.record.batch import ACTIVE, COLUMNS, SEED, Batch, Schema, answers_of
+from activefail.record.batch import ACTIVE, COLUMNS, INITIAL, Batch, Schema, answers_of
 from activefail.record.hdf5 import encode
 from activefail.record.run_folder import FolderStore
 from activefail.record.segment import Segment, decode_segment, encode_segment
@@ -80,7 +80,7 @@ def batch(n, seed):
     rng = np.random.default_rng(seed)
     codes = rng.integers(0, 2, (2, n)).astype(np.int8)
     margins = np.where(rng.random((n, 1)) < 0.5, np.nan, rng.random((n, 1)))
-    origin = np.full(n, SEED if seed == 0 else ACTIVE, dtype=np.int8)
+    origin = np.full(n, INITIAL if seed == 0 else ACTIVE, dtype=np.int8)
     return Batch(seed, rng.normal(size=(n, 2)), origin, Results(codes[0], codes[1], margins, rng.random(n)))
 
 

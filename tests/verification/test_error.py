@@ -225,18 +225,17 @@ def test_what_a_user_has_verified_is_not_simulated_again_by_a_rule_nor_the_other
 
 def test_the_faults_of_a_look_reach_the_caller():
     campaign = disc(Raising(), initial=20, budget=20, batch=10, more=f"limits.numerical_failures = 0.9\n{STOP}")
-    store, faults = MemoryStore(campaign.schema), []
-    with ThreadExecutor(2) as executor, one_thread():
+    store, observer = MemoryStore(campaign.schema), Observer()
+    with ThreadExecutor(2) as executor:
         run(campaign, store, executor, 20, use_stop_rule=False)
-        classifier = current_classifier(campaign, store, write=False)
         with (
             mock.patch("activefail.verification.error.could_show", return_value=True),
             mock.patch("activefail.verification.error.expected_error", return_value=0.0),
         ):
-            verify_by_rule(campaign, store, executor, classifier, 0, faults=faults)
+            run(campaign, store, executor, 20, observer)
     X, _ = store.read_set("look-0-100-0")
-    assert len(faults) > 0
-    assert [fault.split(": ")[0] for fault in faults] == [f"design {x.tolist()}" for x in X[X[:, 0] > 1.5]]
+    assert len(observer.faults) > 0
+    assert [fault.split(": ")[0] for fault in observer.faults] == [f"design {x.tolist()}" for x in X[X[:, 0] > 1.5]]
 
 
 def test_a_look_that_could_hardly_show_the_error_is_not_taken(trained):
