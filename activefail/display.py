@@ -13,6 +13,7 @@ from activefail.visible import visible
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
     from activefail.loop.progress import Observer, Progress
+    from activefail.loop.stopping import Looks
     from activefail.verification.error import ErrorEstimate
 
 
@@ -93,6 +94,8 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     parts += [f"iteration {progress.iteration}", _counts(campaign, progress)]
     if progress.unseen and progress.done >= campaign.settings.sampling.initial:
         parts.append(f"searching for {' and '.join(progress.unseen)} (not seen yet)")
+    if progress.looks is not None:
+        parts.append(probability_text(progress.looks))
     if progress.error is not None:
         parts.append(f"error {error_text(progress.error)}")
     if progress.accuracy is not None:
@@ -100,6 +103,14 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     if progress.seconds_left is not None and progress.done < progress.budget:
         parts.append(f"{progress.seconds_left:.0f} s left")
     return visible(" | ".join(parts))
+
+
+def probability_text(looks: "Looks") -> str:
+    """A probability under the classifier, with the interval of its posterior."""
+    from activefail.loop.stopping import interval
+
+    low, high = interval(looks)
+    return f"probability {looks.probability:.3g} ({low:.2g} to {high:.2g} under the classifier)"
 
 
 def error_text(error: "ErrorEstimate") -> str:

@@ -116,7 +116,7 @@ class Run:
         from activefail.verification.error import confidence_of_look, least_simulations
         from activefail.verification.stratified import largest_unseen_share
 
-        rule = self.settings.stop
+        rule = self.settings.error_rule
         if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
             return ""
         bound = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))

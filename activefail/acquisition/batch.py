@@ -9,11 +9,13 @@ from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from activefail.acquisition.by_margin import propose_by_margin
 from activefail.acquisition.criteria import LookAhead, Pointwise, bald
 from activefail.acquisition.search import search
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent
+from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.sites import Sites
 
 POOL = 4096
@@ -147,7 +149,7 @@ def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion:
 
 
 def propose(
-    latent: Latent,
+    latent: Latent | MarginLatent,
     features: FeatureMap,
     space: DesignSpace,
     criterion: Pointwise | LookAhead,
@@ -157,15 +159,19 @@ def propose(
     pending: Array | None = None,
     failed: Array | None = None,
 ) -> Array:
-    """q designs, (q, d), where a label is most valuable for the latent's boundary.
+    """q designs, (q, d), where a label, or a margin, is most valuable for the latent's boundary.
 
     The criterion is evaluated on a Sobol' pool over the design space. Local random searches, which need neither
     gradients nor smooth features, improve the best designs. The batch is chosen greedily from the results.
+
+    A boundary that is learned from a margin has its own criterion (`propose_by_margin`).
 
     Args:
         pending: (k, d) designs in flight, which are fantasised first.
         failed: (k, d) designs whose simulation was a numerical failure; they are not proposed again.
     """
+    if isinstance(latent, MarginLatent):
+        return propose_by_margin(latent, features, space, q, rng, pending=pending, failed=failed)
     if pending is not None and len(pending) > 0:
         latent = fantasised(latent, features(pending))
     if isinstance(criterion, LookAhead):
@@ -309,7 +315,7 @@ def propose_shared(
     searching = SEARCH_SHARE if unseen is not None else 0.0
     learned = (1.0 - exploration) * (1.0 - searching)
     shares = [exploration, (1.0 - exploration) * searching, *(learned * share for share in boundaries.values())]
-    one_sided = [unseen is not None and _is_one_sided(classifier.latent(outcome)) for outcome in boundaries]
+    one_sided = [unseen is not None and classifier.latent(outcome).is_one_sided for outcome in boundaries]
     searches = np.array([False, True, *one_sided])
     before, now = np.array(apportion(shares, 0, first)), np.array(apportion(shares, first, q))
     n_explore, n_search, counts = int(now[0]), int(now[searches].sum()), now[2:].tolist()
@@ -327,8 +333,3 @@ def propose_shared(
             )
             chosen = np.concatenate([chosen, proposed])
     return chosen
-
-
-def _is_one_sided(latent: Latent) -> bool:
-    labels = latent.trained.labels
-    return bool((labels == labels[0]).all())

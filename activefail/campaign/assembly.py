@@ -79,6 +79,7 @@ class Campaign:
                 raise InputError(
                     f"acquisition.boundary: must be one of {', '.join(simulator.outcomes[1:])}, got {boundary!r}."
                 )
+        _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
         mapped = feature_map(features, space, settings.bearing.model())
         return cls(settings, space, simulator, mapped, sources | source, code)
@@ -160,6 +161,24 @@ def _check_names(space: DesignSpace, simulator: Simulator) -> None:
     for name in simulator.margins:
         if name in (*space.names, *_COLUMNS):
             raise InputError(f"simulator.margins: the exported table already has a column {name!r}; rename it.")
+
+
+def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
+    """Check that what boundaries are learned from exists, and that the stop rule's boundary is sought.
+
+    Raises:
+        InputError: naming the key and its value.
+    """
+    learns = settings.classifier.learns
+    if learns not in ("auto", "outcomes", *simulator.margins):
+        known = ", ".join(("auto", "outcomes", *simulator.margins))
+        raise InputError(f"classifier.learns: must be one of {known}, got {learns!r}.")
+    rule = settings.probability_rule
+    if rule is not None and rule.probability not in settings.acquisition.boundaries:
+        known = ", ".join(settings.acquisition.boundaries)
+        raise InputError(
+            f"stop.probability: must be an outcome whose boundary is sought ({known}), got {rule.probability!r}."
+        )
 
 
 def _check_bearing(settings: CampaignSettings) -> None:

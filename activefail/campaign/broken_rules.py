@@ -23,7 +23,7 @@ def _keys(settings: type[BaseModel], path: Sequence[str]) -> list[str]:
             section: Any = settings
         case ["space", _, kind]:
             section = FixedVariable if kind == f"{WITH}value" else Variable
-        case [*_, "simulator" | "features" as name, kind]:
+        case [*_, "simulator" | "features" | "stop" as name, kind]:
             section = KINDS[name][kind.removeprefix(WITH)]
         case [name, *_]:
             section = settings.model_fields[name].annotation
@@ -36,7 +36,7 @@ def _unknown_key(settings: type[BaseModel], path: Sequence[str], key: str) -> st
     match path:
         case ["space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
             return "a variable has either `low` and `high` or `value`"
-        case [*_, "simulator" | "features" as name, kind]:
+        case [*_, "simulator" | "features" | "stop" as name, kind]:
             present = kind.removeprefix(WITH)
             for other, section in KINDS[name].items():
                 if key == other:

@@ -20,6 +20,7 @@ def read_campaign(
     code: Path | None = None,
     run: Path | None = None,
     features: bool = True,
+    frozen: bool = False,
 ) -> Campaign:
     """Read the campaign of a file.
 
@@ -27,11 +28,12 @@ def read_campaign(
         path: the campaign file.
         seed, budget: replace those of the file.
         code, run, features: see `Campaign.of`.
+        frozen: whether the file is that of a run folder (see `parse_settings`).
 
     Raises:
         InputError: naming the file and the rule, if the file is unreadable, invalid or inconsistent.
     """
-    settings = read_settings(path).with_overrides(seed, budget)
+    settings = read_settings(path, frozen).with_overrides(seed, budget)
     try:
         return Campaign.of(settings, code, run, custom_features=features)
     except InputError as error:
@@ -69,7 +71,7 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
         raise InputError(f"{folder}: is not a run folder; it has no campaign.toml.")
     if path.stat().st_size > LARGEST_SETTINGS:
         raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
-    campaign = read_campaign(path, code=code, run=folder, features=features)
+    campaign = read_campaign(path, code=code, run=folder, features=features, frozen=True)
     return campaign, FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources)
 
 

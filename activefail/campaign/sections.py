@@ -252,9 +252,35 @@ class ExpressionFeaturesSettings(Section):
     variables: bool = True
 
 
+class Stop(Section):
+    """The stop rule: a campaign ends once its error is verified to be at most `error`, with `confidence`.
+
+    Verification takes `simulations` fresh designs outside the budget, `every` so many batches, once the classifier
+    itself expects no larger error.
+    """
+
+    error: float = Field(gt=0.0, lt=0.5)
+    confidence: float = Field(0.9, ge=0.5, lt=1.0)
+    simulations: int = Field(400, ge=10, le=10_000)
+    every: int = Field(5, ge=1, le=1000)
+
+
+class ProbabilityStop(Section):
+    """The stop rule: a campaign ends once it knows the probability of an outcome (`activefail.loop.stopping`).
+
+    Attributes:
+        probability: the outcome; the probability is that of it or a more severe one.
+        cov: the coefficient of variation that the probability may have.
+    """
+
+    probability: str
+    cov: float = Field(0.1, ge=0.01, le=1.0)
+
+
 KINDS: dict[str, dict[str, type[Section]]] = {
     "simulator": {"python": PythonSimulatorSettings, "command": CommandSimulatorSettings},
     "features": {"python": PythonFeaturesSettings, "expressions": ExpressionFeaturesSettings},
+    "stop": {"error": Stop, "probability": ProbabilityStop},
 }
 """Alternative tables of a setting, by the key that only they have."""
 
@@ -267,21 +293,25 @@ def _range_or_value(entry: Any) -> str:
     return f"{WITH}value" if is_fixed else RANGE
 
 
-def by_key(sections: Mapping[str, type[Section]]) -> Discriminator:
-    """Discriminate a name from tables, and the tables by the key that only one of them has."""
+def by_key(sections: Mapping[str, type[Section]], has_names: bool = True) -> Discriminator:
+    """Discriminate a name, if there are names, from tables, and the tables by the key that only one of them has."""
 
     def kind(value: Any) -> str:
         for key, section in sections.items():
             if isinstance(value, section) or (isinstance(value, dict) and key in value):
                 return f"{WITH}{key}"
-        return "" if isinstance(value, dict) else NAME
+        return "" if isinstance(value, dict) or not has_names else NAME
 
     keys = " or ".join(f"{WITH}`{key}`" for key in sections)
-    return Discriminator(kind, "no_such_table", f"must be a name, {keys}")
+    return Discriminator(kind, "no_such_table", f"must be {'a name, ' if has_names else ''}{keys}")
 
 
 class ClassifierSettings(Section):
-    """Features of the classifier, and the smoothness of its boundaries."""
+    """Features of the classifier, the smoothness of its boundaries, and what these are learned from.
+
+    Attributes:
+        learns: "outcomes", the name of a margin, or "auto": evidence decides for each boundary.
+    """
 
     features: Annotated[
         Annotated[FeatureSet, Tag(NAME)]
@@ -290,6 +320,7 @@ class ClassifierSettings(Section):
         by_key(KINDS["features"]),
     ] = "paper"
     kernel: Literal["rbf", "matern52"] = "rbf"
+    learns: str = "auto"
 
 
 class AcquisitionSettings(Section):
@@ -335,19 +366,6 @@ class Limits(Section):
     """Limits above which a campaign stops with an error."""
 
     numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
-
-
-class Stop(Section):
-    """The stop rule: a campaign ends once its error is verified to be at most `error`, with `confidence`.
-
-    Verification takes `simulations` fresh designs outside the budget, `every` so many batches, once the classifier
-    itself expects no larger error.
-    """
-
-    error: float = Field(gt=0.0, lt=0.5)
-    confidence: float = Field(0.9, ge=0.5, lt=1.0)
-    simulations: int = Field(400, ge=10, le=10_000)
-    every: int = Field(5, ge=1, le=1000)
 
 
 AnyVariable = Annotated[

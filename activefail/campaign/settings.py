@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import tomli_w
@@ -22,6 +22,7 @@ from activefail.campaign.sections import (
     CommandSimulatorSettings,
     FixedVariable,
     Limits,
+    ProbabilityStop,
     PythonSimulatorSettings,
     Sampling,
     Section,
@@ -34,6 +35,11 @@ from activefail.errors import InputError
 from activefail.files import check_dots
 from activefail.space import DesignSpace, radius
 from activefail.visible import visible
+
+
+def _tables(section: object) -> list[dict[str, Any]]:
+    """The tables in a section that has not been validated yet."""
+    return [one for one in section.values() if isinstance(one, dict)] if isinstance(section, dict) else []
 
 
 def _table_1() -> dict[str, Variable | FixedVariable]:
@@ -59,7 +65,13 @@ class CampaignSettings(Section):
     acquisition: AcquisitionSettings = AcquisitionSettings()
     validation: Validation = Validation()
     limits: Limits = Limits()
-    stop: Stop | None = None
+    stop: (
+        Annotated[
+            Annotated[Stop, Tag(f"{WITH}error")] | Annotated[ProbabilityStop, Tag(f"{WITH}probability")],
+            by_key(KINDS["stop"], has_names=False),
+        ]
+        | None
+    ) = None
 
     @model_validator(mode="before")
     @classmethod
@@ -71,6 +83,10 @@ class CampaignSettings(Section):
         if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
             return values
         defaults: dict[str, dict[str, Any]] = {"classifier": {"features": "design"}}
+        if isinstance(values.get("stop"), dict) and "probability" in values["stop"]:
+            # A probability needs few designs of the bulk, and every result changes where the next one teaches most.
+            variables = sum("value" not in one for one in _tables(values.get("space")))
+            defaults["sampling"] = {"initial": max(12, 2 * variables), "batch": 1}
         outcomes = values["simulator"].get("outcomes")
         if isinstance(outcomes, list) and outcomes:
             defaults["acquisition"] = {"boundary": outcomes[-1]}
@@ -96,6 +112,22 @@ class CampaignSettings(Section):
             if not name.isidentifier():
                 raise ValueError(f"a variable's name must be an identifier, got {name!r}")
         return space
+
+    @model_validator(mode="after")
+    def _in_batches(self) -> Self:
+        if isinstance(self.stop, ProbabilityStop) and self.sampling.asynchronous:
+            raise ValueError("`stop.probability` needs `sampling.asynchronous = false`")
+        return self
+
+    @property
+    def error_rule(self) -> Stop | None:
+        """The stop rule, if it verifies the classifier's error."""
+        return self.stop if isinstance(self.stop, Stop) else None
+
+    @property
+    def probability_rule(self) -> ProbabilityStop | None:
+        """The stop rule, if it asks for a probability."""
+        return self.stop if isinstance(self.stop, ProbabilityStop) else None
 
     def design_space(self) -> DesignSpace:
         """The design space, its variables in the order of the file."""
@@ -149,8 +181,14 @@ def _checked(values: dict[str, Any], source: str) -> CampaignSettings:
         raise InputError("\n".join([f"{source}:", *rules, *rest])) from None
 
 
-def parse_settings(text: str, source: str) -> CampaignSettings:
-    """Parse settings from TOML; `source` names the text in errors.
+def parse_settings(text: str, source: str, frozen: bool = False) -> CampaignSettings:
+    """Parse settings from TOML.
+
+    Args:
+        text: the TOML.
+        source: names the text in errors.
+        frozen: whether the text was frozen in a run folder. What an earlier version did not write there then has the
+            value that it had, which is not always the present default.
 
     Raises:
         InputError: naming the source, and for each error the key path, the rule and the value.
@@ -167,11 +205,13 @@ def parse_settings(text: str, source: str) -> CampaignSettings:
         raise InputError(f"{source}: not valid TOML: tables or lists are nested hundreds of levels deep.") from None
     except ValueError:
         raise InputError(f"{source}: not valid TOML: an integer has thousands of digits.") from None
+    if frozen and isinstance(classifier := values.setdefault("classifier", {}), dict):
+        classifier.setdefault("learns", "outcomes")
     return _checked(values, source)
 
 
-def read_settings(path: Path) -> CampaignSettings:
-    """Read the settings of a campaign file.
+def read_settings(path: Path, frozen: bool = False) -> CampaignSettings:
+    """Read the settings of a campaign file, or those that a run folder has frozen.
 
     Raises:
         InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.
@@ -182,4 +222,4 @@ def read_settings(path: Path) -> CampaignSettings:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
-    return parse_settings(text, str(path))
+    return parse_settings(text, str(path), frozen)

@@ -126,11 +126,17 @@ def _take(run: "Run", executor: "AsynchronousExecutor", terms: _Terms) -> None:
     if not taken.finished:
         print(f"stopped {stops.in_order}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
-    rule = run.settings.stop
+    rule = run.settings.error_rule
     if rule is not None and taken.progress.done < taken.progress.budget:
         print(
             f"stop rule  met after {taken.progress.done} simulations: the error at the {visible(run.boundary)} "
             f"boundary is at most {100 * rule.error:g} %, with {100 * rule.confidence:g} % confidence over all looks"
+        )
+    goal = run.settings.probability_rule
+    if goal is not None and taken.progress.done < taken.progress.budget:
+        print(
+            f"stop rule  met after {taken.progress.done} simulations: the classifier knows the probability of "
+            f"{visible(goal.probability)}, and a check far from all other designs did not contradict it"
         )
     show_unseen(run.summary)
     print(f"results    {visible(str(run.folder))}")

@@ -10,7 +10,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import words
 from activefail.loop.history import History
-from activefail.record.batch import ACTIVE
+from activefail.record.batch import INITIAL
 from activefail.record.store import Store
 from activefail.simulators.bearing import DfpSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE
@@ -86,7 +86,7 @@ def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Clas
         history.designs,
         history.outcome,
         history.iteration,
-        history.origin == ACTIVE,
+        history.origin != INITIAL,
         expected_error(campaign, classifier),
         pool,
         predict(campaign, classifier, pool),

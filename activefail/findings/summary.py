@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import StoreError
 from activefail.files import check_dots, read_regular
-from activefail.record.batch import ACTIVE, INITIAL, Batch
+from activefail.record.batch import INITIAL, Batch
 from activefail.record.layout import LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
 from activefail.record.recovery import is_segment, plain_files
 from activefail.record.segment import Outline, chain_start, decode_outline
@@ -187,8 +187,8 @@ class Summary:
         """The summary of a campaign's batches; `settings` is TOML with all defaults."""
         none = np.empty(0, dtype=np.int8)
         initial, chosen = (
-            np.concatenate([none, *(one.results.outcome[one.origin == origin] for one in batches)])
-            for origin in (INITIAL, ACTIVE)
+            np.concatenate([none, *(one.results.outcome[(one.origin == INITIAL) == first] for one in batches)])
+            for first in (True, False)
         )
         n = len(outcomes)
         iteration = batches[-1].iteration if batches else 0
@@ -232,7 +232,7 @@ def read_summary(folder: Path) -> Summary | None:
     initial = chosen = np.zeros(n + 1, dtype=np.int64)
     for outline in outlines:
         initial = initial + _counts(outline.outcome[outline.origin == INITIAL], n)
-        chosen = chosen + _counts(outline.outcome[outline.origin == ACTIVE], n)
+        chosen = chosen + _counts(outline.outcome[outline.origin != INITIAL], n)
     return Summary(brief, _shown(outcomes), int(outlines[-1].iterations[-1]), initial, chosen)
 
 

@@ -12,13 +12,15 @@ from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.csv_table import DesignTable, writing
 from activefail.errors import InputError
-from activefail.record.batch import INITIAL
+from activefail.record.batch import ACTIVE, CHECK, INITIAL
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
 from activefail.space import Array
 
 if TYPE_CHECKING:
     from activefail.surrogate.classifier import Classifier
+
+_ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check"}
 
 Advance = Callable[[int], None]
 
@@ -142,7 +144,7 @@ def export_table(campaign: Campaign, store: Store, target: Path) -> int:
                         [
                             number,
                             batch.iteration,
-                            "seed" if batch.origin[row] == INITIAL else "active",
+                            _ORIGINS[int(batch.origin[row])],
                             *map(repr, batch.designs[row].tolist()),
                             "numerical_failure" if outcome == NUMERICAL_FAILURE else names[outcome],
                             cause_name(campaign.simulator.causes, int(results.cause[row])),

@@ -212,7 +212,7 @@ class _Looks:
     @classmethod
     def of(cls, campaign: Campaign, course: Course, batches: tuple[Batch, ...]) -> "_Looks":
         """The looks of a resumed campaign. Looks before the last commit, or before the first classifier, are over."""
-        rule = campaign.settings.stop
+        rule = campaign.settings.error_rule
         every = np.inf if rule is None else campaign.settings.sampling.batch * rule.every
         return cls(every, 0 if course.iteration < 1 else len(History.of(batches[:-1])) // every)
 

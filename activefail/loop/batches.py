@@ -11,15 +11,15 @@ from activefail.campaign.random_streams import stream
 from activefail.execution.executor import AsynchronousExecutor, Executor
 from activefail.loop.asynchronous import run_asynchronously
 from activefail.loop.history import History
-from activefail.loop.learning import current_classifier, learn
+from activefail.loop.learning import Learned, current
 from activefail.loop.observed import ObservedExecutor
 from activefail.loop.progress import Observer, standing
 from activefail.loop.proposing import initial_designs, initial_sets, next_designs
+from activefail.loop.stopping import check_designs, needs_check
 from activefail.loop.task import Task
-from activefail.record.batch import ACTIVE, INITIAL, Batch
+from activefail.record.batch import ACTIVE, CHECK, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.space import Array
-from activefail.surrogate.state import classifier_state
 from activefail.surrogate.threads import one_thread
 from activefail.verification.stored_sets import VALIDATION, simulated_set
 
@@ -80,7 +80,7 @@ def run(
 
 def _run_in_batches(task: Task) -> bool:
     campaign, store, observer, budget = task.campaign, task.store, task.observer, task.budget
-    batch, rule = campaign.settings.sampling.batch, campaign.settings.stop
+    batch, rule = campaign.settings.sampling.batch, campaign.settings.error_rule
     initial = task.initial
     while (progress := standing(campaign, store.batches, budget)).done < len(initial):
         observer.progress(progress)
@@ -96,13 +96,13 @@ def _run_in_batches(task: Task) -> bool:
 
     task.check(progress)
     observer.stage("learning")
-    classifier = current_classifier(campaign, store, write=True)
+    learned = current(campaign, store, write=True)
     seconds = None
     while True:
         progress = standing(campaign, store.batches, budget)
         left = max(0, budget - progress.done)
         verify_now = rule is not None and progress.iteration % rule.every == 0
-        progress = task.judged(progress, classifier, verify_now)
+        progress = task.judged(progress, learned.classifier, verify_now, learned.looks)
         observer.progress(replace(progress, seconds_left=None if seconds is None else seconds * -(-left // batch)))
         task.check(progress)
         if left == 0 or progress.stop_rule_met:
@@ -113,12 +113,16 @@ def _run_in_batches(task: Task) -> bool:
         iteration = progress.iteration + 1
         observer.stage("proposing")
         chosen, history = (iteration - 1) * batch, History.of(store.batches)
-        designs = next_designs(campaign, classifier, history, iteration, q=min(batch, left), chosen=chosen)
+        if needs_check(campaign, history, learned.looks):
+            origin, designs = CHECK, check_designs(campaign, history, learned.looks, iteration)[:left]
+        else:
+            origin = ACTIVE
+            designs = next_designs(campaign, learned.classifier, history, iteration, q=min(batch, left), chosen=chosen)
         observer.stage("simulating")
-        _simulate_and_record(task, iteration, ACTIVE, designs)
+        _simulate_and_record(task, iteration, origin, designs)
         observer.stage("learning")
-        classifier = learn(campaign, History.of(store.batches), iteration, classifier)
-        store.write_state(iteration, classifier_state(classifier))
+        learned = Learned.after(campaign, History.of(store.batches), iteration, learned)
+        store.write_state(iteration, learned.state)
         seconds = time.monotonic() - start
 
 

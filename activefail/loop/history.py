@@ -20,32 +20,37 @@ class History:
         designs: (n, d), in the variables' units; (0, 0) for an empty record.
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
         iteration: (n,) int64, iteration of each simulation's batch; 0 in the initial design.
-        origin: (n,) int8, INITIAL or ACTIVE.
+        origin: (n,) int8, INITIAL, ACTIVE or CHECK.
+        margins: (n, k) float64, one column for each of the simulator's margins; (0, 0) for an empty record.
     """
 
     designs: Array
     outcome: NDArray[np.int8]
     iteration: NDArray[np.int64]
     origin: NDArray[np.int8]
+    margins: Array
 
     @classmethod
     def of(cls, batches: Sequence[Batch]) -> Self:
         """The history of some batches."""
         if not batches:
             none = np.empty(0, dtype=np.int8)
-            return cls(np.empty((0, 0)), none, np.empty(0, dtype=np.int64), none)
+            return cls(np.empty((0, 0)), none, np.empty(0, dtype=np.int64), none, np.empty((0, 0)))
         return cls(
             np.concatenate([batch.designs for batch in batches]),
             np.concatenate([batch.results.outcome for batch in batches]),
             np.repeat([batch.iteration for batch in batches], [len(batch) for batch in batches]),
             np.concatenate([batch.origin for batch in batches]),
+            np.concatenate([batch.results.margins for batch in batches]),
         )
 
     def __len__(self) -> int:
         return len(self.outcome)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
-        return type(self)(self.designs[rows], self.outcome[rows], self.iteration[rows], self.origin[rows])
+        return type(self)(
+            self.designs[rows], self.outcome[rows], self.iteration[rows], self.origin[rows], self.margins[rows]
+        )
 
     def through(self, iteration: int) -> Self:
         """The simulations of the batches up to an iteration."""

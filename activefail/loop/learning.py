@@ -1,7 +1,8 @@
 """Train a campaign's classifier from its record, and restore it from saved states."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.errors import DamagedError
 from activefail.loop.history import History
+from activefail.loop.stopping import Looks, looked
 from activefail.record.store import Store
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, train
+from activefail.surrogate.classifier import Classifier, Margins, train
 from activefail.surrogate.state import classifier_from_state, classifier_state
 
 
@@ -25,7 +27,18 @@ def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier
         campaign.features,
         campaign.settings.classifier.kernel,
         warm,
+        margins_of(campaign, known),
     )
+
+
+def margins_of(campaign: Campaign, known: History) -> Margins | None:
+    """The margins that a campaign's classifier may learn from; None if it learns from outcomes alone."""
+    names, learns = campaign.simulator.margins, campaign.settings.classifier.learns
+    if learns == "outcomes" or not names:
+        return None
+    if learns == "auto":
+        return Margins(known.margins, tuple(range(len(names))))
+    return Margins(known.margins, (names.index(learns),), required=True)
 
 
 Saved = tuple[int, dict[str, NDArray[Any]], Classifier]
@@ -52,7 +65,10 @@ def restore(
         known = History.of(store.batches).through(iteration).training
         try:
             check(iteration, state)
-            classifier = classifier_from_state(state, known.designs, known.outcome, outcomes, campaign.features, kernel)
+            margins = margins_of(campaign, known)
+            classifier = classifier_from_state(
+                state, known.designs, known.outcome, outcomes, campaign.features, kernel, margins
+            )
             return iteration, state, classifier
         except KeyError:  # an older version saved fewer arrays: retrain from the record
             break
@@ -61,8 +77,63 @@ def restore(
     return None
 
 
-def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:
-    """The classifier of all recorded batches, bit for bit as in the running loop.
+@dataclass(frozen=True)
+class Learned:
+    """What a campaign with batches has learned after an iteration.
+
+    Attributes:
+        classifier: trained on all batches through the iteration.
+        looks: of its stop rule for a probability, if it has one.
+    """
+
+    classifier: Classifier
+    looks: Looks = field(default_factory=Looks)
+
+    @classmethod
+    def after(cls, campaign: Campaign, history: History, iteration: int, before: Self | None) -> Self:
+        """What is learned from the initial design and the first `iteration` active batches, `before` from one fewer."""
+        earlier = None if before is None else before.classifier
+        classifier = learn(campaign, history, iteration, earlier)
+        if campaign.settings.probability_rule is None:
+            return cls(classifier)
+        looks = Looks() if before is None else before.looks
+        return cls(classifier, looked(campaign, history.through(iteration), iteration, earlier, classifier, looks))
+
+    @property
+    def state(self) -> dict[str, NDArray[Any]]:
+        """The arrays of a saved state."""
+        state = classifier_state(self.classifier)
+        if len(self.looks.table):
+            state |= {_LOOKS: self.looks.table, _KNOWN: np.array(int(self.looks.is_known))}
+        return state
+
+
+_LOOKS, _KNOWN = "stop/looks", "stop/known"
+"""Keys of the looks in a saved state."""
+
+
+def _looks(state: Mapping[str, NDArray[Any]]) -> Looks:
+    """The looks of a saved state.
+
+    Raises:
+        DamagedError: if they are not what a campaign saves.
+    """
+    if _LOOKS not in state:
+        return Looks()
+    table, known = state[_LOOKS], state[_KNOWN]
+    if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 3 or not np.isfinite(table).all():
+        raise DamagedError("holds looks of the stop rule that are not rows of three finite numbers")
+    if known.dtype != np.int64 or known.shape != () or int(known) not in (0, 1):
+        raise DamagedError("holds a stop rule that is neither met nor not met")
+    return Looks(table, bool(known))
+
+
+def _check_looks(state: Mapping[str, NDArray[Any]]) -> None:
+    _looks(state)
+
+
+def current(campaign: Campaign, store: Store, write: bool) -> Learned:
+    """What a campaign has learned from all recorded batches, bit for bit as in the running loop.
 
     It starts from the last saved state and retrains on the later batches in the same order, from the same starts.
 
@@ -73,14 +144,19 @@ def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classif
     """
     history = History.of(store.batches)
     last = history.last_iteration
-    saved = restore(campaign, store, last)
-    iteration, classifier = (-1, None) if saved is None else (saved[0], saved[2])
+    saved = restore(campaign, store, last, lambda _, state: _check_looks(state))
+    iteration, learned = (-1, None) if saved is None else (saved[0], Learned(saved[2], _looks(saved[1])))
     for later in range(iteration + 1, last + 1):
-        classifier = learn(campaign, history, later, classifier)
+        learned = Learned.after(campaign, history, later, learned)
         if write:
-            store.write_state(later, classifier_state(classifier))
-    assert classifier is not None
-    return classifier
+            store.write_state(later, learned.state)
+    assert learned is not None
+    return learned
+
+
+def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:
+    """The classifier of `current`."""
+    return current(campaign, store, write).classifier
 
 
 def accuracy(classifier: Classifier, severity: int, X: Array, outcome: NDArray[np.int8]) -> float:

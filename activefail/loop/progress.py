@@ -13,6 +13,7 @@ from activefail.record.batch import Batch
 from activefail.verification.unseen import unseen_outcomes
 
 if TYPE_CHECKING:
+    from activefail.loop.stopping import Looks
     from activefail.verification.error import ErrorEstimate
 
 
@@ -31,6 +32,7 @@ class Progress:
         error: verified error of the classifier; None if not verified.
         unseen: outcomes without a simulation.
         stop_rule_met: whether the campaign's stop rule is met.
+        looks: what is known of the stop rule's probability; None without such a rule.
     """
 
     iteration: int
@@ -43,6 +45,7 @@ class Progress:
     error: "ErrorEstimate | None" = None
     unseen: tuple[str, ...] = ()
     stop_rule_met: bool = False
+    looks: "Looks | None" = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.margin import MarginLatent
 from activefail.verification.unseen import unseen_outcomes
 
 
@@ -64,12 +65,19 @@ def next_designs(
         rng=stream(settings.seed, "propose", iteration),
         pending=pending,
         failed=history.failed_designs,
-        unseen=search_for_unseen(campaign, history),
+        unseen=search_for_unseen(campaign, history, classifier),
     )
 
 
-def search_for_unseen(campaign: Campaign, history: History) -> Search | None:
-    """A search for the outcomes without a simulation; None if every outcome has one."""
+def search_for_unseen(campaign: Campaign, history: History, classifier: Classifier) -> Search | None:
+    """A search for the outcomes without a simulation; None if every outcome has one.
+
+    An outcome whose boundary is learned from a margin needs no search: the margin tells where it may begin.
+    """
     outcomes = campaign.simulator.outcomes
-    unseen = unseen_outcomes(outcomes, history.counts(len(outcomes)))
+    unseen = tuple(
+        name
+        for name in unseen_outcomes(outcomes, history.counts(len(outcomes)))
+        if name == outcomes[0] or not isinstance(classifier.latent(name), MarginLatent)
+    )
     return Search(history.designs, unseen) if unseen else None

@@ -10,6 +10,7 @@ from activefail.errors import SimulationError
 from activefail.execution.executor import AsynchronousExecutor
 from activefail.loop.learning import accuracy
 from activefail.loop.progress import Observer, Progress
+from activefail.loop.stopping import Looks
 from activefail.record.store import Store
 from activefail.simulators.interface import cause_name
 from activefail.space import Array
@@ -64,8 +65,10 @@ class Task:
         done, failures = progress.done - self.ignored_failures, progress.numerical_failures - self.ignored_failures
         _check_numerical_failures(done, failures, self.failure_limit, self.observer.faults, self.resume_command)
 
-    def judged(self, progress: Progress, classifier: Classifier, verify_now: bool) -> Progress:
-        """The progress with the classifier's accuracy and verified error."""
+    def judged(
+        self, progress: Progress, classifier: Classifier, verify_now: bool, looks: Looks | None = None
+    ) -> Progress:
+        """The progress with the classifier's accuracy, its verified error, and what is known of a probability."""
         error, stop_rule_met = None, False
         # A campaign with an unseen outcome never meets its stop rule, so verifying it would waste simulations.
         if self.use_stop_rule and verify_now and not progress.unseen:
@@ -74,6 +77,9 @@ class Task:
                 self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer.stop
             )
         share = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
+        if looks is not None and len(looks.table):
+            progress = replace(progress, looks=looks)
+            stop_rule_met = self.use_stop_rule and looks.is_known
         return replace(progress, accuracy=share, error=error, stop_rule_met=stop_rule_met)
 
 

@@ -221,6 +221,10 @@ class MarginFit:
         variance = 1.0 / diagonal - (A.diagonal() - s2 * (1.0 + NUGGET))
         return target - (Q @ target) / diagonal, np.sqrt(np.maximum(variance, 1e-12))
 
+    def warped(self, margin: Array) -> Array:
+        """Margins, (l,), in the units of `moments`."""
+        return WARPINGS[self.warping][0](margin / self.unit)
+
     def sign_score(self) -> float:
         """Mean log probability of the left-out designs' sides of the boundary [nat]."""
         mean, sd = self.left_out()

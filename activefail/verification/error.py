@@ -20,6 +20,7 @@ from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
+from activefail.surrogate.margin import MarginLatent
 from activefail.verification.stored_sets import (
     first_part,
     looks_before,
@@ -113,7 +114,7 @@ class Verification:
 
 
 def plan_verification(
-    latent: Latent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
+    latent: Latent | MarginLatent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
 ) -> Verification:
     """Plan n fresh designs, random within each part."""
     pool = space.from_unit(rng.random((POOL, space.dimension)))
@@ -226,7 +227,7 @@ def verify_by_rule(
     Simulates nothing if the classifier itself expects a larger error than the rule allows, or if the rule has too few
     simulations to show so small an error.
     """
-    rule = campaign.settings.stop
+    rule = campaign.settings.error_rule
     if rule is None or expected_error(campaign, classifier) > rule.error:
         return None, False
     confidence = confidence_of_look(rule.confidence, 1 + looks_before(store, iteration))

@@ -1,0 +1,137 @@
+"""When a campaign knows a failure probability well enough to end.
+
+A surrogate cannot know what it has not seen, so its own certainty ends no campaign. After its posterior of the
+probability is narrow at two looks, designs far from all others are simulated, where a failure could still hide and
+matter. If one of them contradicts the surrogate, the campaign goes on.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.acquisition.by_margin import SIZE
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.random_streams import stream
+from activefail.loop.history import History
+from activefail.record.batch import CHECK
+from activefail.reliability.hidden import hidden_places
+from activefail.reliability.probability import model_probability
+from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.margin import MarginLatent
+
+_BETWEEN = 4
+"""Fewest simulations between the two looks that must agree."""
+
+_SURE = 0.5
+"""Largest posterior sd of the probability, in units of the stated one: the posterior is too narrow near kinks."""
+
+_FARTHEST = 4.0
+"""Largest deviation of a check's margin from its prediction, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Looks:
+    """What a campaign with a stop rule for a probability knows of it.
+
+    Attributes:
+        table: (k, 3) simulations, probability and posterior standard deviation at each look, since the last check.
+        is_known: whether the last batch was a check that contradicted nothing.
+    """
+
+    table: Array = field(default_factory=lambda: np.empty((0, 3)))
+    is_known: bool = False
+
+    @property
+    def probability(self) -> float:
+        """The probability under the classifier of the last look."""
+        return float(self.table[-1, 1])
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the probability under the classifier's posterior at the last look."""
+        return float(self.table[-1, 2])
+
+    def is_narrow(self, cov: float) -> bool:
+        """Whether the last look and one at least four simulations before it found a narrow posterior."""
+        narrow = self.table[:, 2] <= _SURE * cov * self.table[:, 1]
+        before = np.flatnonzero(self.table[:, 0] <= self.table[-1, 0] - _BETWEEN)
+        return bool(narrow[-1] and len(before) and narrow[before[-1]])
+
+
+def looked(
+    campaign: Campaign, known: History, iteration: int, before: Classifier | None, classifier: Classifier, looks: Looks
+) -> Looks:
+    """The looks after one more batch.
+
+    Args:
+        campaign: the campaign, with a stop rule for a probability.
+        known: its simulations through this iteration.
+        iteration: of the batch.
+        before: the classifier before the batch.
+        classifier: the classifier after it.
+        looks: the looks before it.
+    """
+    batch = known[known.iteration == iteration]
+    checked = before is not None and bool((batch.origin == CHECK).all()) and iteration > 0
+    if checked:
+        assert before is not None
+        contradicted = contradictions(campaign, before, batch).any()
+        looks = Looks(is_known=not contradicted)
+    rule = campaign.settings.probability_rule
+    assert rule is not None
+    latent = classifier.latent(rule.probability)
+    if not isinstance(latent, MarginLatent):
+        # The looks of a classifier of outcomes are too sure of themselves to end a campaign.
+        return Looks()
+    rng = stream(campaign.settings.seed, "probability", iteration)
+    probability, sd = model_probability(latent, campaign.features, campaign.space, SIZE, rng)
+    row = np.array([[len(known), probability, sd]])
+    return replace(looks, table=np.concatenate([looks.table, row]))
+
+
+def contradictions(campaign: Campaign, classifier: Classifier, batch: History) -> NDArray[np.bool_]:
+    """Which simulations, (n,), contradict a classifier that has not seen them: a wrong side, or a margin far off.
+
+    A numerical failure contradicts nothing.
+    """
+    rule = campaign.settings.probability_rule
+    assert rule is not None
+    severity = campaign.simulator.outcomes.index(rule.probability)
+    latent = classifier.latent(rule.probability)
+    moments = latent.moments(campaign.features(batch.designs))
+    beyond = batch.outcome >= severity
+    wrong = (moments.mean > 0.0) != beyond
+    choice = classifier.choices[severity - 1]
+    if isinstance(latent, MarginLatent):
+        margin = batch.margins[:, choice.margin]
+        exact = np.isfinite(margin) & ~(latent.trained.truncated & (margin <= 0.0))
+        warped = latent.trained.warped(np.where(exact, margin, 0.0))
+        wrong |= exact & (np.abs(-warped - moments.mean) > _FARTHEST * moments.sd)
+    return np.asarray(wrong & (batch.outcome != NUMERICAL_FAILURE))
+
+
+def needs_check(campaign: Campaign, history: History, looks: Looks) -> bool:
+    """Whether the next batch is a check: the posterior is narrow, and a failure was seen."""
+    rule = campaign.settings.probability_rule
+    if rule is None or looks.is_known or not len(looks.table):
+        return False
+    severity = campaign.simulator.outcomes.index(rule.probability)
+    return bool((history.outcome >= severity).any()) and looks.is_narrow(rule.cov)
+
+
+def check_designs(campaign: Campaign, history: History, looks: Looks, iteration: int) -> Array:
+    """The designs of a check, (4 + 2 d, d)."""
+    rng = stream(campaign.settings.seed, "propose", iteration)
+    count = 4 + 2 * campaign.space.dimension
+    return hidden_places(campaign.space, history.designs, looks.probability, count, rng)
+
+
+def interval(looks: Looks) -> tuple[float, float]:
+    """Central 95 % interval of the probability under the classifier's posterior, lognormal."""
+    if not looks.probability > 0.0:
+        return 0.0, 1.0
+    spread = 1.96 * np.sqrt(np.log1p((looks.sd / looks.probability) ** 2))
+    return looks.probability * float(np.exp(-spread)), min(1.0, looks.probability * float(np.exp(spread)))

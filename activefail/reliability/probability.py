@@ -1,0 +1,52 @@
+"""The probability beyond a boundary under a latent, and how well the latent knows it."""
+
+import numpy as np
+from scipy.special import ndtr
+
+from activefail.acquisition.by_margin import LEAST, REFERENCES, doubt, doubtful_population
+from activefail.features import FeatureMap
+from activefail.space import Array, DesignSpace
+from activefail.surrogate.margin import MarginLatent
+
+_PATHS = 200
+"""Joint paths of the latent that give the standard deviation of the probability."""
+
+
+def model_probability(
+    latent: MarginLatent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """The probability beyond a boundary under a latent: its mean, and its standard deviation under the posterior.
+
+    Args:
+        latent: of the boundary.
+        features: map from designs to the latent's inputs.
+        space: the design space.
+        n: designs of the population that integrates.
+        rng: generator of the population and the paths.
+    """
+    drawn, F, standardised = doubtful_population(latent, features, space, n, rng)
+    mean = float(np.mean(drawn.weight * ndtr(standardised)))
+    return mean, posterior_sd(latent, F, standardised, drawn.weight, rng)
+
+
+def posterior_sd(latent: MarginLatent, F: Array, standardised: Array, weight: Array, rng: np.random.Generator) -> float:
+    """Standard deviation of the probability under the latent's posterior, from joint paths.
+
+    The paths are drawn at points that are chosen in proportion to weight times doubt.
+
+    Args:
+        latent: of the boundary.
+        F: (n, m) features of a population.
+        standardised: (n,) the latent's mean/sd there.
+        weight: (n,) of the population.
+        rng: generator of the points and the paths.
+    """
+    uncertain = doubt(standardised)
+    part = weight * uncertain + LEAST
+    rows = rng.choice(len(F), REFERENCES, p=part / part.sum())
+    mean, covariance = latent.joint(F[rows])
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    paths = mean + rng.standard_normal((_PATHS, len(rows))) @ root.T
+    deviations = ((paths > 0.0) - ndtr(standardised[rows])) / np.maximum(uncertain[rows], LEAST)
+    return float(part.mean()) * float(deviations.mean(axis=1).std())
