@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
     from activefail.execution.executor import AsynchronousExecutor, Executor
+    from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
@@ -254,15 +255,59 @@ class Run:
         Raises:
             InputError: if the initial design is not finished.
         """
-        from activefail.loop.proposing import initial_sets
         from activefail.verification.error import verify
+
+        self._check_initial_design("verify")
+        classifier, iteration = self.classifier, self.history.last_iteration
+        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
+            return verify(self.campaign, self.store, pool, classifier, iteration, simulations, confidence)
+
+    def probability(
+        self,
+        simulations: int = 50,
+        confidence: float = 0.9,
+        outcome: str | None = None,
+        executor: "Executor | None" = None,
+    ) -> "ProbabilityFindings":
+        """Estimate the probability of an outcome or a more severe one, from fresh simulations.
+
+        Args:
+            simulations: number of fresh simulations, outside the budget.
+            confidence: of the interval.
+            outcome: its name; that of the (main) target boundary if None.
+            executor: as for `take`.
+
+        Raises:
+            InputError: if the initial design is not finished, or the outcome has no boundary.
+        """
+        from activefail.findings.probability import ProbabilityFindings
+        from activefail.verification.probability import estimate_probability
+
+        boundaries = self.campaign.simulator.outcomes[1:]
+        outcome = self.boundary if outcome is None else outcome
+        if outcome not in boundaries:
+            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
+        self._check_initial_design("estimate")
+        history, classifier = self.history, self.classifier
+        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
+            estimate = estimate_probability(
+                self.campaign,
+                self.store,
+                pool,
+                classifier,
+                history.last_iteration,
+                outcome,
+                simulations,
+                confidence,
+            )
+        return ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate)
+
+    def _check_initial_design(self, verb: str) -> None:
+        from activefail.loop.proposing import initial_sets
 
         history = self.history
         if len(history) < self.settings.sampling.initial * initial_sets(self.campaign, history):
-            raise InputError(f"{self.folder}: has not finished its initial design; there is nothing to verify yet.")
-        classifier, iteration = self.classifier, history.last_iteration
-        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
-            return verify(self.campaign, self.store, pool, classifier, iteration, simulations, confidence)
+            raise InputError(f"{self.folder}: has not finished its initial design; there is nothing to {verb} yet.")
 
     def compare(
         self,

@@ -2,7 +2,16 @@
 
 import numpy as np
 
-STREAMS = {"initial": 1, "propose": 2, "validation": 3, "test": 4, "static": 5, "verification": 6, "probability": 7}
+STREAMS = {
+    "initial": 1,
+    "propose": 2,
+    "validation": 3,
+    "test": 4,
+    "static": 5,
+    "verification": 6,
+    "probability": 7,
+    "estimate": 8,
+}
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 
 

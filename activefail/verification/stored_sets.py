@@ -8,6 +8,7 @@ A set is stored in parts, `<name>-<part>`, so that an interruption loses at most
     around-<designs>                    designs around those of a test set
     look-<iteration>-<designs>          fresh simulations of a look of the stop rule
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
+    probability-<outcome>-<iteration>-<designs>  fresh simulations that estimate a probability
 """
 
 import re
@@ -55,6 +56,11 @@ def name_of_look(iteration: int, designs: int) -> str:
 def name_of_verification(iteration: int, designs: int) -> str:
     """Name of the fresh simulations that a user requested; the same designs as a look's."""
     return f"verification-{iteration}-{designs}"
+
+
+def name_of_estimate(outcome: str, iteration: int, designs: int) -> str:
+    """Name of the fresh simulations that estimate the probability of an outcome."""
+    return f"probability-{outcome}-{iteration}-{designs}"
 
 
 def first_part(name: str) -> str:

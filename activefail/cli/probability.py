@@ -1,0 +1,60 @@
+"""The command `probability`."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from activefail.cli.common import Code, RunFolder, Workers, show_unseen, show_warnings
+from activefail.findings.quantities import words
+from activefail.visible import visible
+
+
+def probability(
+    folder: RunFolder,
+    simulations: Annotated[
+        int, typer.Option(help="Fresh simulations, outside the budget.", min=10, max=1_000_000)
+    ] = 50,
+    confidence: Annotated[float, typer.Option(help="Confidence of the interval.", min=0.5, max=0.999)] = 0.9,
+    outcome: Annotated[
+        str | None, typer.Option(help="Outcome; that of the target boundary by default.", show_default=False)
+    ] = None,
+    workers: Workers = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    code: Code = None,
+) -> None:
+    """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
+    from activefail.execution.local import local_executor
+    from activefail.run import open_run
+
+    with open_run(folder, write=True, code=code) as opened:
+        show_warnings(opened.store)
+        with local_executor(opened.campaign.simulator, workers, opened.campaign.time_limit) as pool:
+            findings = opened.probability(simulations, confidence, outcome, pool)
+        show_warnings(opened.store)
+        summary = opened.summary
+        boundaries = opened.campaign.simulator.outcomes
+    show_unseen(summary)
+    if as_json:
+        print(json.dumps({"outcomes": {findings.outcome: findings.as_json()}}, indent=2))
+        return
+    estimate = findings.estimate
+    name = visible(words(findings.outcome)) + ("" if findings.outcome == boundaries[-1] else " or worse")
+    learned = f"the margin {visible(findings.learned_from)}" if findings.learned_from else "the outcomes"
+    failed = f", {estimate.unanswered} of them numerical failures" if estimate.unanswered else ""
+    print(f"probability of {name}: {estimate.probability:.3g}")
+    print(f"interval   {estimate.low:.3g} to {estimate.high:.3g}, with {100 * confidence:g} % confidence")
+    print(
+        f"from       {findings.learned} simulations of the campaign, {findings.seen} of them {name}, and "
+        f"{estimate.simulations} fresh ones{failed}, {estimate.beyond} of them {name}"
+    )
+    print(
+        f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; {estimate.wrong} of the fresh "
+        "simulations contradict it"
+    )
+    print(
+        f"bound      {findings.bound:.2g} without a model, one-sided at 90 %, from the {findings.drawn} simulations of "
+        "the initial design alone"
+    )
+    for sentence in findings.assumptions:
+        print(f"note       {sentence}")

@@ -1,0 +1,120 @@
+"""What a campaign knows of the probability of an outcome, with what is assumed."""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+from activefail.campaign.assembly import Campaign
+from activefail.findings.quantities import words
+from activefail.loop.history import History
+from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.surrogate.choice import OUTCOMES
+from activefail.surrogate.classifier import Classifier
+from activefail.verification.stratified import largest_unseen_share
+
+BOUND_CONFIDENCE = 0.9
+"""One-sided confidence of the bounds without a model."""
+
+
+def upper_bound(hits: int, draws: int, confidence: float) -> float:
+    """One-sided upper bound on a probability from independent draws [ClopperPearson1934]; 1 without draws."""
+    return largest_unseen_share(draws, confidence, hits)
+
+
+@dataclass(frozen=True)
+class ProbabilityFindings:
+    """The probability of an outcome or a more severe one.
+
+    Attributes:
+        outcome: its name.
+        estimate: from fresh simulations with the classifier frozen.
+        learned_from: the margin that the boundary was learned from; empty if from the outcomes alone.
+        learned: simulations of the campaign, without its fresh simulations.
+        seen: how many of these ended beyond the boundary.
+        drawn: simulations of the initial design that gave an outcome, a sample of the design measure.
+        bound: upper bound on the probability from these alone, without a model, one-sided at 90 %.
+        outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
+    """
+
+    outcome: str
+    estimate: ProbabilityEstimate
+    learned_from: str
+    learned: int
+    seen: int
+    drawn: int
+    bound: float
+    outside: float
+
+    @classmethod
+    def of(
+        cls, campaign: Campaign, history: History, classifier: Classifier, outcome: str, estimate: ProbabilityEstimate
+    ) -> Self:
+        """The findings of a campaign with this estimate."""
+        severity = campaign.simulator.outcomes.index(outcome)
+        known = history.training
+        beyond = known.outcome >= severity
+        choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
+        initial = int(known.initial.sum())
+        # A numerical failure may hide either outcome; the bound counts it as beyond.
+        unanswered = int((history.initial & ~history.answered).sum())
+        hits = int((beyond & known.initial).sum()) + unanswered
+        return cls(
+            outcome=outcome,
+            estimate=estimate,
+            learned_from="" if choice == OUTCOMES else campaign.simulator.margins[choice],
+            learned=len(history),
+            seen=int(beyond.sum()),
+            drawn=initial,
+            bound=upper_bound(hits, initial + unanswered, BOUND_CONFIDENCE),
+            outside=campaign.space.outside,
+        )
+
+    @property
+    def assumptions(self) -> list[str]:
+        """What the estimate assumes, and what contradicts it, as sentences."""
+        estimate, name = self.estimate, words(self.outcome)
+        sentences = []
+        if not self.seen and not estimate.beyond:
+            sentences.append(
+                f"No simulation ended in {name}: the estimate is the classifier's extrapolation. Only the bound without "
+                "a model rests on simulations alone."
+            )
+        if estimate.surprising:
+            sentences.append(
+                f"{estimate.surprising} of the fresh simulations contradict the classifier where it was sure. It has "
+                "missed something: continue the campaign before this estimate is used."
+            )
+        sentences.append(
+            "The interval assumes that no failure is hidden where neither the classifier nor the fresh simulations "
+            "looked. In five dimensions and more nothing finds such a region reliably."
+        )
+        if self.outside > 0.0:
+            sentences.append(
+                f"Designs outside the variables' bounds, with a probability of up to {self.outside:.1g}, are left out."
+            )
+        return sentences
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        estimate = self.estimate
+        return {
+            "probability": estimate.probability,
+            "low": estimate.low,
+            "high": estimate.high,
+            "confidence": estimate.confidence,
+            "simulations": estimate.simulations,
+            "numerical_failures": estimate.unanswered,
+            "contradictions": estimate.wrong,
+            "failures_seen": self.seen + estimate.beyond,
+            "method": "classifier corrected by importance sampling of its mistakes",
+            "learned_from": self.learned_from or "outcomes",
+            "campaign_simulations": self.learned,
+            "classifier_probability": estimate.model,
+            "bound_without_model": {
+                "high": self.bound,
+                "confidence": BOUND_CONFIDENCE,
+                "one_sided": True,
+                "simulations": self.drawn,
+            },
+            "outside_bounds": self.outside,
+            "assumptions": self.assumptions,
+        }

@@ -1,0 +1,179 @@
+"""A failure probability from fresh simulations, with the classifier frozen.
+
+The classifier's own probability is corrected by simulations that it has not seen. They are drawn where it may be wrong
+and where a mistake would weigh most (importance sampling of its mistakes), so that the estimate has no bias, whatever
+the classifier believes. The interval holds because of three precautions. The standard deviation of the latent is
+doubled where designs are drawn: kinks of the limit state make it too small. The variance of the corrections has a floor
+from the classifier's own doubt: few or no observed mistakes do not mean that there are none. And the campaign's mode
+check comes before.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+from scipy.stats import t
+
+from activefail.acquisition.by_margin import doubt
+from activefail.acquisition.population import population
+from activefail.features import FeatureMap
+from activefail.space import Array, DesignSpace
+from activefail.surrogate.classifier import Latent
+from activefail.surrogate.margin import MarginLatent
+
+_RADIAL = 20_000
+"""Designs of the radial population from which the simulations are drawn."""
+
+_UNIFORM = 0.3
+"""Share of the simulations that are drawn without regard to the classifier's doubt."""
+
+_WIDER = 2.0
+"""Factor of the latent's standard deviation."""
+
+_PRIOR_WEIGHT = 12.0
+"""Weight of the classifier's own doubt in the variance of the corrections, in simulations."""
+
+_INTEGRATION, _ROUNDS, _ACCURACY = 100_000, 10, 0.005
+"""Designs of a population that integrates the classifier's probability, most populations, and relative standard error
+that ends the integration."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Fresh designs that correct a classifier's failure probability.
+
+    Attributes:
+        designs: (m, d).
+        ratio: (m,) density of the design measure over that of the draws.
+        predicted: (m,) bool, whether the classifier puts each design beyond the boundary.
+        standardised: (m,) the latent's mean/sd.
+        probability: the classifier's own.
+        standard_error: of its integration.
+        floor: variance of one correction by the classifier's own doubt.
+    """
+
+    designs: Array
+    ratio: Array
+    predicted: NDArray[np.bool_]
+    standardised: Array
+    probability: float
+    standard_error: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class ProbabilityEstimate:
+    """A failure probability with its interval.
+
+    Attributes:
+        probability: the estimate, at least 0.
+        low, high: two-sided interval, with equal tails.
+        confidence: of the interval.
+        model: the classifier's own probability, without an interval.
+        simulations: fresh simulations, including numerical failures.
+        unanswered: numerical failures among them. The interval covers both outcomes that they may have had.
+        beyond: how many of the fresh simulations ended beyond the boundary.
+        wrong: how many contradict the classifier.
+        surprising: how many of these lie where the classifier was sure, by four standard deviations.
+    """
+
+    probability: float
+    low: float
+    high: float
+    confidence: float
+    model: float
+    simulations: int
+    unanswered: int
+    beyond: int
+    wrong: int
+    surprising: int
+
+
+def integrated(
+    latent: Latent | MarginLatent, features: FeatureMap, space: DesignSpace, rng: np.random.Generator
+) -> tuple[float, float]:
+    """The share of the design measure that a classifier puts beyond a boundary, and its standard error."""
+
+    def importance(X: Array) -> Array:
+        standardised = _standardised(latent, features(X))
+        return np.asarray(ndtr(standardised) + doubt(standardised))
+
+    means, variances = [], []
+    for _ in range(_ROUNDS):
+        drawn = population(space, _INTEGRATION, importance, rng)
+        parts = drawn.weight * (_standardised(latent, features(drawn.X)) > 0.0)
+        means.append(float(parts.mean()))
+        variances.append(float(parts.var()) / len(parts))
+        mean, error = float(np.mean(means)), float(np.sqrt(np.sum(variances)) / len(means))
+        if error <= _ACCURACY * mean:
+            break
+    return mean, error
+
+
+def _standardised(latent: Latent | MarginLatent, F: Array) -> Array:
+    moments = latent.moments(F)
+    return np.asarray(moments.mean / moments.sd)
+
+
+def plan_estimate(
+    latent: Latent | MarginLatent, features: FeatureMap, space: DesignSpace, m: int, rng: np.random.Generator
+) -> Plan:
+    """Plan m fresh simulations that correct a classifier's failure probability."""
+    probability, error = integrated(latent, features, space, rng)
+    drawn = population(space, _RADIAL, None, rng)
+    standardised = _standardised(latent, features(drawn.X))
+    side = ndtr(standardised / _WIDER)
+    parts = drawn.weight * doubt(standardised / _WIDER)
+    shares = np.full(len(parts), 1.0 / len(parts))
+    if parts.sum() > 0.0:
+        shares = (1.0 - _UNIFORM) * parts / parts.sum() + _UNIFORM * shares
+    ratio = drawn.weight / (len(parts) * shares)
+    rows = rng.choice(len(parts), m, p=shares / shares.sum())
+    return Plan(
+        designs=drawn.X[rows],
+        ratio=ratio[rows],
+        predicted=standardised[rows] > 0.0,
+        standardised=standardised[rows],
+        probability=probability,
+        standard_error=error,
+        floor=float(np.sum(shares * ratio**2 * np.minimum(side, 1.0 - side))),
+    )
+
+
+def estimated(
+    plan: Plan, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
+) -> ProbabilityEstimate:
+    """The estimate from the outcomes of the planned simulations.
+
+    Args:
+        plan: the plan.
+        beyond: (m,) whether each outcome is beyond the boundary.
+        answered: (m,) whether each simulation gave an outcome.
+        confidence: of the interval.
+    """
+    middle, _, _ = _interval(plan, np.where(answered, beyond, plan.predicted), confidence)
+    _, low, _ = _interval(plan, beyond & answered, confidence)
+    _, _, high = _interval(plan, beyond | ~answered, confidence)
+    wrong = answered & (beyond != plan.predicted)
+    return ProbabilityEstimate(
+        probability=max(0.0, middle),
+        low=max(0.0, low),
+        high=min(1.0, high),
+        confidence=confidence,
+        model=plan.probability,
+        simulations=len(beyond),
+        unanswered=int((~answered).sum()),
+        beyond=int((beyond & answered).sum()),
+        wrong=int(wrong.sum()),
+        surprising=int((wrong & (np.abs(plan.standardised) > 4.0)).sum()),
+    )
+
+
+def _interval(plan: Plan, beyond: NDArray[np.bool_], confidence: float) -> tuple[float, float, float]:
+    corrections = (beyond.astype(np.float64) - plan.predicted) * plan.ratio
+    m = len(corrections)
+    variance = (m * corrections.var(ddof=1) + _PRIOR_WEIGHT * plan.floor) / (m + _PRIOR_WEIGHT)
+    middle = plan.probability + float(corrections.mean())
+    half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance / m + plan.standard_error**2))
+    return middle, middle - half, middle + half
