@@ -12,7 +12,7 @@ from activefail.files import writing_to
 from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
-from activefail.record.layout import COMPARISON, REPORT, SCORES, SETTINGS
+from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, SETTINGS
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
 from activefail.visible import quoted
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from activefail.verification.error import ErrorEstimate
 
 
+TEST_DESIGNS = 2000
+"""Fresh designs of a comparison by default."""
+
+
 class Taken(NamedTuple):
     """The result of `Run.take`.
 
@@ -37,11 +41,34 @@ class Taken(NamedTuple):
         finished: whether the campaign reached its budget or its stop rule; False if it was stopped before.
         progress: of the campaign.
         first_fault: why the first abandoned simulation failed, with its design; empty if there is none.
+        stop_rule: how the stop rule ended the campaign before its budget; empty if it did not.
     """
 
     finished: bool
     progress: Progress
     first_fault: str
+    stop_rule: str
+
+    @property
+    def warning(self) -> str:
+        """The warning about abandoned simulations; empty if there are none."""
+        return self.first_fault and f"simulations were abandoned; the first failed with: {self.first_fault}"
+
+
+class StopMessages(NamedTuple):
+    """What becomes of running simulations when a campaign stops: on request, after an orderly and an immediate stop."""
+
+    requested: str
+    orderly: str
+    immediate: str
+
+
+_IN_BATCHES = StopMessages("stopping after this batch", "after a complete batch", "recorded batches are safe")
+_ASYNCHRONOUS = StopMessages(
+    "stopping: waiting for the simulations in flight",
+    "with nothing in flight",
+    "recorded simulations are safe, those in flight will be simulated again",
+)
 
 
 class Run:
@@ -94,15 +121,14 @@ class Run:
         budget: int | None = None,
         failure_limit: float | None = None,
         ignore_stop: bool = False,
-        executor: str = "",
+        executor_options: str = "",
     ) -> str:
         """The command that continues the campaign, quoted for a shell.
 
         Args:
-            budget, failure_limit, ignore_stop: as for `take`.
-            executor: options that select the executor.
+            budget, failure_limit, ignore_stop, executor_options: as for `take`.
         """
-        command = resume_command(self.folder, self.campaign) + executor
+        command = resume_command(self.folder, self.campaign) + executor_options
         if ignore_stop:
             command += " --ignore-stop"
         if budget is not None:
@@ -110,6 +136,11 @@ class Run:
         if failure_limit is not None:
             command += f" --numerical-failures {failure_limit:g}"
         return command
+
+    @property
+    def stop_messages(self) -> StopMessages:
+        """The messages about a stop of the campaign."""
+        return _ASYNCHRONOUS if self.settings.sampling.asynchronous else _IN_BATCHES
 
     @property
     def stop_rule_warning(self) -> str:
@@ -172,7 +203,7 @@ class Run:
             with self._local_executor() as local:
                 return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
         target = self.settings.sampling.budget if budget is None else budget
-        command = self.resume_command(ignore_stop=ignore_stop, executor=executor_options)
+        command = self.resume_command(ignore_stop=ignore_stop, executor_options=executor_options)
         observer = observer or Observer()
         finished = run(
             self.campaign,
@@ -185,7 +216,23 @@ class Run:
             resume_command=command,
         )
         self._classifier = None
-        return Taken(finished, standing(self.campaign, self.store.batches, target), next(iter(observer.faults), ""))
+        progress = standing(self.campaign, self.store.batches, target)
+        stop_rule = self._met_after(progress.done) if finished and progress.done < target else ""
+        return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
+
+    def _met_after(self, simulations: int) -> str:
+        if (rule := self.settings.error_rule) is not None:
+            return (
+                f"met after {simulations} simulations: the error at the {self.boundary} boundary is at most "
+                f"{100 * rule.error:g} %, with {100 * rule.confidence:g} % confidence over all looks"
+            )
+        if (goal := self.settings.probability_rule) is not None:
+            return (
+                f"met after {simulations} simulations: the classifier is sure of the probability of {goal.probability} "
+                f"and a check far from all other designs found nothing else. `activefail probability` tells it with "
+                "an interval"
+            )
+        return ""
 
     @property
     def classifier(self) -> "Classifier":
@@ -312,7 +359,7 @@ class Run:
     def compare(
         self,
         budgets: list[int] | None = None,
-        test_designs: int = 2000,
+        test_designs: int = TEST_DESIGNS,
         stage: Callable[[str], None] = lambda _: None,
         executor: "Executor | None" = None,
     ) -> "list[Score]":
@@ -341,7 +388,7 @@ class Run:
             results.mkdir(exist_ok=True)
             write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / SCORES)
             for suffix in ("png", "svg"):
-                save_figure(figure, results / f"learning_curves.{suffix}")
+                save_figure(figure, results / f"{CURVES}.{suffix}")
         return scores
 
     def report(self, target: Path | None = None, stage: Callable[[str], None] = lambda _: None) -> "Evidence":
@@ -396,17 +443,29 @@ def create_run(folder: Path, campaign: Campaign | Path) -> Run:
         BusyError, StoreError: if the folder cannot be written.
     """
     if isinstance(campaign, Path):
-        campaign = read_campaign(campaign, code=campaign.absolute().parent, run=folder)
-    check_unused(folder, campaign)
+        campaign = campaign_for(folder, campaign)
+    else:
+        _check_unused(folder, campaign)
     return Run(folder, campaign, create_folder(folder, campaign), write=True)
 
 
-def check_unused(folder: Path, campaign: Campaign) -> None:
-    """Check that a folder holds no campaign yet.
+def campaign_for(folder: Path, file: Path, seed: int | None = None, budget: int | None = None) -> Campaign:
+    """The campaign of a file, for a run folder that does not exist yet.
+
+    Args:
+        folder: the run folder.
+        file: the campaign file; its folder holds the user's code.
+        seed, budget: replace those of the file.
 
     Raises:
-        InputError: with the command that continues the one it holds.
+        InputError: if the file is invalid, or the folder holds a campaign already.
     """
+    campaign = read_campaign(file, seed, budget, code=file.absolute().parent, run=folder)
+    _check_unused(folder, campaign)
+    return campaign
+
+
+def _check_unused(folder: Path, campaign: Campaign) -> None:
     if (folder / SETTINGS).exists():
         command = resume_command(folder, campaign)
         raise InputError(f"{folder}: holds a campaign already; `{command}` continues it.")

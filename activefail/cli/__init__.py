@@ -3,12 +3,13 @@
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
 from activefail.cli.campaigns import export, predict, resume, run, status, verify
 from activefail.cli.explore import explore
+from activefail.cli.probability import probability
 from activefail.cli.report import report
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 
 # In the order of `activefail --help`.
-for _command in (simulate, run, resume, status, predict, verify, export, compare, report, explore, paper):
+for _command in (simulate, run, resume, status, predict, verify, probability, export, compare, report, explore, paper):
     app.command(cls=Command)(ends_on_ctrl_c(_command))
 
 __all__ = ["app", "main", "program"]

@@ -3,7 +3,7 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +14,7 @@ from activefail.cli.common import (
     Scheduler,
     Workers,
     make_executor,
+    opened_run,
     show_unseen,
     show_warnings,
 )
@@ -21,7 +22,7 @@ from activefail.display import campaign_display, error_text, progress_bar
 from activefail.interrupts import INTERRUPTED, stop_on_signals
 from activefail.record.layout import check_output
 from activefail.shares import percent
-from activefail.visible import quoted, visible
+from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.execution.executor import AsynchronousExecutor
@@ -38,15 +39,13 @@ def run(
     scheduler: Scheduler = None,
 ) -> None:
     """Run a new campaign."""
-    from activefail.campaign.opening import read_campaign
-    from activefail.run import check_unused, create_run
+    from activefail.run import campaign_for, create_run
 
     check_output("--out", out)
-    assembled = read_campaign(campaign, seed, budget, code=campaign.absolute().parent, run=out)
-    check_unused(out, assembled)
+    assembled = campaign_for(out, campaign, seed, budget)
     # The executor first: if it fails to start, no folder is left behind.
     with make_executor(assembled, workers, executor, scheduler) as pool, create_run(out, assembled) as created:
-        _take(created, pool, _Terms(options=_executor_options(executor, scheduler)))
+        _take(created, pool, executor_options=_executor_options(executor, scheduler))
 
 
 def resume(
@@ -67,14 +66,10 @@ def resume(
     code: Code = None,
 ) -> None:
     """Continue a campaign after an interruption or beyond its budget."""
-    from activefail.run import open_run
-
-    with open_run(folder, write=True, code=code) as opened:
-        show_warnings(opened.store)
+    with opened_run(folder, write=True, code=code) as opened:
         opened.check_budget(budget)
         with make_executor(opened.campaign, workers, executor, scheduler) as pool:
-            options = _executor_options(executor, scheduler)
-            _take(opened, pool, _Terms(budget, numerical_failures, ignore_stop, options))
+            _take(opened, pool, budget, numerical_failures, ignore_stop, _executor_options(executor, scheduler))
 
 
 def _executor_options(executor: str, scheduler: str | None) -> str:
@@ -82,86 +77,45 @@ def _executor_options(executor: str, scheduler: str | None) -> str:
     return "" if scheduler is None else f" --executor {executor} --scheduler {shlex.quote(scheduler)}"
 
 
-class _Terms(NamedTuple):
-    """Options of a command line for `Run.take`."""
-
-    budget: int | None = None
-    failure_limit: float | None = None
-    ignore_stop: bool = False
-    options: str = ""
-
-
-class _Stops(NamedTuple):
-    """Messages for a stop: on request, after an orderly stop, and after an immediate one."""
-
-    stopping: str
-    in_order: str
-    at_once: str
-
-
-_IN_BATCHES = _Stops("stopping after this batch", "after a complete batch", "recorded batches are safe")
-_ASYNCHRONOUS = _Stops(
-    "stopping: waiting for the simulations in flight",
-    "with nothing in flight",
-    "recorded simulations are safe, those in flight will be simulated again",
-)
-
-
-def _take(run: "Run", executor: "AsynchronousExecutor", terms: _Terms) -> None:
+def _take(
+    run: "Run",
+    executor: "AsynchronousExecutor",
+    budget: int | None = None,
+    failure_limit: float | None = None,
+    ignore_stop: bool = False,
+    executor_options: str = "",
+) -> None:
     """Run a campaign to its end and print how it ended."""
-    show_warnings(run.store)
-    if warning := run.stop_rule_warning:
-        print(f"warning: {warning}", file=sys.stderr)
-    stops = _ASYNCHRONOUS if run.settings.sampling.asynchronous else _IN_BATCHES
-    command = run.resume_command(*terms)
+    show_warnings([*run.store.new_warnings(), run.stop_rule_warning])
+    stops = run.stop_messages
+    command = run.resume_command(budget, failure_limit, ignore_stop, executor_options)
     try:
-        with stop_on_signals(stops.stopping) as stop, campaign_display(run.campaign, stop) as observer:
-            taken = run.take(*terms[:3], executor, observer, terms.options)
+        with stop_on_signals(stops.requested) as stop, campaign_display(run.campaign, stop) as observer:
+            taken = run.take(budget, failure_limit, ignore_stop, executor, observer, executor_options)
     except KeyboardInterrupt:
-        print(f"stopped; {stops.at_once}. Continue with: {command}", file=sys.stderr)
+        print(f"stopped; {stops.immediate}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
-    show_warnings(run.store)
-    if taken.first_fault:
-        print(f"warning: simulations were abandoned; the first failed with: {taken.first_fault}", file=sys.stderr)
+    show_warnings([*run.store.new_warnings(), taken.warning])
     if not taken.finished:
-        print(f"stopped {stops.in_order}. Continue with: {command}", file=sys.stderr)
+        print(f"stopped {stops.orderly}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
-    rule = run.settings.error_rule
-    if rule is not None and taken.progress.done < taken.progress.budget:
-        print(
-            f"stop rule  met after {taken.progress.done} simulations: the error at the {visible(run.boundary)} "
-            f"boundary is at most {100 * rule.error:g} %, with {100 * rule.confidence:g} % confidence over all looks"
-        )
-    goal = run.settings.probability_rule
-    if goal is not None and taken.progress.done < taken.progress.budget:
-        print(
-            f"stop rule  met after {taken.progress.done} simulations: the classifier knows the probability of "
-            f"{visible(goal.probability)}, and a check far from all other designs did not contradict it"
-        )
+    if taken.stop_rule:
+        print(f"stop rule  {visible(taken.stop_rule)}")
     show_unseen(run.summary)
     print(f"results    {visible(str(run.folder))}")
 
 
 def status(folder: RunFolder) -> None:
     """Show the progress of a campaign; safe while it runs."""
-    from activefail.findings.summary import is_verified, read_summary
+    from activefail.findings.status import read_status
 
-    summary = read_summary(folder)
-    if summary is None:
-        from activefail.run import open_run
-
-        with open_run(folder, features=False) as opened:
-            show_warnings(opened.store)
-            summary = opened.summary
-    print(f"campaign   {visible(summary.settings.description or folder.name)}")
-    for title, text in summary.lines:
+    found = read_status(folder)
+    show_warnings(found.warnings)
+    for title, text in found.lines:
         print(f"{title:<10} {text}")
-    show_unseen(summary)
-    if summary.done < summary.settings.budget:
-        command = f"activefail resume {quoted(folder)}{' --code FOLDER' if summary.settings.custom_code else ''}"
-        print(f"continue   {command}")
-        if is_verified(folder, summary):
-            print(f"           {command} --ignore-stop, if it ended by its stop rule")
+    show_unseen(found.summary)
+    for title, text in found.continuation:
+        print(f"{title:<10} {text}")
 
 
 def predict(
@@ -171,13 +125,10 @@ def predict(
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs with a campaign's classifier."""
-    from activefail.run import open_run
-
     check_output("--out", out)
-    with open_run(folder, code=code) as opened:
-        show_warnings(opened.store)
+    with opened_run(folder, code=code) as opened:
         opened.learn()
-        show_warnings(opened.store)
+        show_warnings(opened.store.new_warnings())
         with progress_bar("predicting") as begin:
             outside = opened.predict_table(csv, out, begin)
         show_unseen(opened.summary)
@@ -195,12 +146,9 @@ def verify(
     code: Code = None,
 ) -> None:
     """Estimate how much of the design space a campaign's classifier gets wrong, with an interval."""
-    from activefail.run import open_run
-
-    with open_run(folder, write=True, code=code) as opened:
-        show_warnings(opened.store)
+    with opened_run(folder, write=True, code=code) as opened:
         error = opened.verify(simulations, confidence)
-        show_warnings(opened.store)
+        show_warnings(opened.store.new_warnings())
         summary = opened.summary
     print(f"campaign   {summary.done} simulations, iteration {summary.iteration}")
     print(f"error      {error_text(error)} of the design space on the wrong side of {opened.boundary}")
@@ -218,10 +166,7 @@ def export(
     code: Code = None,
 ) -> None:
     """Write every simulation of a campaign to a table."""
-    from activefail.run import open_run
-
     check_output("--csv", csv)
-    with open_run(folder, code=code) as opened:
-        show_warnings(opened.store)
+    with opened_run(folder, code=code) as opened:
         number = opened.export_table(csv)
     print(f"{number} simulations written to {visible(str(csv))}")

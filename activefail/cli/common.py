@@ -1,6 +1,8 @@
 """Options, executors and warnings shared by the commands."""
 
 import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
     from activefail.execution.executor import AsynchronousExecutor
     from activefail.findings.summary import Summary
-    from activefail.record.run_folder import FolderStore
+    from activefail.run import Run
 
 RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", metavar="DIR", show_default=False)]
 
@@ -37,6 +39,16 @@ Scheduler = Annotated[
     str | None,
     typer.Option(help="Address of the Dask cluster, like tcp://head:8786.", metavar="ADDRESS", show_default=False),
 ]
+
+
+@contextmanager
+def opened_run(folder: Path, *, write: bool = False, code: Path | None = None) -> Iterator["Run"]:
+    """Open a run folder and print the warnings of its record."""
+    from activefail.run import open_run
+
+    with open_run(folder, write=write, code=code) as run:
+        show_warnings(run.store.new_warnings())
+        yield run
 
 
 def make_executor(
@@ -71,11 +83,10 @@ def show_stage(text: str) -> None:
 
 def show_unseen(summary: "Summary") -> None:
     """Print a warning to the error stream if an outcome has no simulation."""
-    if warning := summary.unseen_warning:
-        print(f"warning: {visible(warning)}", file=sys.stderr)
+    show_warnings([summary.unseen_warning])
 
 
-def show_warnings(store: "FolderStore") -> None:
-    """Print a record's new warnings to the error stream."""
-    for warning in store.new_warnings():
+def show_warnings(warnings: Iterable[str]) -> None:
+    """Print warnings to the error stream; an empty one is none."""
+    for warning in filter(None, warnings):
         print(f"warning: {visible(warning)}", file=sys.stderr)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, show_stage, show_unseen, show_warnings
+from activefail.cli.common import Code, RunFolder, opened_run, show_stage, show_unseen, show_warnings
 
 
 def explore(
@@ -19,15 +19,13 @@ def explore(
     """Serve an interactive page of a campaign; by default only to this machine."""
     from activefail.explorer.answers import Answers
     from activefail.explorer.server import ExplorerServer
-    from activefail.run import open_run
     from activefail.surrogate.threads import one_thread
 
     with one_thread():
-        with open_run(folder, code=code) as opened:
-            show_warnings(opened.store)
+        with opened_run(folder, code=code) as opened:
             opened.learn(show_stage)
             findings = opened.findings
-            show_warnings(opened.store)
+            show_warnings(opened.store.new_warnings())
             show_unseen(opened.summary)
         server = ExplorerServer(host, port, Answers(findings))
         print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, Workers, show_unseen, show_warnings
+from activefail.cli.common import Code, RunFolder, opened_run, show_unseen
 from activefail.findings.quantities import words
 from activefail.visible import visible
 
@@ -19,19 +19,12 @@ def probability(
     outcome: Annotated[
         str | None, typer.Option(help="Outcome; that of the target boundary by default.", show_default=False)
     ] = None,
-    workers: Workers = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     code: Code = None,
 ) -> None:
     """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
-    from activefail.execution.local import local_executor
-    from activefail.run import open_run
-
-    with open_run(folder, write=True, code=code) as opened:
-        show_warnings(opened.store)
-        with local_executor(opened.campaign.simulator, workers, opened.campaign.time_limit) as pool:
-            findings = opened.probability(simulations, confidence, outcome, pool)
-        show_warnings(opened.store)
+    with opened_run(folder, write=True, code=code) as opened:
+        findings = opened.probability(simulations, confidence, outcome)
         summary = opened.summary
         boundaries = opened.campaign.simulator.outcomes
     show_unseen(summary)

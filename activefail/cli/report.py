@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, show_stage, show_warnings
+from activefail.cli.common import Code, RunFolder, opened_run, show_stage, show_warnings
 from activefail.files import check_file
 from activefail.record.layout import check_output
 from activefail.visible import visible
@@ -20,15 +20,13 @@ def report(
 ) -> None:
     """Write a campaign's results to one self-contained HTML file."""
     from activefail.record.layout import REPORT
-    from activefail.run import open_run
 
     check_output("--out", out)
     check_file(out, "a report", (".html", ".htm"))
     target = out or folder / REPORT
-    with open_run(folder, code=code) as opened:
-        show_warnings(opened.store)
+    with opened_run(folder, code=code) as opened:
         opened.learn(show_stage)
-        show_warnings(opened.store)
+        show_warnings(opened.store.new_warnings())
         evidence = opened.report(target, show_stage)
     for reason in evidence.missing.values():
         print(f"missing    {visible(reason)}")

@@ -1,20 +1,21 @@
 """Commands that compare samplings with each other, and our results with the paper's."""
 
-import math
-import os
 import sys
-import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import Code, show_stage, show_unseen, show_warnings
+from activefail.cli.common import Code, opened_run, show_stage, show_unseen
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.interrupts import INTERRUPTED, stop_on_signals
-from activefail.record.layout import check_output
+from activefail.record.layout import COMPARISON, CURVES, SCORES, check_output
 from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.comparison.seeds import ComparisonPlan
 
 
 def compare(
@@ -53,90 +54,71 @@ def compare(
     For a run folder: compares the campaign with static designs of the same sizes. For a campaign file: compares
     campaigns and static designs over seeds, criteria and features; after an interruption, the same command continues.
     """
+    of_files = {"seeds": seeds, "criteria": criteria, "features": features, "static": static, "jobs": jobs, "out": out}
     if source.is_dir():
-        names = ("seeds", "criteria", "features", "static", "jobs", "out")
-        for name, value in zip(names, (seeds, criteria, features, static, jobs, out), strict=True):
-            if value is not None:
-                raise InputError(f"--{name}: only for the comparison of a campaign file; {source} is a run folder.")
-        _compare_run(source, None if budgets is None else _parse_sizes("--budgets", budgets), test or 2000, code)
+        _check_unset(of_files, f"a campaign file; {source} is a run folder")
+        _compare_run(source, _parse_sizes("--budgets", budgets), test, code)
         return
     if source.suffix != ".toml":
         raise InputError(f"{source}: is not a run folder or a campaign file (.toml).")
-    for name, value in {"budgets": budgets, "code": code}.items():
-        if value is not None:
-            raise InputError(f"--{name}: only for the comparison of a run folder; {source} is a campaign file.")
+    _check_unset({"budgets": budgets, "code": code}, f"a run folder; {source} is a campaign file")
     if out is None:
         raise InputError("--out: required for the comparison of a campaign file.")
-    _compare_seeds(source, seeds or 5, criteria, features, static, test or 5000, jobs, out)
-
-
-def _compare_run(folder: Path, sizes: list[int] | None, test: int, code: Path | None) -> None:
-    from activefail.comparison.static import score_lines
-    from activefail.record.layout import COMPARISON
-    from activefail.run import open_run
-
-    results = folder / COMPARISON
-    with open_run(folder, write=True, code=code) as opened:
-        show_warnings(opened.store)
-        scores = opened.compare(sizes, test, show_stage)
-        show_unseen(opened.summary)
-    print("\n".join(score_lines(scores, opened.boundary)))
-    print(f"table      {visible(str(results / 'scores.csv'))}")
-    print(f"curves     {visible(str(results / 'learning_curves.png'))} and .svg")
-
-
-def _compare_seeds(
-    file: Path,
-    seeds: int,
-    criteria: str | None,
-    features: str | None,
-    static: str | None,
-    test: int,
-    jobs: int | None,
-    out: Path,
-) -> None:
-    from activefail.campaign.settings import read_settings
-    from activefail.comparison.seeds import CUSTOM, ComparisonPlan, compare_seeds
-    from activefail.report.comparison import comparison_lines, write_comparison
-
     check_output("--out", out)
-    settings = read_settings(file)
-    sizes = [] if static is None else _parse_sizes("--static", static)
-    if any(size < 2 for size in sizes):
-        raise InputError(f"--static: must be at least 2, got {sizes[0]}.")
-    sampling, default_features = settings.sampling, settings.classifier.features
-    plan = ComparisonPlan(
-        settings,
-        seeds,
-        _parse_names(criteria) or (settings.acquisition.criterion,),
-        _parse_names(features) or (default_features if isinstance(default_features, str) else CUSTOM,),
-        tuple(sizes or sorted({sampling.initial, sampling.budget})),
-        test,
-        file.absolute().parent,
-    )
+    from activefail.comparison.seeds import ComparisonPlan
 
-    try:
-        with writing_to(out), stop_on_signals() as stop:
-            scores = compare_seeds(
-                plan,
-                out,
-                jobs or os.cpu_count() or 1,
-                show_stage,
-                lambda done, total: show_stage(f"{done} of {total} arms scored"),
-                stop,
-            )
-            page = None if scores is None else write_comparison(plan, scores, out)
-    except KeyboardInterrupt:
-        scores = page = None
-    if scores is None or page is None:
-        print(f"stopped; scores are kept in {visible(str(out))}. The same command continues.", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED)
-    print("\n".join(comparison_lines(scores)))
-    print(f"page       {visible(str(page))}")
+    sizes = _parse_sizes("--static", static, least=2)
+    plan = ComparisonPlan.of(source, seeds, _parse_names(criteria), _parse_names(features), sizes, test)
+    _compare_seeds(plan, out, jobs)
+
+
+def _check_unset(options: Mapping[str, object], only: str) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"--{name}: only for the comparison of {only}.")
 
 
 def _parse_names(text: str | None) -> tuple[str, ...]:
     return () if text is None else tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+
+
+def _parse_sizes(option: str, text: str | None, least: int | None = None) -> list[int]:
+    try:
+        sizes = [] if text is None else sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        raise InputError(f"{option}: must be whole numbers separated by commas, got {text!r}.") from None
+    if least is not None and sizes and sizes[0] < least:
+        raise InputError(f"{option}: must be at least {least}, got {sizes[0]}.")
+    return sizes
+
+
+def _compare_run(folder: Path, budgets: list[int], test: int | None, code: Path | None) -> None:
+    from activefail.comparison.static import score_lines
+    from activefail.run import TEST_DESIGNS
+
+    with opened_run(folder, write=True, code=code) as opened:
+        scores = opened.compare(budgets, test or TEST_DESIGNS, show_stage)
+        show_unseen(opened.summary)
+    print("\n".join(score_lines(scores, opened.boundary)))
+    results = visible(str(folder / COMPARISON))
+    print(f"table      {results}/{SCORES}")
+    print(f"curves     {results}/{CURVES}.png and .svg")
+
+
+def _compare_seeds(plan: "ComparisonPlan", out: Path, jobs: int | None) -> None:
+    from activefail.report.comparison import comparison_lines, run_comparison
+
+    try:
+        with stop_on_signals() as stop:
+            compared = run_comparison(plan, out, jobs, show_stage, stop)
+    except KeyboardInterrupt:
+        compared = None
+    if compared is None:
+        print(f"stopped; scores are kept in {visible(str(out))}. The same command continues.", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED)
+    scores, page = compared
+    print("\n".join(comparison_lines(scores)))
+    print(f"page       {visible(str(page))}")
 
 
 def paper(
@@ -153,24 +135,11 @@ def paper(
     check_output("--out", out)
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
-    start = time.monotonic()
     try:
         study = run_study(draws, fresh, seed, show_stage)
     except KeyboardInterrupt:
         print("stopped; nothing was saved. The same command starts over.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
-    command = {"draws": draws, "fresh": fresh, "seed": seed, "cores": os.cpu_count() or 1}
-    command["minutes"] = math.ceil((time.monotonic() - start) / 60.0)
-    with writing_to(out):
-        page = write_reproduction(study, out, command, show_stage)
-    for line in claims(study):
-        print(f"{line.item}: {line.verdict.replace('*', '')}")
-        print(f"    paper {line.paper or '–'}   ours {line.ours}   one sample {line.one_sample or '–'}")
+    page = write_reproduction(study, out, show_stage)
+    print("\n".join(line for claim in claims(study) for line in claim.lines))
     print(f"page       {visible(str(page))}")
-
-
-def _parse_sizes(option: str, text: str) -> list[int]:
-    try:
-        return sorted({int(part) for part in text.split(",")})
-    except ValueError:
-        raise InputError(f"{option}: must be whole numbers separated by commas, got {text!r}.") from None

@@ -44,6 +44,16 @@ def expected_calibration_error(p: Array, y: NDArray[np.bool_], bins: int = 10) -
     return float(np.abs(np.bincount(bin_index, weights=p - y, minlength=bins)).sum() / len(p))
 
 
+def probability_of_truth(probability: Array, beyond: NDArray[np.bool_]) -> Array:
+    """Probability of the true side, (n,), from the probabilities of lying beyond a boundary."""
+    return np.where(beyond, probability, 1.0 - probability)
+
+
+def log_score(probability: Array) -> float:
+    """Mean logarithm [nat] of the probabilities, (n,), of what is true; below 1e-12 they count as 1e-12."""
+    return float(np.mean(np.log(np.clip(probability, 1e-12, None))))
+
+
 def measures(classifier: Classifier, severity: int, test: FreshSet) -> dict[str, float]:
     """All measures of a classifier, by name.
 
@@ -64,7 +74,6 @@ def measures(classifier: Classifier, severity: int, test: FreshSet) -> dict[str,
     opposite = answered & ((test.around >= severity) != beyond[:, None])
     near = opposite.any(axis=1)
     small = beyond & (2 * opposite.sum(axis=1) >= np.maximum(answered.sum(axis=1), 1))
-    p_side = np.where(beyond, latent.probability, 1.0 - latent.probability)
     probabilities = classifier.probabilities(test.X)
     p_outcome = probabilities[np.arange(len(test.X)), test.outcome]
 
@@ -75,12 +84,12 @@ def measures(classifier: Classifier, severity: int, test: FreshSet) -> dict[str,
         "accuracy": float(right.mean()),
         "accuracy_near": share(right, near),
         "recall_small": share(predicted, small),
-        "log_score": float(np.mean(np.log(np.clip(p_side, 1e-12, None)))),
+        "log_score": log_score(probability_of_truth(latent.probability, beyond)),
         "calibration_error": expected_calibration_error(latent.probability, beyond),
         **{
             f"accuracy_{name}": float(np.mean((other.moments(F).mean > 0.0) == (test.outcome >= least)))
             for least, (name, other) in enumerate(zip(classifier.outcomes[1:], classifier.latents, strict=True), 1)
         },
         "outcome_accuracy": float(np.mean(np.argmax(probabilities, axis=1) == test.outcome)),
-        "outcome_log_score": float(np.mean(np.log(np.clip(p_outcome, 1e-12, None)))),
+        "outcome_log_score": log_score(p_outcome),
     }

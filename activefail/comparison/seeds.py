@@ -5,12 +5,12 @@ that an interrupted comparison continues where it stopped.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder, open_campaign
 from activefail.campaign.random_streams import stream
-from activefail.campaign.settings import CampaignSettings, parse_settings
+from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
 from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError
 from activefail.estimate import Estimate
@@ -28,7 +28,7 @@ from activefail.files import replacing
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.progress import Observer
-from activefail.record.layout import refuse_links
+from activefail.record.layout import SETTINGS, refuse_links
 from activefail.record.run_folder import check_empty
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
@@ -44,8 +44,12 @@ from activefail.verification.stored_sets import (
 STATIC = "static"
 """The sampling of an arm that is a Latin hypercube."""
 
-CUSTOM = "own"
+CUSTOM = "custom"
 """Name of the campaign file's custom features in arms and tables."""
+
+
+_DEFINITION, _SCORES, _RUNS, _DESIGNS = "comparison.toml", "scores", "runs", "designs"
+"""Files and folders of a comparison: its settings, the scores of the arms, their campaigns, and all other designs."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,39 @@ class ComparisonPlan:
     static: tuple[int, ...]
     test: int
     code: Path | None = None
+
+    @classmethod
+    def of(
+        cls,
+        file: Path,
+        seeds: int | None = None,
+        criteria: Sequence[str] = (),
+        features: Sequence[str] = (),
+        static: Sequence[int] = (),
+        test: int | None = None,
+    ) -> Self:
+        """The comparison of a campaign file: by default 5 seeds and 5000 test designs.
+
+        Args:
+            file: the campaign file; its folder holds the user's code.
+            seeds, test: as for the class.
+            criteria, features: by default the file's.
+            static: by default the file's initial and its budget.
+
+        Raises:
+            InputError: if the file is unreadable or invalid.
+        """
+        settings = read_settings(file)
+        sampling, file_features = settings.sampling, settings.classifier.features
+        return cls(
+            settings,
+            seeds or 5,
+            tuple(criteria) or (settings.acquisition.criterion,),
+            tuple(features) or (file_features if isinstance(file_features, str) else CUSTOM,),
+            tuple(static) or tuple(sorted({sampling.initial, sampling.budget})),
+            test or 5000,
+            file.absolute().parent,
+        )
 
     def arms(self) -> list[Arm]:
         """All arms, ordered by seed."""
@@ -148,8 +185,8 @@ class _Job:
 
 def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, NDArray[np.int8]]]:
     """Run an arm's campaign to its budget; yields size, designs and outcomes at each checkpoint. Nothing if stopped."""
-    folder = job.folder / "runs" / job.arm.name
-    if not (folder / "campaign.toml").exists():
+    folder = job.folder / _RUNS / job.arm.name
+    if not (folder / SETTINGS).exists():
         create_folder(folder, campaign).close()
     with (
         open_campaign(folder, write=True, code=job.code) as (recorded, store),
@@ -219,8 +256,8 @@ def prepare(folder: Path, plan: ComparisonPlan) -> None:
         StoreError: if a file or folder of it is a symbolic link.
     """
     frozen = plan.settings.text() + f"\n# fresh designs to judge by: {plan.test}\n"
-    path = folder / "comparison.toml"
-    refuse_links(folder, ("comparison.toml", "scores", "runs", "designs"))
+    path = folder / _DEFINITION
+    refuse_links(folder, (_DEFINITION, _SCORES, _RUNS, _DESIGNS))
     if path.exists():
         if path.read_text(encoding="utf-8") != frozen:
             raise InputError(f"{folder}: holds a comparison of another campaign or test set; choose another folder.")
@@ -228,7 +265,7 @@ def prepare(folder: Path, plan: ComparisonPlan) -> None:
         check_empty(folder, "comparison", "Choose another one.")
         folder.mkdir(parents=True, exist_ok=True)
         _write(path, frozen)
-    for part in ("scores", "runs"):
+    for part in (_SCORES, _RUNS):
         (folder / part).mkdir(exist_ok=True)
 
 
@@ -236,8 +273,8 @@ def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None])
     """The test set and the static designs with their outcomes, stored in the folder `designs`."""
     campaign = Campaign.of(plan.settings.changed({"validation.size": 0}), plan.code, folder)
     space, first = campaign.space, plan.settings.seed
-    designs = folder / "designs"
-    if not (designs / "campaign.toml").exists():
+    designs = folder / _DESIGNS
+    if not (designs / SETTINGS).exists():
         create_folder(designs, campaign).close()
     with (
         open_campaign(designs, write=True, code=plan.code) as (_, store),
@@ -287,7 +324,7 @@ def compare_seeds(
     for arm in {(arm.features, arm.sampling): arm for arm in arms}.values():
         Campaign.of(settings[arm], plan.code)  # reject inconsistent settings before writing anything
     prepare(folder, plan)
-    scores = {arm: _saved(folder / "scores" / f"{arm.name}.json") for arm in arms}
+    scores = {arm: _saved(folder / _SCORES / f"{arm.name}.json") for arm in arms}
     unscored = [arm for arm in arms if scores[arm] is None]
     if unscored:
         test, static = _simulated(plan, folder, stage)
@@ -304,7 +341,7 @@ def compare_seeds(
                 for future in finished:
                     arm, arm_scores = futures[future], future.result()
                     if arm_scores is not None:
-                        _write(folder / "scores" / f"{arm.name}.json", _text(arm_scores))
+                        _write(folder / _SCORES / f"{arm.name}.json", _text(arm_scores))
                         scores[arm] = arm_scores
                         done(sum(saved is not None for saved in scores.values()), len(arms))
                 stop_requested = stop()

@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
+from activefail.comparison.score import log_score, probability_of_truth
 from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
@@ -21,8 +22,6 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train
 from activefail.surrogate.threads import one_thread
 from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_set
-
-TEST_SIZE = 2000
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,6 @@ def score(
     beyond = outcome >= severity
     right = (latent.mean > 0.0) == beyond
     interval = binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson")
-    p = np.clip(np.where(beyond, latent.probability, 1.0 - latent.probability), 1e-12, None)
     return Score(
         sampling,
         simulations,
@@ -115,7 +113,7 @@ def score(
         float(interval.low),
         float(interval.high),
         float(np.mean(np.argmax(probabilities, axis=1) == outcome)),
-        float(np.mean(np.log(p))),
+        log_score(probability_of_truth(latent.probability, beyond)),
         len(X),
         recalls(classifier.outcomes, np.argmax(probabilities, axis=1), outcome),
     )
@@ -147,8 +145,8 @@ def compare(
     campaign: Campaign,
     store: Store,
     executor: Executor,
-    budgets: list[int] | None = None,
-    test_size: int = TEST_SIZE,
+    budgets: list[int] | None,
+    test_size: int,
     stage: Callable[[str], None] = lambda _: None,
 ) -> list[Score]:
     """Score the campaign's first n simulations and a static design of size n, for each budget n.

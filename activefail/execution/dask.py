@@ -41,7 +41,7 @@ class DaskExecutor:
     Args:
         scheduler: its address, such as "tcp://head:8786".
         time_limit: most seconds per simulation; None means no limit.
-        tell: called with a line for the user when simulations wait because there are no workers.
+        report: called with a line for the user when simulations wait because there are no workers.
         versions: a module-level function that returns the versions on which results depend, by name; a worker with
             other versions is rejected. None disables the check.
 
@@ -53,7 +53,7 @@ class DaskExecutor:
         self,
         scheduler: str,
         time_limit: float | None = None,
-        tell: Callable[[str], None] = lambda _: None,
+        report: Callable[[str], None] = lambda _: None,
         versions: Versions | None = None,
     ) -> None:
         try:
@@ -77,7 +77,7 @@ class DaskExecutor:
             raise InputError(f"--scheduler: no Dask scheduler answers at {scheduler!r}: {error}.") from None
         self._scheduler = scheduler
         self._time_limit = time_limit
-        self._tell = tell
+        self._report = report
         self._expected = None if versions is None else (versions, tuple(sorted(versions().items())))
         self._waits_for_workers = False
         self._arrivals: _Arrivals = SimpleQueue()
@@ -151,7 +151,7 @@ class DaskExecutor:
             workers = self._client.sync(self._client.scheduler.ncores, callback_timeout=_LOOK)
             self._waits_for_workers = len(self._in_flight) > 0 and not workers
         if self._waits_for_workers and not waited:
-            self._tell(f"waiting for workers at {self._scheduler}")
+            self._report(f"waiting for workers at {self._scheduler}")
 
     def _lost(self) -> SimulationError:
         return SimulationError(

@@ -3,18 +3,14 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import Self
 
 from activefail.errors import SimulationError
 from activefail.execution.answering import answer, with_shown_faults
 from activefail.execution.processes import Guards
-from activefail.simulators.interface import (
-    Results,
-    Simulator,
-    unanswered,
-)
+from activefail.simulators.interface import Results, Simulator, unanswered
 from activefail.space import Array
 
 _WAIT = 0.5
@@ -24,11 +20,22 @@ _ROWS_A_CALL = 16
 """Most rows per call: short calls show progress and shorten the wait after an interrupt."""
 
 
-class _LocalExecutor:
-    """Threads of this process that each handle one or a few simulations at a time."""
+class ThreadExecutor:
+    """Threads, for compiled simulators that release the interpreter's lock.
 
-    def __init__(self, workers: int) -> None:
-        self._workers = workers
+    Args:
+        workers: number of threads.
+        answer: simulates designs, (n, d), in a thread.
+        rows_a_call: most designs that a thread gets at a time.
+    """
+
+    def __init__(
+        self,
+        workers: int,
+        answer: Callable[[Simulator, Array], Results] = answer,
+        rows_a_call: int = _ROWS_A_CALL,
+    ) -> None:
+        self._workers, self._answer, self._rows_a_call = workers, answer, rows_a_call
         self._pool = ThreadPoolExecutor(workers)
         self._done: SimpleQueue[tuple[int, Future[Results]]] = SimpleQueue()
 
@@ -37,7 +44,7 @@ class _LocalExecutor:
         n = len(X)
         if n == 0:
             return unanswered(simulator, 0)
-        rows = self._rows(n)
+        rows = max(1, min(self._rows_a_call, n // (4 * self._workers)))
         try:
             parts = [self._submit(simulator, X[first : first + rows]) for first in range(0, n, rows)]
             for part in _as_completed(parts):
@@ -76,13 +83,6 @@ class _LocalExecutor:
     def _simulate(self, simulator: Simulator, X: Array) -> Results:
         return with_shown_faults(self._answer(simulator, X))
 
-    def _answer(self, simulator: Simulator, X: Array) -> Results:
-        raise NotImplementedError
-
-    def _rows(self, n: int) -> int:
-        """How many of n designs a thread gets at a time."""
-        raise NotImplementedError
-
     def _stop(self) -> None:
         """Cancel pending simulations, without waiting."""
         self._pool.shutdown(wait=False, cancel_futures=True)
@@ -91,7 +91,9 @@ class _LocalExecutor:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
+        # A second Ctrl-C may leave one of the pool's locks held, so that a thread never ends. After an exception the
+        # threads are therefore not awaited; those that simulate end by themselves.
+        self._pool.shutdown(wait=exception[0] is None, cancel_futures=True)
 
 
 def _as_completed(futures: Sequence[Future[Results]]) -> Iterator[Future[Results]]:
@@ -112,25 +114,10 @@ def _first(completed: "SimpleQueue[Future[Results]]") -> "Future[Results]":
             return completed.get(timeout=_WAIT)
 
 
-class ThreadExecutor(_LocalExecutor):
-    """Threads, for compiled simulators that release the interpreter's lock."""
-
-    def _answer(self, simulator: Simulator, X: Array) -> Results:
-        return answer(simulator, X)
-
-    def __exit__(self, *exception: object) -> None:
-        # A second Ctrl-C may leave one of the pool's locks held, so that a thread never ends. After an exception the
-        # threads are therefore not awaited; those that simulate end by themselves.
-        self._pool.shutdown(wait=exception[0] is None, cancel_futures=True)
-
-    def _rows(self, n: int) -> int:
-        return max(1, min(_ROWS_A_CALL, n // (4 * self._workers)))
-
-
-class ProcessExecutor(_LocalExecutor):
+class ProcessExecutor:
     """Spawned processes, for simulators that hold the interpreter's lock; the simulator is pickled to them.
 
-    Each gets one design at a time, so that its death fails one simulation only.
+    Each gets one design at a time, so that its death fails one simulation only. A thread waits for each process.
 
     Args:
         workers: number of processes.
@@ -138,22 +125,41 @@ class ProcessExecutor(_LocalExecutor):
     """
 
     def __init__(self, workers: int, time_limit: float | None = None) -> None:
-        super().__init__(workers)
         self._guards = Guards(answer, time_limit)
+        self._threads = ThreadExecutor(workers, self._answer, rows_a_call=1)
 
     def _answer(self, simulator: Simulator, X: Array) -> Results:
         return self._guards.of_this_thread().answer(simulator, X)
 
-    def _rows(self, n: int) -> int:
-        return 1
+    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
+        """Simulate designs, (n, d) (see Executor)."""
+        with self._stopping_after_errors():
+            return self._threads.run(simulator, X, progress)
 
-    def _stop(self) -> None:
-        super()._stop()
-        self._guards.stop()
+    def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
+        """Queue a design, (d,), for simulation (see AsynchronousExecutor)."""
+        self._threads.start(simulator, ticket, x)
+
+    def answered(self, seconds: float) -> list[tuple[int, Results]]:
+        """Tickets and results that arrived (see AsynchronousExecutor)."""
+        with self._stopping_after_errors():
+            return self._threads.answered(seconds)
+
+    @contextmanager
+    def _stopping_after_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self._guards.stop()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *exception: object) -> None:
         self._guards.stop()
-        super().__exit__(*exception)
+        # Nothing keeps the threads waiting any more, whatever ended the context.
+        self._threads.__exit__(None, None, None)
         self._guards.close()
 
 

@@ -6,6 +6,7 @@ Importing this module imports matplotlib, but not pyplot, so that any thread can
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from activefail.bearing.dynamics import lever, seen_by_plate
 from activefail.bearing.motion import Motion, describe_design, describe_outcome, instants, minus, seconds
 from activefail.errors import InputError
 from activefail.figures import style
+from activefail.files import writing_to
 from activefail.space import Array
 
 ARC_POINTS = 41
@@ -36,6 +38,17 @@ RIM_WIDTH = 0.12
 
 
 # ---------------------------------------------------------------------------------------------------- over time
+
+
+def save_response(response: Response, path: Path) -> None:
+    """Write the figure of `plot_response` in the format of the path's suffix.
+
+    Raises:
+        InputError: if the response holds no motion, or the file cannot be written.
+    """
+    figure = plot_response(response)
+    with writing_to(path):
+        style.save_figure(figure, path)
 
 
 def plot_response(response: Response) -> Figure:

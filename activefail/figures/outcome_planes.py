@@ -2,11 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -14,6 +11,7 @@ from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY, TABLE_1
 from activefail.features import PAPER_FEATURES, paper_features
+from activefail.figures.contours import NOWHERE, axis_limits, colour_bar, filled_contours
 from activefail.figures.marks import outcome_handles, scatter_outcomes
 from activefail.figures.paper_planes import PLANES, SLICE, Plane
 from activefail.figures.style import GREY, styled
@@ -24,13 +22,6 @@ from activefail.space import Array
 
 GRID = 44
 """Points along each side of a plane."""
-
-PROBABILITY_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
-_PROBABILITY, _UNCERTAINTY = ("cividis", 0.6), ("Purples", 0.9)
-"""Colour map and opacity; pale enough for marks on probabilities, strong enough to show a small uncertainty."""
-
-_NOWHERE: dict[str, Any] = {"hatch": "////", "edgecolor": (GREY, 0.45)}
-"""Hatching where there is no design; plain white means no uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -165,31 +156,6 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     return Coordinates(variables(campaign), findings.X, middle, at, planes, lambda plane, _: float(width[plane.third]))
 
 
-def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool = False) -> ScalarMappable:
-    """Shades and lines of a probability, or shades of an uncertainty, both between 0 and 1; blank where NaN."""
-    colours, opacity = _UNCERTAINTY if uncertainty else _PROBABILITY
-    Z = np.ma.masked_invalid(Z)
-    # Rasterised: as outlines the shades would be most of a page.
-    shades = axes.contourf(x, y, Z, levels=np.linspace(0.0, 1.0, 11), cmap=colours, alpha=opacity)
-    shades.set_rasterized(True)
-    if Z.mask.any():
-        # Start at the last points that are designs, so that hatching and shades touch.
-        nowhere = axes.contourf(x, y, np.ma.getmaskarray(Z).astype(float), levels=[1e-6, 2.0], colors="none")
-        nowhere.set(**_NOWHERE, linewidth=0.0)
-    if not uncertainty and Z.count() and Z.min() < max(PROBABILITY_LEVELS) and Z.max() > min(PROBABILITY_LEVELS):
-        axes.contour(x, y, Z, levels=PROBABILITY_LEVELS, colors=GREY, linewidths=[0.6, 0.6, 1.7, 0.6, 0.6])
-    return ScalarMappable(shades.norm, shades.cmap)
-
-
-def bar_of_contours(
-    figure: Figure, axes: Axes | Sequence[Axes], shades: ScalarMappable, title: str, uncertainty: bool = False
-) -> None:
-    """Add a colour bar to filled contours."""
-    opacity = (_UNCERTAINTY if uncertainty else _PROBABILITY)[1]
-    bar = figure.colorbar(shades, ax=axes, ticks=np.linspace(0.0, 1.0, 6), pad=0.01, alpha=opacity)
-    bar.set_label("width of the 95 % interval [–]" if uncertainty else f"{title} [–]")
-
-
 def plot_variable_plane(
     quantities: tuple[Quantity, Quantity],
     along: tuple[Array, Array],
@@ -212,15 +178,9 @@ def plot_variable_plane(
         axes = figure.add_subplot()
         shades = filled_contours(axes, *np.meshgrid(x, y), values, uncertainty)
         axes.set(xlabel=quantities[0].axis, ylabel=quantities[1].axis, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-        bar_of_contours(figure, axes, shades, title, uncertainty)
+        colour_bar(figure, axes, shades, title, uncertainty)
         axes.set_title(title if uncertainty else f"{title}; thick line: one half")
     return figure
-
-
-def _limits(column: Array, whole: bool) -> tuple[float, float]:
-    """A column's range, or that of nine tenths of it: over the ratios' long tails the boundary would be tiny."""
-    low, high = np.quantile(column, [0.0, 1.0 if whole else 0.9])
-    return float(low), float(high) if high > low else float(low) + 1.0
 
 
 def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Figure:
@@ -229,7 +189,7 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
     outcomes = campaign.simulator.outcomes
     F, outcome = c.F[findings.answered], findings.outcome[findings.answered]
     whole = c.planes is not PLANES
-    x_limits, y_limits = _limits(F[:, plane.x], whole), _limits(F[:, plane.y], whole)
+    x_limits, y_limits = (axis_limits(F[:, column], 1.0 if whole else 0.9) for column in (plane.x, plane.y))
     inside = (F[:, plane.x] <= x_limits[1]) & (F[:, plane.y] <= y_limits[1])
     x, y = np.meshgrid(np.linspace(*x_limits, GRID), np.linspace(*y_limits, GRID))
     values = plane.values if plane.third >= 0 else plane.values[:1]
@@ -264,10 +224,10 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
                     width = c.widths(plane, third)
                     panel.set_title(f"{c.quantities[plane.third].symbol} = {third:.3g} ± {width:.2g}")
                 if column == len(values) - 1:
-                    bar_of_contours(figure, grid[row], shades, titles[row], uncertainty=last)
+                    colour_bar(figure, grid[row], shades, titles[row], uncertainty=last)
         handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
         handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
         if blank:
-            handles.append(Patch(facecolor="white", **_NOWHERE, linewidth=0.6, label="no design in the space"))
+            handles.append(Patch(facecolor="white", **NOWHERE, linewidth=0.6, label="no design in the space"))
         figure.legend(handles=handles, loc="outside upper center", ncols=len(handles) if len(values) > 1 else 2)
     return figure

@@ -10,16 +10,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.special import ndtr
-from statsmodels.stats.proportion import proportion_confint
 
-from activefail.figures.style import BLUE, GREEN, GREY, PURPLE, VERMILION, styled
+from activefail.figures.contours import PROBABILITY_LEVELS, axis_limits
+from activefail.figures.style import BLUE, GREY, VERMILION, styled
 from activefail.paper.study import PaperProcess
 from activefail.space import Array
 
 LABELS = ("$D_{ratio}$", "$T_b/T_p$", "$\\mu/A_p$", "$h_{sl}/D_{sl}$", "$h_{rim}/D_{sl}$", "$k_{norm}$")
 _HELD_AT_MEDIAN = (3, 4, 5)
 _GRID = 120
-_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
+_WIDTHS = [0.7, 0.7, 1.6, 0.7, 0.7]
 
 SLICE = 0.02 / 0.11
 """Half-width of a slice over its value, from the only one that the paper states: μ/A_p = 0.11 ± 0.02."""
@@ -52,12 +52,6 @@ PLANES = (
 """The paper's figures; it states μ/A_p = 0.11, the other values are round numbers where Table 1 has many designs."""
 
 
-def _limits(column: Array) -> tuple[float, float]:
-    """The range of nine tenths of the training points; over the ratios' long tails the boundary would be tiny."""
-    low, high = np.quantile(column, [0.0, 0.9])
-    return float(low), float(high)
-
-
 def _points(axes: Axes, x: Array, y: Array, failed: NDArray[np.bool_]) -> None:
     for value, colour, marker in ((False, BLUE, "o"), (True, VERMILION, "^")):
         rows = failed == value
@@ -69,55 +63,82 @@ def _beyond(outside: int) -> str:
     return f"  ({outside} beyond)" if outside else ""
 
 
-def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
-    """Three panels of contours of P(failure), and below them predictions along the dotted lines."""
-    F, failed = process.F, process.failed
-    medians = np.median(F, axis=0)
-    x_low, x_high = _limits(F[:, plane.x])
-    y_low, y_high = _limits(F[:, plane.y])
-    inside = (F[:, plane.x] <= x_high) & (F[:, plane.y] <= y_high)
+@dataclass(frozen=True)
+class _Slices:
+    """The training points and predictions of a process near and in a plane.
 
-    def at(x: Array, y: Array, third: float) -> tuple[Array, Array]:
-        rows = np.tile(medians, (x.size, 1))
-        rows[:, plane.x], rows[:, plane.y], rows[:, plane.third] = x.ravel(), y.ravel(), third
-        mean, sd = process.moments(rows)
+    Attributes:
+        plane: the plane.
+        process: the Gaussian process.
+        x_limits, y_limits: of the axes.
+    """
+
+    plane: Plane
+    process: PaperProcess
+    x_limits: tuple[float, float]
+    y_limits: tuple[float, float]
+
+    def moments(self, x: Array, y: Array, third: float) -> tuple[Array, Array]:
+        """Latent mean and standard deviation at points of the plane, in the shape of x and y."""
+        rows = np.tile(np.median(self.process.F, axis=0), (x.size, 1))
+        rows[:, self.plane.x], rows[:, self.plane.y], rows[:, self.plane.third] = x.ravel(), y.ravel(), third
+        mean, sd = self.process.moments(rows)
         return mean.reshape(x.shape), sd.reshape(x.shape)
 
-    def near(column: int, value: float) -> NDArray[np.bool_]:
-        return np.asarray(np.abs(F[:, column] - value) <= SLICE * value)
+    def near(self, column: int, value: float) -> NDArray[np.bool_]:
+        """Which training points are in the slice around a value."""
+        return np.asarray(np.abs(self.process.F[:, column] - value) <= SLICE * value)
 
+    def draw_contours(self, panel: Axes, third: float) -> ScalarMappable:
+        """Contours of P(failure) at a value of the third feature, with the training points near it."""
+        plane, F, failed = self.plane, self.process.F, self.process.failed
+        x, y = np.meshgrid(np.linspace(*self.x_limits, _GRID), np.linspace(*self.y_limits, _GRID))
+        mean, sd = self.moments(x, y, third)
+        probability = ndtr(mean / np.sqrt(1.0 + sd**2))
+        shades = panel.contourf(x, y, probability, levels=np.linspace(0.0, 1.0, 11), cmap="cividis", alpha=0.5)
+        panel.contour(x, y, probability, levels=PROBABILITY_LEVELS, colors=GREY, linewidths=_WIDTHS)
+        inside = (F[:, plane.x] <= self.x_limits[1]) & (F[:, plane.y] <= self.y_limits[1])
+        shown = self.near(plane.third, third)
+        _points(panel, F[shown & inside, plane.x], F[shown & inside, plane.y], failed[shown & inside])
+        beyond = _beyond(int(np.sum(shown & ~inside)))
+        panel.set_title(f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}{beyond}")
+        panel.set(xlabel=LABELS[plane.x], ylabel=LABELS[plane.y], xlim=self.x_limits, ylim=self.y_limits)
+        return shades
+
+    def draw_line(self, panel: Axes, line: float) -> None:
+        """The prediction along y at a value of x and the middle value of the third feature."""
+        plane, F, failed = self.plane, self.process.F, self.process.failed
+        along, middle = np.linspace(*self.y_limits, 200), plane.values[1]
+        mean, sd = self.moments(np.full_like(along, line), along, middle)
+        low, high = (2.0 * ndtr(mean + sign * 1.96 * sd) - 1.0 for sign in (-1.0, 1.0))
+        panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0)
+        panel.plot(along, 2.0 * ndtr(mean / np.sqrt(1.0 + sd**2)) - 1.0, color="black")
+        shown = self.near(plane.third, middle) & self.near(plane.x, line)
+        kept = shown & (F[:, plane.y] <= self.y_limits[1])
+        _points(panel, F[kept, plane.y], np.where(failed[kept], 1.0, -1.0), failed[kept])
+        panel.set_title(f"{LABELS[plane.x]} = {line:g} ± {SLICE * line:.2f}{_beyond(int(np.sum(shown & ~kept)))}")
+        panel.set(xlabel=LABELS[plane.y], ylabel="−1 no failure … 1 failure", xlim=self.y_limits)
+        panel.set_ylim(-1.15, 1.15)
+
+
+def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
+    """Three panels of contours of P(failure), and below them predictions along the dotted lines."""
+    F = process.F
+    slices = _Slices(plane, process, axis_limits(F[:, plane.x]), axis_limits(F[:, plane.y]))
     with styled():
         figure = Figure(figsize=(10.0, 7.2), layout="constrained")
         axes = figure.subplots(2, 3)
-        x, y = np.meshgrid(np.linspace(x_low, x_high, _GRID), np.linspace(y_low, y_high, _GRID))
         for panel, third in zip(axes[0], plane.values, strict=True):
-            mean, sd = at(x, y, third)
-            probability = ndtr(mean / np.sqrt(1.0 + sd**2))
-            shades = panel.contourf(x, y, probability, levels=np.linspace(0.0, 1.0, 11), cmap="cividis", alpha=0.5)
-            panel.contour(x, y, probability, levels=_LEVELS, colors=GREY, linewidths=[0.7, 0.7, 1.6, 0.7, 0.7])
-            shown = near(plane.third, third)
-            _points(panel, F[shown & inside, plane.x], F[shown & inside, plane.y], failed[shown & inside])
-            beyond = _beyond(int(np.sum(shown & ~inside)))
-            panel.set_title(f"{LABELS[plane.third]} = {third:g} ± {SLICE * third:.2f}{beyond}")
-            panel.set(xlabel=LABELS[plane.x], ylabel=LABELS[plane.y], xlim=(x_low, x_high), ylim=(y_low, y_high))
+            shades = slices.draw_contours(panel, third)
         for line in plane.lines:
             axes[0][1].axvline(line, color="black", linestyle=":", linewidth=1.4)
-        bar = figure.colorbar(ScalarMappable(shades.norm, shades.cmap), ax=axes[0], ticks=_LEVELS, pad=0.01, alpha=0.5)
+        bar = figure.colorbar(
+            ScalarMappable(shades.norm, shades.cmap), ax=axes[0], ticks=PROBABILITY_LEVELS, pad=0.01, alpha=0.5
+        )
         bar.set_label("P(failure)")
-        bar.ax.hlines(_LEVELS, 0.0, 1.0, colors=GREY, linewidths=[0.7, 0.7, 1.6, 0.7, 0.7])
-        along = np.linspace(y_low, y_high, 200)
-        middle = plane.values[1]
+        bar.ax.hlines(PROBABILITY_LEVELS, 0.0, 1.0, colors=GREY, linewidths=_WIDTHS)
         for panel, line in zip(axes[1], plane.lines, strict=True):
-            mean, sd = at(np.full_like(along, line), along, middle)
-            low, high = (2.0 * ndtr(mean + sign * 1.96 * sd) - 1.0 for sign in (-1.0, 1.0))
-            panel.fill_between(along, low, high, color=GREY, alpha=0.25, linewidth=0.0)
-            panel.plot(along, 2.0 * ndtr(mean / np.sqrt(1.0 + sd**2)) - 1.0, color="black")
-            shown = near(plane.third, middle) & near(plane.x, line)
-            kept = shown & (F[:, plane.y] <= y_high)
-            _points(panel, F[kept, plane.y], np.where(failed[kept], 1.0, -1.0), failed[kept])
-            panel.set_title(f"{LABELS[plane.x]} = {line:g} ± {SLICE * line:.2f}{_beyond(int(np.sum(shown & ~kept)))}")
-            panel.set(xlabel=LABELS[plane.y], ylabel="−1 no failure … 1 failure", xlim=(y_low, y_high))
-            panel.set_ylim(-1.15, 1.15)
+            slices.draw_line(panel, line)
         figure.legend(
             handles=[
                 Line2D([], [], color=BLUE, marker="o", linestyle="", label="no failure (training point)"),
@@ -129,49 +150,10 @@ def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
             loc="outside lower center",
             ncols=5,
         )
-        fixed = ", ".join(f"{LABELS[i]} = {medians[i]:.2f}" for i in _HELD_AT_MEDIAN)
+        fixed = ", ".join(f"{LABELS[i]} = {np.median(F[:, i]):.2f}" for i in _HELD_AT_MEDIAN)
         figure.suptitle(
             f"P(failure) at the medians {fixed}; lower panels: along the dotted lines, "
-            f"{LABELS[plane.third]} = {middle:g} ± {SLICE * middle:.2f}",
+            f"{LABELS[plane.third]} = {plane.values[1]:g} ± {SLICE * plane.values[1]:.2f}",
             fontsize=9.5,
         )
-    return figure
-
-
-def plot_reliability(
-    probabilities: dict[str, Array],
-    failed: NDArray[np.bool_],
-    samples: int,
-    bins: int = 10,
-    labels: tuple[str, str] = ("share of failures among fresh designs", "predicted P(failure)"),
-) -> Figure:
-    """Observed share of failures against predicted probability, with the number of designs at each point.
-
-    Args:
-        probabilities: (n,) of failure, by the method's title; at most four.
-        failed: (n,) bool.
-        samples: number of pooled samples on the same designs; bands are for the designs of one sample.
-        bins: number of bins of equal width.
-        labels: of the axes, observed share and predicted probability.
-    """
-    with styled():
-        figure = Figure(figsize=(6.4, 7.0), layout="constrained")
-        axes, counts_axes = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
-        axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", label="perfect")
-        for (title, p), colour, marker in zip(
-            probabilities.items(), (BLUE, VERMILION, GREEN, PURPLE), "osD^", strict=False
-        ):
-            bin_index = np.clip((p * bins).astype(int), 0, bins - 1)
-            counts = np.bincount(bin_index, minlength=bins)
-            shown = counts > 0
-            predicted = np.bincount(bin_index, weights=p, minlength=bins)[shown] / counts[shown]
-            failures = np.bincount(bin_index, weights=failed, minlength=bins)[shown]
-            axes.plot(predicted, failures / counts[shown], color=colour, marker=marker, label=title)
-            low, high = proportion_confint(failures / samples, counts[shown] / samples, method="wilson")
-            axes.fill_between(predicted, low, high, color=colour, alpha=0.12, linewidth=0.0)
-            counts_axes.plot(predicted, counts[shown] / samples, color=colour, marker=marker)
-        axes.set_ylabel(labels[0])
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16 if len(probabilities) > 1 else 1.08), ncols=2)
-        counts_axes.set_yscale("log")
-        counts_axes.set(xlabel=labels[1], ylabel="designs in a bin")
     return figure

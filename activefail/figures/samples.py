@@ -100,34 +100,10 @@ def plot_pairs(
                     shown = above if column > row else below
                     scatter_outcomes(axes, F[shown, column], F[shown, row], outcome[shown], outcomes, 9.0)
                     axes.set_yscale("log" if logarithmic[row] else "linear")
-                    axes.set_ylim(*_limits(F[:, row], logarithmic[row]))
+                    axes.set_ylim(*_with_margins(F[:, row], logarithmic[row]))
                 axes.set_xscale("log" if logarithmic[column] else "linear")
-                axes.set_xlim(*_limits(F[:, column], logarithmic[column]))
-                # Over less than a decade matplotlib would label minor ticks too.
-                for axis, is_log in (
-                    (axes.xaxis, logarithmic[column]),
-                    (axes.yaxis, row != column and logarithmic[row]),
-                ):
-                    if is_log:
-                        axis.set_minor_formatter(NullFormatter())
-                axes.tick_params(labelsize=7.5)
-                if row == m - 1:
-                    axes.set_xlabel(quantities[column].axis)
-                else:
-                    axes.tick_params(labelbottom=False)
-                if row == 0 and column == m - 1 and m > 1:
-                    # The first panel of this row is a histogram with another scale.
-                    axes.yaxis.set_label_position("right")
-                    axes.tick_params(labelleft=False, labelright=True)
-                    axes.set_ylabel(quantities[row].axis)
-                elif column == 0 and row > 0:
-                    axes.set_ylabel(quantities[row].axis)
-                else:
-                    axes.tick_params(labelleft=False)
-                if row == column:
-                    axes.tick_params(left=False, which="both")
-                    axes.grid(axis="y", visible=False)
-                    axes.set_title("share of designs", fontsize=8)
+                axes.set_xlim(*_with_margins(F[:, column], logarithmic[column]))
+                _label_pair(axes, row, column, quantities, logarithmic)
         diagonal = [
             Line2D([], [], color=GREY, linestyle="--", label="initial (below the diagonal)"),
             Line2D([], [], color=BLACK, label="active (above)"),
@@ -138,12 +114,40 @@ def plot_pairs(
     return figure
 
 
+def _label_pair(axes: Axes, row: int, column: int, quantities: Sequence[Quantity], logarithmic: Sequence[bool]) -> None:
+    """Labels and ticks of one panel: names only at the margins of the grid."""
+    last = len(quantities) - 1
+    # Over less than a decade matplotlib would label minor ticks too.
+    for axis, is_log in ((axes.xaxis, logarithmic[column]), (axes.yaxis, row != column and logarithmic[row])):
+        if is_log:
+            axis.set_minor_formatter(NullFormatter())
+    axes.tick_params(labelsize=7.5)
+    if row == last:
+        axes.set_xlabel(quantities[column].axis)
+    else:
+        axes.tick_params(labelbottom=False)
+    if row == 0 and column == last > 0:
+        # The first panel of this row is a histogram with another scale.
+        axes.yaxis.set_label_position("right")
+        axes.tick_params(labelleft=False, labelright=True)
+        axes.set_ylabel(quantities[row].axis)
+    elif column == 0 and row > 0:
+        axes.set_ylabel(quantities[row].axis)
+    else:
+        axes.tick_params(labelleft=False)
+    if row == column:
+        axes.tick_params(left=False, which="both")
+        axes.grid(axis="y", visible=False)
+        axes.set_title("share of designs", fontsize=8)
+
+
 def _picked(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """These rows, thinned evenly to `MOST_SHOWN`."""
     return rows[np.linspace(0, len(rows) - 1, MOST_SHOWN).astype(np.int64)] if len(rows) > MOST_SHOWN else rows
 
 
-def _limits(column: Array, logarithmic: bool) -> tuple[float, float]:
+def _with_margins(column: Array, logarithmic: bool) -> tuple[float, float]:
+    """A column's range with four per cent on both sides."""
     low, high = float(column.min()), float(column.max())
     if logarithmic:
         margin = (high / low) ** 0.04 if high > low else 1.1
@@ -154,7 +158,7 @@ def _limits(column: Array, logarithmic: bool) -> tuple[float, float]:
 
 def _histogram(axes: Axes, column: Array, chosen: NDArray[np.bool_], logarithmic: bool) -> None:
     """Histograms of one feature over the initial and the active designs."""
-    low, high = _limits(column, logarithmic)
+    low, high = _with_margins(column, logarithmic)
     edges = np.geomspace(low, high, 15) if logarithmic else np.linspace(low, high, 15)
     for rows, colour, line in ((~chosen, GREY, "--"), (chosen, BLACK, "-")):
         if rows.any():

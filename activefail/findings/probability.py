@@ -75,8 +75,8 @@ class ProbabilityFindings:
         sentences = []
         if not self.seen and not estimate.beyond:
             sentences.append(
-                f"No simulation ended in {name}: the estimate is the classifier's extrapolation. Only the bound without "
-                "a model rests on simulations alone."
+                f"No simulation ended in {name}: the estimate is the classifier's extrapolation. Only the bound "
+                "without a model rests on simulations alone."
             )
         if estimate.surprising:
             sentences.append(

@@ -32,6 +32,14 @@ class Claim:
     rule: str
     verdict: str
 
+    @property
+    def lines(self) -> list[str]:
+        """The claim for a terminal."""
+        return [
+            f"{self.item}: {self.verdict.replace('*', '')}",
+            f"    paper {self.paper or '–'}   ours {self.ours}   one sample {self.one_sample or '–'}",
+        ]
+
 
 def logistic(draws: list[Draw], boundary: str, name: str) -> Array:
     """A statistic of the logistic regressions of a boundary, (draws,)."""

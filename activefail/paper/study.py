@@ -4,7 +4,9 @@ A draw is a Latin hypercube of 250 simulations over Table 1, like the paper's. E
 distribution over draws, and accuracy is measured on fresh designs instead of about 62 held-out points.
 """
 
+import math
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
-from activefail.comparison.score import expected_calibration_error
+from activefail.comparison.score import expected_calibration_error, log_score, probability_of_truth
 from activefail.execution.pool import ProcessPool
 from activefail.features import feature_map, paper_features
 from activefail.paper import published
@@ -233,11 +235,10 @@ def process_of_draw(
     F, F_fresh = features(X), features(X_fresh)
     trained = _trained(method, F[train], failed[train])
     p = trained.probability(F_fresh)
-    p_true = np.clip(np.where(y_fresh, p, 1.0 - p), 1e-12, None)
     return Process(
         held_out=float(np.mean((trained.probability(F[held_out]) > 0.5) == failed[held_out])),
         fresh=float(np.mean((p > 0.5) == y_fresh)),
-        log_score=float(np.mean(np.log(p_true))),
+        log_score=log_score(probability_of_truth(p, y_fresh)),
         calibration_error=expected_calibration_error(p, y_fresh),
         calibration_slope=calibration_slope(p, y_fresh),
         length_scales=trained.length_scales / np.ptp(F_fresh, axis=0),
@@ -324,11 +325,34 @@ def significant_share(draws: list[Draw], boundary: str) -> Array:
 
 @dataclass(frozen=True)
 class Study:
-    """The results of the reproduction; the first variant is the study itself."""
+    """The results of the reproduction.
+
+    Attributes:
+        data: the designs and their outcomes.
+        draws: the statistics of each draw.
+        variants: the same under other choices; the first is the study itself.
+        seed: of all random numbers.
+        cores: of the machine.
+        minutes: that the study took.
+    """
 
     data: Data
     draws: list[Draw]
     variants: list[Variant]
+    seed: int
+    cores: int
+    minutes: int
+
+    @property
+    def command(self) -> dict[str, int]:
+        """Options of the command that runs the study again, and what it costs."""
+        return {
+            "draws": len(self.draws),
+            "fresh": len(self.data.X_fresh),
+            "seed": self.seed,
+            "cores": self.cores,
+            "minutes": self.minutes,
+        }
 
 
 def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = lambda _: None) -> Study:
@@ -337,10 +361,11 @@ def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = 
     Raises:
         SimulationError: if a worker process dies.
     """
+    start, cores = time.monotonic(), os.cpu_count() or 1
     X, X_fresh = designs(draws, fresh, seed)
     stage(f"simulating {draws} draws of {SIZE} and {fresh} fresh designs")
     data = simulated(X, X_fresh, Model())
-    with ProcessPool(os.cpu_count() or 1, "nothing is kept") as pool:
+    with ProcessPool(cores, "nothing is kept") as pool:
         stage(f"regressions and Gaussian processes of {draws} draws")
         studied = study_draws(pool, data, seed, METHODS, SPLITS)
         default, *others = VARIANTS
@@ -354,7 +379,7 @@ def run_study(draws: int, fresh: int, seed: int, stage: Callable[[str], None] = 
                 both_answered = (varied.outcome >= 0) & (data.outcome >= 0)
                 moved = float(np.mean(varied.outcome[both_answered] != data.outcome[both_answered]))
             variants.append(Variant(name, moved, varied, study_draws(pool, varied, seed, ("laplace",), 1)))
-    return Study(data, studied, variants)
+    return Study(data, studied, variants, seed, cores, math.ceil((time.monotonic() - start) / 60.0))
 
 
 @dataclass(frozen=True)
@@ -378,7 +403,7 @@ def orders_as_the_paper(process: Process) -> bool:
     return bool(process.length_scales[significant].max() < process.length_scales[~significant].min())
 
 
-def typical_process(study: Study, seed: int) -> PaperProcess:
+def typical_process(study: Study) -> PaperProcess:
     """The Laplace process shown in Figures 3 to 5.
 
     It has the median fresh accuracy among the first splits with length scales ordered as in the paper (among all, if
@@ -388,7 +413,7 @@ def typical_process(study: Study, seed: int) -> PaperProcess:
     similar = [i for i, process in enumerate(processes) if orders_as_the_paper(process)] or list(range(len(processes)))
     draw = sorted(similar, key=lambda i: processes[i].fresh)[len(similar) // 2]
     X, outcome = _answered(study.data.X[draw], study.data.outcome[draw])
-    train, _ = split(np.random.default_rng([seed, 2, draw, 0]), len(X))
+    train, _ = split(np.random.default_rng([study.seed, 2, draw, 0]), len(X))
     F, failed = paper_features(X[train]), outcome[train] == 2
     center, spread = _paper_scaling()
     trained = laplace((F - center) / spread, failed)

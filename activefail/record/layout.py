@@ -29,6 +29,9 @@ COMPARISON = "compare"
 SCORES = "scores.csv"
 """The table of a comparison."""
 
+CURVES = "learning_curves"
+"""The picture of a comparison, without its suffix."""
+
 REPORT = "report.html"
 """The default output of `report`."""
 

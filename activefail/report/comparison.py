@@ -1,15 +1,27 @@
 """The page of a comparison over seeds: tables of all measures, learning curves, and equivalent static designs."""
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from activefail.comparison.score import DISPLACEMENT, NEIGHBOURS
-from activefail.comparison.seeds import STATIC, ArmScore, ComparisonPlan, Point, curves, simulations_to_reach
+from activefail.comparison.seeds import (
+    STATIC,
+    ArmScore,
+    ComparisonPlan,
+    Point,
+    compare_seeds,
+    curves,
+    simulations_to_reach,
+)
 from activefail.csv_table import writing
 from activefail.figures.curves import plot_sampling_curves
 from activefail.figures.style import save_figure
-from activefail.files import replacing
+from activefail.files import replacing, writing_to
+from activefail.record.layout import SCORES
 
 MEASURES = {
     "accuracy": "accuracy",
@@ -50,8 +62,38 @@ def _sought(plan: ComparisonPlan) -> str:
     return ", ".join(f"{name} with {share:.0%} of the active designs" for name, share in shares.items())
 
 
-def _row(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+Curves = dict[tuple[str, str], list[Point]]
+"""Points of a measure by features and sampling."""
+
+
+def _measured(by_measure: dict[str, Curves]) -> list[list[str]]:
+    """A row for each sampling and number of simulations: the measures."""
+    return [
+        [*key, str(point.simulations), *(_range(points_by_key[key][index]) for points_by_key in by_measure.values())]
+        for key, points in by_measure["accuracy"].items()
+        for index, point in enumerate(points)
+    ]
+
+
+def _to_reach(fixed: Curves, active: Curves) -> list[list[str]]:
+    """A row for each static design: the simulations with which each campaign reaches its accuracy."""
+    rows = []
+    for (features, _), points in fixed.items():
+        for point in points:
+            level = float(np.median(point.values))
+            needed = [_needed(campaign, level) for campaign in active.values()]
+            rows.append([features, str(point.simulations), f"{level:.4f}", *needed])
+    return rows
+
+
+def _to_match(fixed: Curves, active: Curves) -> list[list[str]]:
+    """A row for each campaign: the simulations with which static designs reach its final accuracy."""
+    rows = []
+    for (features, sampling), points in active.items():
+        level = float(np.median(points[-1].values))
+        needed = [_needed(static, level) for static in fixed.values()]
+        rows.append([f"{sampling}, {features}", str(points[-1].simulations), f"{level:.4f}", *needed])
+    return rows
 
 
 def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
@@ -61,51 +103,29 @@ def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
     others = [name for name in scores[0].measures if name.startswith("accuracy_") and name not in main]
     titles = MEASURES | {name: f"accuracy, {name.removeprefix('accuracy_')} boundary" for name in others}
     by_measure = {name: curves(scores, name) for name in titles}
-    lines = [
-        f"# Samplings compared: {plan.settings.description or 'a campaign'}",
-        "",
-        f"Target boundary: {_sought(plan)}. Accuracy refers to the {boundary} boundary. Medians over {plan.seeds} "
-        f"seeds (minimum to maximum), on the same {plan.test} fresh designs. *Near the boundary*: designs with one of "
-        f"{NEIGHBOURS} copies, displaced by {DISPLACEMENT:.0%} of the ranges, on the other side. *Small regions*: "
-        "designs beyond the boundary with half of these copies on the other side. Written by",
-        "",
-        "    " + _command(plan),
-        "",
-        _row(["features", "sampling", "simulations", *titles.values()]),
-        "|" + "---|" * (3 + len(titles)),
-    ]
-    for (features, sampling), points in by_measure["accuracy"].items():
-        for index, point in enumerate(points):
-            cells = [_range(by_measure[name][features, sampling][index]) for name in titles]
-            lines.append(_row([features, sampling, str(point.simulations), *cells]))
-    accuracy = by_measure["accuracy"]
-    active = {key: points for key, points in accuracy.items() if key[1] != STATIC}
-    fixed = {key: points for key, points in accuracy.items() if key[1] == STATIC}
-    if active and fixed:
-        lines += [
-            "",
-            f"Simulations to reach the {boundary} accuracy of a static Latin hypercube (medians, interpolated):",
-            "",
-            _row(["static, features", "simulations", "accuracy", *(f"{s}, {f}" for f, s in active)]),
-            "|" + "---|" * (3 + len(active)),
-        ]
-        for (features, _), points in fixed.items():
-            for point in points:
-                level = float(np.median(point.values))
-                needed = [_needed(campaign, level) for campaign in active.values()]
-                lines.append(_row([features, str(point.simulations), f"{level:.4f}", *needed]))
-        lines += [
-            "",
-            "Simulations of a static Latin hypercube to reach a campaign's final accuracy:",
-            "",
-            _row(["campaign", "simulations", "accuracy", *(f"static, {f}" for f, _ in fixed)]),
-            "|" + "---|" * (3 + len(fixed)),
-        ]
-        for (features, sampling), points in active.items():
-            level = float(np.median(points[-1].values))
-            needed = [_needed(static, level) for static in fixed.values()]
-            lines.append(_row([f"{sampling}, {features}", str(points[-1].simulations), f"{level:.4f}", *needed]))
-    return "\n".join([*lines, "", "![Learning curves](accuracy.svg)", ""])
+    active, fixed = (
+        {key: points for key, points in by_measure["accuracy"].items() if (key[1] == STATIC) == static}
+        for static in (False, True)
+    )
+    environment = Environment(
+        loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
+    )
+    return environment.get_template("comparison.md.j2").render(
+        title=plan.settings.description or "a campaign",
+        sought=_sought(plan),
+        boundary=boundary,
+        seeds=plan.seeds,
+        test=plan.test,
+        neighbours=NEIGHBOURS,
+        displacement=f"{DISPLACEMENT:.0%}",
+        command=_command(plan),
+        titles=list(titles.values()),
+        measured=_measured(by_measure),
+        campaigns=[f"{sampling}, {features}" for features, sampling in active],
+        hypercubes=[f"static, {features}" for features, _ in fixed],
+        to_reach=_to_reach(fixed, active) if active else [],
+        to_match=_to_match(fixed, active),
+    )
 
 
 def comparison_lines(scores: list[ArmScore]) -> list[str]:
@@ -121,10 +141,42 @@ def comparison_lines(scores: list[ArmScore]) -> list[str]:
     return lines
 
 
+def run_comparison(
+    plan: ComparisonPlan,
+    out: Path,
+    jobs: int | None = None,
+    stage: Callable[[str], None] = lambda _: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> tuple[list[ArmScore], Path] | None:
+    """Score the arms of a comparison and write its page; None if stopped, with the scores so far saved.
+
+    Args:
+        plan: the comparison.
+        out: its folder.
+        jobs: parallel arms; None uses all cores.
+        stage: called with each stage of the work.
+        stop: whether to stop.
+
+    Raises:
+        InputError: as `compare_seeds` does, or if the folder cannot be written.
+        SimulationError: if a worker process dies.
+    """
+    with writing_to(out):
+        scores = compare_seeds(
+            plan,
+            out,
+            jobs or os.cpu_count() or 1,
+            stage,
+            lambda done, total: stage(f"{done} of {total} arms scored"),
+            stop,
+        )
+        return None if scores is None else (scores, write_comparison(plan, scores, out))
+
+
 def write_comparison(plan: ComparisonPlan, scores: list[ArmScore], out: Path) -> Path:
     """Write `comparison.md`, `scores.csv` and the curves (SVG, PNG) into the folder; returns the page's path."""
     names = list(scores[0].measures)
-    with writing(out / "scores.csv", ["features", "sampling", "seed", "simulations", *names]) as write:
+    with writing(out / SCORES, ["features", "sampling", "seed", "simulations", *names]) as write:
         write(
             [
                 [row.arm.features, row.arm.sampling, row.arm.seed, row.simulations, *(row.measures[n] for n in names)]

@@ -24,7 +24,8 @@ from activefail.figures.curves import plot_learning_curves
 from activefail.figures.length_scales import LONG, length_scales, plot_length_scales
 from activefail.figures.motion import plot_snapshots
 from activefail.figures.outcome_planes import coordinates, plot_outcome_planes
-from activefail.figures.paper_planes import PLANES, plot_reliability
+from activefail.figures.paper_planes import PLANES
+from activefail.figures.reliability import plot_reliability
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.figures.svg import inline
 from activefail.files import replacing, target_of
@@ -286,6 +287,34 @@ def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> 
     return [*commands, f"activefail report {folder}{code if _features_need_code(findings.campaign) else ''}"]
 
 
+def _space(campaign: Campaign) -> dict[str, Any]:
+    """The variables and the fixed quantities."""
+    space = campaign.space
+    return {
+        "variables": [
+            {"quantity": names, "low": significant(p.low), "high": significant(p.high), "spread": spread(p)}
+            for names, p in zip(quantities.variables(campaign), space.parameters, strict=True)
+        ],
+        "fixed": [
+            {"quantity": names, "value": significant(value)}
+            for names, value in zip(quantities.fixed(campaign), space.fixed.values(), strict=True)
+        ],
+    }
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("activefail.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
+    environment.globals["interval_percent"] = interval_percent
+    return environment
+
+
 def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable[[str], None] = lambda _: None) -> str:
     """The page as HTML."""
     campaign, folder = findings.campaign, findings.folder
@@ -309,14 +338,7 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
         "learner": _learner(findings),
         "error": evidence.error,
         "expected": findings.expected,
-        "variables": [
-            {"quantity": names, "low": significant(p.low), "high": significant(p.high), "spread": spread(p)}
-            for names, p in zip(quantities.variables(campaign), campaign.space.parameters, strict=True)
-        ],
-        "fixed": [
-            {"quantity": names, "value": significant(value)}
-            for names, value in zip(quantities.fixed(campaign), campaign.space.fixed.values(), strict=True)
-        ],
+        **_space(campaign),
         "outcomes": outcomes,
         "boundary": findings.boundary,
         "counts": {title: values.tolist() for title, values in counts.items()},
@@ -352,16 +374,7 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
     }
     stage("simulating the gallery")
     numbers["gallery"] = _gallery(findings)
-    environment = Environment(
-        loader=PackageLoader("activefail.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
-    environment.globals["interval_percent"] = interval_percent
-    return environment.get_template("report.html.j2").render(numbers)
+    return _environment().get_template("report.html.j2").render(numbers)
 
 
 def write_report(page: str, path: Path) -> None:

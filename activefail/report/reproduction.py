@@ -14,9 +14,10 @@ from activefail.bearing.design import GRAVITY, Model
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.estimate import Estimate, contains
 from activefail.features import PAPER_FEATURES
-from activefail.figures.paper_planes import PLANES, SLICE, plot_plane, plot_reliability
+from activefail.figures.paper_planes import PLANES, SLICE, plot_plane
+from activefail.figures.reliability import plot_reliability
 from activefail.figures.style import save_figure, styled
-from activefail.files import replacing
+from activefail.files import replacing, writing_to
 from activefail.paper import claims, published
 from activefail.paper import study as paper
 from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_with_shares, percent_of, span, with_mean
@@ -196,46 +197,25 @@ def _peak_displacement() -> float:
     return float(np.abs(cumulative_trapezoid(velocity, t, initial=0.0)).max())
 
 
-def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
-    draws = study.draws
-    lines = claims.claims(study)
-    table2 = published.table_2(study.data.X)
-    held_out = claims.held_out(draws)
-    quarter = study.data.X.shape[1] - round(paper.TRAINING_SHARE * study.data.X.shape[1])
-    papers_interval = binomtest(round(published.HELD_OUT * quarter), quarter).proportion_ci(method="exact")
-    ep, laplace = (claims.process(draws, method, "log_score") for method in ("ep", "laplace"))
-    significant_ones = claims.papers_significant("failure")
-    gain, papers_gain = 100 * claims.fresh_gain(draws), 100 * claims.papers_gain(draws)
+def _table_2_numbers(study: Study) -> dict[str, Any]:
+    rows = published.table_2(study.data.X)
     return {
-        **command,
-        "size": paper.SIZE,
-        "splits": held_out.shape[1],
-        "quarter": quarter,
-        "training_share": _percent(paper.TRAINING_SHARE),
-        "significance": _percent(paper.SIGNIFICANCE),
-        "gravity": GRAVITY,
-        "slider_diameter": f"{Model().slider_diameter:.2f}",
-        "peak_displacement": f"{_peak_displacement():.4f}",
-        "simulations": study.data.simulations,
-        "answered_fresh": int(np.sum(study.data.outcome_fresh >= 0)),
-        "numerical_failures": study.data.numerical_failures,
-        "claims": [vars(line) for line in lines],
-        "not_reproduced": [line.item for line in lines if line.verdict == NOT_REPRODUCED],
-        "by_chance": [line.item for line in lines if line.verdict == claims.BY_CHANCE],
-        "shares": "{:.1f} % no impact, {:.1f} % impact, {:.1f} % failure".format(*(100 * study.data.shares)),
         "table2": table_2(study.data.X),
-        "low_mu": int(np.sum(table2[2].median <= published.TABLE_2[2][1])),
-        "low_h": int(np.sum(table2[3].median <= published.TABLE_2[3][1])),
+        "low_mu": int(np.sum(rows[2].median <= published.TABLE_2[2][1])),
+        "low_h": int(np.sum(rows[3].median <= published.TABLE_2[3][1])),
         "paper_mu": published.TABLE_2[2][1],
         "paper_h": published.TABLE_2[3][1],
         "medians_outside": named(claims.medians_outside(study)),
-        "explained": named(_explained(table2)),
-        "printed_bounds": named(_printed_bounds(table2)),
-        "d_ratio_factor": _significant(1.0 / table2[0].factor),
-        "k_norm_factor": _significant(1.0 / table2[5].factor),
-        "ordered": sum(paper.orders_as_the_paper(draw.processes["laplace"]) for draw in draws),
-        "significant_names": named(significant_ones),
-        "tilted": paper.TILTED,
+        "explained": named(_explained(rows)),
+        "printed_bounds": named(_printed_bounds(rows)),
+        "d_ratio_factor": _significant(1.0 / rows[0].factor),
+        "k_norm_factor": _significant(1.0 / rows[5].factor),
+    }
+
+
+def _regression_numbers(study: Study) -> dict[str, Any]:
+    draws = study.draws
+    return {
         "logistic": [
             {
                 "boundary": boundary,
@@ -257,6 +237,17 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
             }
             for boundary in published.P_VALUES
         },
+    }
+
+
+def _process_numbers(study: Study) -> dict[str, Any]:
+    draws = study.draws
+    held_out = claims.held_out(draws)
+    quarter = _quarter(study)
+    papers_interval = binomtest(round(published.HELD_OUT * quarter), quarter).proportion_ci(method="exact")
+    ep, laplace = (claims.process(draws, method, "log_score") for method in ("ep", "laplace"))
+    gain, papers_gain = 100 * claims.fresh_gain(draws), 100 * claims.papers_gain(draws)
+    return {
         "held_out_paper": f"{published.HELD_OUT:.2f}",
         "held_out_paper_interval": span((papers_interval.low, papers_interval.high), 2),
         "held_out": with_mean(held_out, share=True),
@@ -274,6 +265,41 @@ def _context(study: Study, command: dict[str, int]) -> dict[str, Any]:
         "ep_accuracy": with_mean(
             100 * (claims.process(draws, "ep", "fresh") - claims.process(draws, "laplace", "fresh")), 2
         ),
+    }
+
+
+def _quarter(study: Study) -> int:
+    """Held-out designs of a draw."""
+    size = int(study.data.X.shape[1])
+    return size - round(paper.TRAINING_SHARE * size)
+
+
+def _context(study: Study) -> dict[str, Any]:
+    draws = study.draws
+    lines = claims.claims(study)
+    return {
+        **study.command,
+        "size": paper.SIZE,
+        "splits": claims.held_out(draws).shape[1],
+        "quarter": _quarter(study),
+        "training_share": _percent(paper.TRAINING_SHARE),
+        "significance": _percent(paper.SIGNIFICANCE),
+        "gravity": GRAVITY,
+        "slider_diameter": f"{Model().slider_diameter:.2f}",
+        "peak_displacement": f"{_peak_displacement():.4f}",
+        "simulations": study.data.simulations,
+        "answered_fresh": int(np.sum(study.data.outcome_fresh >= 0)),
+        "numerical_failures": study.data.numerical_failures,
+        "claims": [vars(line) for line in lines],
+        "not_reproduced": [line.item for line in lines if line.verdict == NOT_REPRODUCED],
+        "by_chance": [line.item for line in lines if line.verdict == claims.BY_CHANCE],
+        "shares": "{:.1f} % no impact, {:.1f} % impact, {:.1f} % failure".format(*(100 * study.data.shares)),
+        **_table_2_numbers(study),
+        "ordered": sum(paper.orders_as_the_paper(draw.processes["laplace"]) for draw in draws),
+        "significant_names": named(claims.papers_significant("failure")),
+        "tilted": paper.TILTED,
+        **_regression_numbers(study),
+        **_process_numbers(study),
         "length_titles": [TITLES[method] for method in METHODS],
         "length_scales": _length_scales(study),
         "length_ratios": _length_ratios(study),
@@ -303,31 +329,33 @@ def render(numbers: dict[str, Any]) -> str:
     return environment.get_template("reproduction.md.j2").render(numbers)
 
 
-def write_reproduction(study: Study, out: Path, command: dict[str, int], stage: Callable[[str], None]) -> Path:
+def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = lambda _: None) -> Path:
     """Write the page `out/reproduction.md`, with figures and numbers in `out/reproduction`; returns the page's path.
 
     Args:
         study: the results.
         out: folder of the page.
-        command: draws, fresh and seed of the study, and the minutes and cores that it took.
         stage: called when drawing begins.
+
+    Raises:
+        InputError: if a file cannot be written.
     """
-    folder = out / "reproduction"
-    folder.mkdir(parents=True, exist_ok=True)
     stage("drawing")
-    trained = paper.typical_process(study, command["seed"])
+    trained = paper.typical_process(study)
     figures = {plane.name: plot_plane(plane, trained) for plane in PLANES}
     y_fresh = np.tile(study.data.outcome_fresh[study.data.outcome_fresh >= 0] == 2, len(study.draws))
     pooled = {TITLES[method]: claims.process(study.draws, method, "probability").ravel() for method in METHODS}
     figures["reliability"] = plot_reliability(pooled, y_fresh, len(study.draws))
-    with styled():
-        for name, figure in figures.items():
-            save_figure(figure, folder / f"{name}.svg", metadata={"Date": None})
-            save_figure(figure, folder / f"{name}.png")
-    numbers = _context(study, command)
-    with replacing(folder / "numbers.json") as file:
-        file.write(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")
-    page = out / "reproduction.md"
-    with replacing(page) as file:
-        file.write(render(numbers))
+    numbers = _context(study)
+    folder, page = out / "reproduction", out / "reproduction.md"
+    with writing_to(out):
+        folder.mkdir(parents=True, exist_ok=True)
+        with styled():
+            for name, figure in figures.items():
+                save_figure(figure, folder / f"{name}.svg", metadata={"Date": None})
+                save_figure(figure, folder / f"{name}.png")
+        with replacing(folder / "numbers.json") as file:
+            file.write(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")
+        with replacing(page) as file:
+            file.write(render(numbers))
     return page

@@ -93,7 +93,7 @@ def _load_module(name: str, file: Path, code: Path, forbidden: Path | None) -> t
 
 def _module_from_file(file: Path, name: str) -> ModuleType:
     """The module of a file, under a name unique to the file: two campaigns may have modules of the same name."""
-    unique = f"activefail_own_{sha256(str(file.resolve()).encode())[:12]}_{name.replace('.', '_')}"
+    unique = f"activefail_custom_{sha256(str(file.resolve()).encode())[:12]}_{name.replace('.', '_')}"
     spec = importlib.util.spec_from_file_location(unique, file)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)

@@ -497,7 +497,7 @@ def hear(process: subprocess.Popen[str], start: str) -> None:
 
 def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) -> None:
     told: list[str] = []
-    with DaskExecutor(alone.address, tell=told.append) as executor:
+    with DaskExecutor(alone.address, report=told.append) as executor:
         executor.start(Disc(), 1, np.array([0.0, 20.0]))
         until(lambda: executor.answered(0.1) == [] and len(told) == 1)
         alone.scheduler.send_signal(signal.SIGSTOP)
