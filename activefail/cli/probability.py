@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from activefail.cli.common import Code, RunFolder, opened_run, show_unseen
-from activefail.findings.quantities import words
 from activefail.visible import visible
 
 
@@ -23,6 +22,8 @@ def probability(
     code: Code = None,
 ) -> None:
     """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
+    from activefail.findings.quantities import words
+
     with opened_run(folder, write=True, code=code) as opened:
         findings = opened.probability(simulations, confidence, outcome)
         summary = opened.summary

@@ -40,7 +40,7 @@ def estimate_probability(
     severity = campaign.simulator.outcomes.index(outcome)
     rng = stream(campaign.settings.seed, "estimate", iteration)
     plan = plan_estimate(classifier.latent(outcome), campaign.features, campaign.space, simulations, rng)
-    name = name_of_estimate(outcome, iteration, simulations)
+    name = name_of_estimate(severity, iteration, simulations)
     outcomes = simulated_outcomes(campaign, store, executor, name, plan.designs)
     assert outcomes is not None  # no stop was requested
     answered = np.asarray(outcomes != NUMERICAL_FAILURE)

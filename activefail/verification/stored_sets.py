@@ -8,7 +8,7 @@ A set is stored in parts, `<name>-<part>`, so that an interruption loses at most
     around-<designs>                    designs around those of a test set
     look-<iteration>-<designs>          fresh simulations of a look of the stop rule
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
-    probability-<outcome>-<iteration>-<designs>  fresh simulations that estimate a probability
+    probability-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability
 """
 
 import re
@@ -58,9 +58,9 @@ def name_of_verification(iteration: int, designs: int) -> str:
     return f"verification-{iteration}-{designs}"
 
 
-def name_of_estimate(outcome: str, iteration: int, designs: int) -> str:
-    """Name of the fresh simulations that estimate the probability of an outcome."""
-    return f"probability-{outcome}-{iteration}-{designs}"
+def name_of_estimate(severity: int, iteration: int, designs: int) -> str:
+    """Name of the fresh simulations that estimate the probability of an outcome, by its number."""
+    return f"probability-{severity}-{iteration}-{designs}"
 
 
 def first_part(name: str) -> str:

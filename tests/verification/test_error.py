@@ -266,7 +266,7 @@ def test_the_classifiers_own_error_is_the_mean_probability_of_being_wrong(traine
     ("text", "rule"),
     [
         ("error = 0.6", "stop.error"),
-        ("confidence = 0.9", "stop.error"),
+        ("confidence = 0.9", "stop: must be a table with `error`"),
         ("error = 0.1\nconfidence = 1.0", "confidence"),
     ],
 )

@@ -13,6 +13,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.history import History
+from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer
 from activefail.loop.proposing import search_for_unseen
 from activefail.record.memory import MemoryStore
@@ -90,10 +91,11 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
 def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen():
     campaign = campaign_on(FourBranch())
     store, _ = taken(campaign)
-    missing = search_for_unseen(campaign, History.of(store.batches[:6]))
+    classifier = current_classifier(campaign, store, write=False)
+    missing = search_for_unseen(campaign, History.of(store.batches[:6]), classifier)
     assert missing.outcomes == ("failure",)
     assert np.array_equal(missing.known, np.concatenate([batch.designs for batch in store.batches[:6]]))
-    assert search_for_unseen(campaign, History.of(store.batches)) is None
+    assert search_for_unseen(campaign, History.of(store.batches), classifier) is None
 
 
 def test_the_same_campaign_searches_at_the_same_designs_again():
