@@ -34,7 +34,7 @@ _WIDER = 2.0
 _PRIOR_WEIGHT = 12.0
 """Weight of the classifier's own doubt in the variance of the corrections, in simulations."""
 
-_INTEGRATION, _ROUNDS, _ACCURACY = 100_000, 10, 0.005
+_INTEGRATION, _ROUNDS, _ACCURACY = 50_000, 20, 0.01
 """Designs of a population that integrates the classifier's probability, most populations, and relative standard error
 that ends the integration."""
 

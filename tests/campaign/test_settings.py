@@ -179,7 +179,10 @@ BROKEN = {
         ["simulator.outcomes: must hold at most 3, got ['a', 'b', 'c', 'd']"],
     ),
     "no table": ("space.mu = [0.1, 0.2]", ["space.mu: must be a table, got [0.1, 0.2]"]),
-    "a section that is none": ("stop = 0.05", ["stop: must be a table with `error` or a table with `probability`, got 0.05"]),
+    "a section that is none": (
+        "stop = 0.05",
+        ["stop: must be a table with `error` or a table with `probability`, got 0.05"],
+    ),
     "a mean without sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
         ["needs `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`"],

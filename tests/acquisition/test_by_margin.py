@@ -1,0 +1,78 @@
+"""Proposals from a margin: the designs that leave the least doubt about the boundary."""
+
+import numpy as np
+import pytest
+from rare import four_branch
+from scipy.special import ndtr
+
+from activefail.acquisition.by_margin import doubt, doubtful_population, expected_doubt, propose_by_margin
+from activefail.features import feature_map
+from activefail.parameter import Parameter
+from activefail.space import DesignSpace
+from activefail.surrogate.margin import MarginLatent, fit_margin
+
+SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
+FEATURES = feature_map("design", SPACE)
+
+
+def latent(n: int = 20, seed: int = 0) -> MarginLatent:
+    # Twice as wide as the design measure, so that some designs fail.
+    X = np.clip(2.0 * SPACE.latin_hypercube(n, np.random.default_rng(seed)), -6.4, 6.4)
+    return MarginLatent(fit_margin(FEATURES(X), four_branch(X)))
+
+
+def test_the_expected_doubt_is_that_over_the_margins_that_may_come() -> None:
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((4, 4))
+    K, mean = A @ A.T + np.eye(4), np.array([0.5, -0.3, 1.0, 0.0])
+    expected = expected_doubt(mean[1:], np.sqrt(K.diagonal()[1:]), K[:1, 0], K[:1, 1:])[0]
+    z = rng.standard_normal(200_000)
+    for row in range(3):
+        shift = K[0, row + 1] / np.sqrt(K[0, 0])
+        left = np.sqrt(K[row + 1, row + 1] - shift**2)
+        simulated = doubt((mean[row + 1] + shift * z) / left)
+        assert expected[row] == pytest.approx(simulated.mean(), abs=3e-3)
+    # What is learned never adds doubt on average.
+    assert (expected <= doubt(mean[1:] / np.sqrt(K.diagonal()[1:])) + 1e-3).all()
+
+
+def test_a_known_margin_leaves_no_doubt_where_it_was_simulated() -> None:
+    assert expected_doubt(np.array([0.2]), np.array([1.0]), np.array([1.0]), np.array([[1.0]]))[0, 0] < 1e-6
+
+
+def test_proposals_lie_where_the_side_is_in_doubt_and_differ() -> None:
+    surrogate = latent()
+    designs = propose_by_margin(surrogate, FEATURES, SPACE, 6, np.random.default_rng(1))
+    assert designs.shape == (6, 2)
+    assert SPACE.contains(designs).all()
+    assert len(np.unique(designs, axis=0)) == 6
+    moments = surrogate.moments(FEATURES(designs))
+    assert (np.abs(moments.standardised) < 3.5).all()
+    # In units of the margin's knowledge they are apart: none repeats what another tells.
+    _, covariance = surrogate.joint(FEATURES(designs))
+    correlation = covariance / np.sqrt(np.outer(covariance.diagonal(), covariance.diagonal()))
+    assert (np.abs(correlation - np.eye(6)) < 0.98).all()
+
+
+def test_pending_and_failed_designs_are_not_proposed_again() -> None:
+    surrogate = latent()
+    first = propose_by_margin(surrogate, FEATURES, SPACE, 4, np.random.default_rng(1))
+    for known in ({"pending": first}, {"failed": first}):
+        again = propose_by_margin(surrogate, FEATURES, SPACE, 4, np.random.default_rng(1), **known)
+        assert np.linalg.norm(again[:, None] - first[None], axis=2).min() > 0.05
+
+
+def test_the_same_generator_proposes_the_same_designs() -> None:
+    surrogate = latent()
+    one, other = (propose_by_margin(surrogate, FEATURES, SPACE, 3, np.random.default_rng(7)) for _ in range(2))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_a_doubtful_population_holds_many_designs_in_doubt() -> None:
+    surrogate = latent()
+    drawn, F, standardised = doubtful_population(surrogate, FEATURES, SPACE, 4000, np.random.default_rng(0))
+    np.testing.assert_array_equal(F, FEATURES(drawn.X))
+    plain = SPACE.from_unit(np.random.default_rng(0).random((4000, 2)))
+    share = np.mean(np.abs(surrogate.moments(FEATURES(plain)).standardised) < 2.0)
+    assert np.mean(np.abs(standardised) < 2.0) > 2.0 * share
+    assert np.mean(drawn.weight * ndtr(standardised)) < 0.2

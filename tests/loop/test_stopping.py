@@ -1,0 +1,176 @@
+"""Campaigns that end once they know a failure probability: when, after which check, and resumed to the same bits."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from rare import four_branch
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.settings import CampaignSettings
+from activefail.errors import InputError
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.learning import current
+from activefail.loop.progress import Observer
+from activefail.loop.stopping import Looks, contradictions
+from activefail.record.batch import ACTIVE, CHECK, INITIAL
+from activefail.record.memory import MemoryStore
+from activefail.record.run_folder import FolderStore
+from activefail.simulators.interface import Results
+
+PROBABILITY = 2.2225e-3
+
+
+@dataclass(frozen=True)
+class FourBranch:
+    """Fails rarely, and tells its margin.
+
+    Attributes:
+        lowest: lowest margin that it tells.
+        seen: designs of a disc around this place fail too, though the margin elsewhere does not tell.
+    """
+
+    lowest: float = -np.inf
+    hidden: tuple[float, float] | None = None
+
+    outcomes = ("safe", "failure")
+    causes = ("",)
+    margins = ("g",)
+    releases_gil = True
+
+    def run(self, X):
+        g = four_branch(X)
+        if self.hidden is not None:
+            g = np.minimum(g, np.hypot(*(X - self.hidden).T) - 0.5)
+        nothing = np.zeros(len(X))
+        margin = np.maximum(g, self.lowest)[:, None]
+        return Results((g <= 0.0).astype(np.int8), nothing.astype(np.int8), margin, nothing)
+
+
+def campaign_on(simulator, **changes):
+    normal = {"distribution": "normal", "mean": 0.0, "sd": 1.0}
+    keys = {
+        "seed": 1,
+        "space": {"x": normal, "y": normal},
+        "sampling.initial": 12,
+        "sampling.batch": 1,
+        "sampling.budget": 120,
+        "classifier.features": "design",
+        "stop": {"probability": "failure", "cov": 0.2},
+    }
+    settings = CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
+    return Campaign.of(settings, simulator=simulator)
+
+
+def taken(campaign, store=None, observer=None):
+    store = MemoryStore(campaign.schema) if store is None else store
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, campaign.settings.sampling.budget, observer)
+    return store
+
+
+@pytest.fixture(scope="module")
+def ended():
+    campaign = campaign_on(FourBranch())
+    return campaign, taken(campaign)
+
+
+def test_it_ends_by_itself_after_a_check_that_found_nothing_and_knows_the_probability(ended) -> None:
+    campaign, store = ended
+    history, learned = History.of(store.batches), current(campaign, store, write=False)
+    assert len(history) < 80
+    assert (history.outcome == 1).sum() >= 3
+    assert learned.looks.is_known
+    assert learned.looks.probability == pytest.approx(PROBABILITY, rel=0.25)
+    checks = [batch for batch in store.batches if (batch.origin == CHECK).all()]
+    assert store.batches[-1] is checks[-1]
+    assert all(len(batch) == 4 + 2 * 2 for batch in checks)
+    assert set(history.origin.tolist()) == {INITIAL, ACTIVE, CHECK}
+
+
+def test_interrupted_after_any_batch_it_resumes_to_the_same_bits(ended, tmp_path) -> None:
+    campaign, whole = ended
+    n = len(whole.batches)
+    for stop in (1, n // 2, n - 2, n - 1):
+        folder = tmp_path / str(stop)
+        with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
+            taken(campaign, store, Observer(stop=lambda stop=stop, store=store: len(store.batches) >= stop))
+            assert len(store.batches) == stop
+        if stop == n - 1:
+            # Without saved states everything is learned again, from the first batch on.
+            for path in (folder / "state").iterdir():
+                path.unlink()
+        with FolderStore.open(folder, campaign.schema, write=True) as store:
+            taken(campaign, store)
+            assert len(store.batches) == n
+            for one, other in zip(store.batches, whole.batches, strict=True):
+                assert one.designs.tobytes() == other.designs.tobytes()
+                assert one.origin.tobytes() == other.origin.tobytes()
+            state, expected = store.latest_state(), whole.latest_state()
+            assert state[0] == expected[0]
+            assert set(state[1]) == set(expected[1])
+            assert all(np.array_equal(state[1][name], expected[1][name], equal_nan=True) for name in state[1])
+
+
+def test_resumed_after_its_end_it_simulates_nothing_more(ended) -> None:
+    campaign, store = ended
+    before = len(store.batches)
+    taken(campaign, store)
+    assert len(store.batches) == before
+
+
+def test_truncated_margins_are_learned_from_too() -> None:
+    campaign = campaign_on(FourBranch(lowest=0.0))
+    store = taken(campaign)
+    learned = current(campaign, store, write=False)
+    assert learned.classifier.latents[0].trained.truncated
+    assert learned.looks.probability == pytest.approx(PROBABILITY, rel=0.35)
+
+
+def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> None:
+    campaign, store = ended
+    known = current(campaign, store, write=False)
+    where = np.array([[-2.4, 2.2]])
+    hidden = campaign_on(FourBranch(hidden=(-2.4, 2.2)))
+    results = hidden.simulator.run(where)
+    batch = History(where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins)
+    assert contradictions(hidden, known.classifier, batch).tolist() == [True]
+    # On the right side, but with a margin that the classifier held for impossible.
+    odd = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=np.array([[50.0]]))
+    assert contradictions(hidden, known.classifier, odd).tolist() == [True]
+    failed = replace(batch, outcome=np.full(1, -1, dtype=np.int8))
+    assert contradictions(hidden, known.classifier, failed).tolist() == [False]
+    expected = four_branch(where)
+    right = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=expected[:, None])
+    assert contradictions(hidden, known.classifier, right).tolist() == [False]
+
+
+def test_two_narrow_looks_four_simulations_apart_are_needed() -> None:
+    rows = [[20, 1e-3, 4e-5], [22, 1e-3, 4e-5], [24, 1e-3, 4e-5]]
+    assert Looks(np.array(rows, dtype=float)).is_narrow(0.1)
+    assert not Looks(np.array(rows[:2], dtype=float)).is_narrow(0.1)
+    wide = [[20, 1e-3, 9e-5], *rows[1:]]
+    assert not Looks(np.array(wide, dtype=float)).is_narrow(0.1)
+    assert not Looks(np.array([*rows[:2], [24, 1e-3, 6e-5]], dtype=float)).is_narrow(0.1)
+
+
+def test_without_margins_the_rule_never_ends_a_campaign() -> None:
+    campaign = campaign_on(FourBranch(), classifier__learns="outcomes", sampling__budget=20)
+    store = taken(campaign)
+    assert len(History.of(store.batches)) == 20
+    assert not current(campaign, store, write=False).looks.is_known
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"stop": {"probability": "collapse"}}, "stop.probability: must be an outcome whose boundary is sought"),
+        ({"classifier.learns": "drift"}, "classifier.learns: must be one of auto, outcomes, g, got 'drift'"),
+        ({"sampling.asynchronous": True}, "`stop.probability` needs `sampling.asynchronous = false`"),
+    ],
+)
+def test_a_rule_that_cannot_be_is_refused(changes, rule) -> None:
+    with pytest.raises(InputError, match=rule):
+        campaign_on(FourBranch(), **{key.replace(".", "__"): value for key, value in changes.items()})

@@ -1,0 +1,85 @@
+"""The estimate with a frozen classifier: no bias, and an interval that covers, whatever the classifier missed."""
+
+import numpy as np
+import pytest
+from rare import four_branch
+from scipy.special import ndtr
+
+from activefail.features import feature_map
+from activefail.parameter import Parameter
+from activefail.reliability.estimate import Plan, estimated, integrated, plan_estimate
+from activefail.space import DesignSpace
+from activefail.surrogate.margin import MarginLatent, fit_margin
+
+SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
+FEATURES = feature_map("design", SPACE)
+PROBABILITY = 2.2225e-3
+
+
+def trained(limit, n: int, seed: int) -> MarginLatent:
+    rng = np.random.default_rng(seed)
+    # Twice as wide as the design measure, so that some designs fail.
+    X = np.clip(2.0 * SPACE.latin_hypercube(n, rng), -6.4, 6.4)
+    return MarginLatent(fit_margin(FEATURES(X), limit(X)))
+
+
+def plane(X):
+    return 3.0 - X[:, 0]
+
+
+def test_the_classifiers_probability_is_integrated_to_one_per_cent() -> None:
+    probability, error = integrated(trained(plane, 15, 0), FEATURES, SPACE, np.random.default_rng(0))
+    assert error < 0.01 * probability
+    assert probability == pytest.approx(ndtr(-3.0), rel=0.04)
+
+
+def test_intervals_cover_and_the_estimate_has_no_bias_though_the_classifier_is_wrong() -> None:
+    # Thirty designs leave a classifier of the four branches wrong by tens of per cent.
+    latents = [trained(four_branch, 30, seed) for seed in range(3)]
+    errors, covered, models = [], [], []
+    for seed in range(24):
+        plan = plan_estimate(latents[seed % 3], FEATURES, SPACE, 50, np.random.default_rng(100 + seed))
+        estimate = estimated(plan, four_branch(plan.designs) <= 0.0, np.ones(50, dtype=bool), 0.9)
+        assert estimate.low <= estimate.probability <= estimate.high
+        errors.append(estimate.probability / PROBABILITY - 1.0)
+        covered.append(estimate.low <= PROBABILITY <= estimate.high)
+        models.append(abs(estimate.model / PROBABILITY - 1.0))
+    assert np.median(models) > 0.05
+    assert abs(np.mean(errors)) < 3.0 * np.std(errors) / np.sqrt(len(errors)) + 0.02
+    assert np.mean(covered) > 0.8
+
+
+def test_the_interval_is_not_narrow_because_no_mistake_was_seen() -> None:
+    plan = plan_estimate(trained(four_branch, 30, 1), FEATURES, SPACE, 20, np.random.default_rng(1))
+    same = estimated(plan, plan.predicted, np.ones(20, dtype=bool), 0.9)
+    assert same.wrong == 0
+    assert same.probability == pytest.approx(plan.probability)
+    assert same.high - same.low > 3.0 * plan.standard_error
+
+
+def test_numerical_failures_widen_the_interval_to_both_outcomes_that_they_may_have_had() -> None:
+    plan = plan_estimate(trained(four_branch, 30, 1), FEATURES, SPACE, 40, np.random.default_rng(1))
+    beyond, answered = four_branch(plan.designs) <= 0.0, np.ones(40, dtype=bool)
+    full = estimated(plan, beyond, answered, 0.9)
+    answered[np.flatnonzero(beyond)[:2]] = False
+    answered[np.flatnonzero(~beyond)[:2]] = False
+    partial = estimated(plan, beyond, answered, 0.9)
+    assert partial.unanswered == 4
+    assert partial.low <= full.low
+    assert partial.high >= full.high
+    assert partial.beyond == full.beyond - 2
+
+
+def test_a_contradiction_where_the_classifier_was_sure_is_counted() -> None:
+    plan = Plan(
+        designs=np.zeros((3, 2)),
+        ratio=np.ones(3),
+        predicted=np.array([True, False, False]),
+        standardised=np.array([1.0, -5.0, -2.0]),
+        probability=0.1,
+        standard_error=0.0,
+        floor=0.01,
+    )
+    estimate = estimated(plan, np.array([True, True, True]), np.ones(3, dtype=bool), 0.9)
+    assert (estimate.wrong, estimate.surprising, estimate.beyond) == (2, 1, 3)
+    assert estimate.probability == pytest.approx(0.1 + 2.0 / 3.0)

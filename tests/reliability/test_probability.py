@@ -1,0 +1,58 @@
+"""The probability under a classifier's posterior, and the places where failure may hide from it."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from activefail.features import feature_map
+from activefail.parameter import Parameter
+from activefail.reliability.hidden import OUTSIDE, hidden_places
+from activefail.reliability.probability import model_probability
+from activefail.space import DesignSpace, radius
+from activefail.surrogate.margin import MarginLatent, fit_margin
+
+SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
+FEATURES = feature_map("design", SPACE)
+
+
+def trained(n: int) -> MarginLatent:
+    X = np.clip(2.0 * SPACE.latin_hypercube(n, np.random.default_rng(n)), -6.4, 6.4)
+    return MarginLatent(fit_margin(FEATURES(X), 3.0 - X[:, 0] + 0.3 * np.sin(3.0 * X[:, 1])))
+
+
+def test_the_posterior_of_the_probability_is_that_of_paths_everywhere() -> None:
+    latent, rng = trained(8), np.random.default_rng(1)
+    mean, sd = model_probability(latent, FEATURES, SPACE, 20_000, rng)
+    # Paths on a grid that covers the plane.
+    axis = np.linspace(-5.0, 5.0, 41)
+    grid = np.stack([one.ravel() for one in np.meshgrid(axis, axis)], axis=1)
+    weight = np.exp(-0.5 * (grid**2).sum(axis=1))
+    weight /= weight.sum()
+    center, covariance = latent.joint(FEATURES(grid))
+    values, vectors = np.linalg.eigh(covariance)
+    paths = center + rng.standard_normal((400, len(grid))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    shares = (paths > 0.0) @ weight
+    assert mean == pytest.approx(shares.mean(), rel=0.15)
+    assert sd == pytest.approx(shares.std(), rel=0.25)
+
+
+def test_more_simulations_make_the_posterior_narrower() -> None:
+    few, many = (model_probability(trained(n), FEATURES, SPACE, 12_000, np.random.default_rng(0)) for n in (8, 40))
+    assert many[1] / many[0] < 0.5 * few[1] / few[0]
+
+
+def test_hidden_places_lie_in_the_ball_that_matters_and_away_from_all_that_is_known() -> None:
+    known = SPACE.latin_hypercube(30, np.random.default_rng(0))
+    probability = float(ndtr(-3.0))
+    places = hidden_places(SPACE, known, probability, 8, np.random.default_rng(1))
+    assert places.shape == (8, 2)
+    assert (np.linalg.norm(places, axis=1) <= radius(OUTSIDE * probability, 2) + 1e-9).all()
+    everything = np.concatenate([known, places])
+    for row in range(8):
+        others = np.delete(everything, 30 + row, axis=0)
+        assert np.linalg.norm(others - places[row], axis=1).min() > 0.7
+
+
+def test_a_probability_near_one_still_gives_a_ball() -> None:
+    places = hidden_places(SPACE, np.zeros((1, 2)), 1.0, 3, np.random.default_rng(1))
+    assert np.isfinite(places).all()
