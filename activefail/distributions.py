@@ -145,7 +145,17 @@ def parameters_fault(
 def moments(
     distribution: Distribution, low: float | None, high: float | None, parameters: Mapping[str, float]
 ) -> tuple[float, float]:
-    """Mean and standard deviation of an unbounded distribution, or of a beta between its bounds, by any parameters."""
+    """Mean and standard deviation of an unbounded distribution, or of a beta between its bounds, by any parameters.
+
+    Args:
+        distribution: name of the distribution; one that has parameters.
+        low, high: bounds of the variable; only a beta distribution needs and uses them.
+        parameters: the numbers by name, one of `sets_of_parameters`.
+
+    Raises:
+        KeyError: if a parameter is missing.
+        OverflowError: if a moment exceeds the largest number.
+    """
     if "mean" in parameters:
         mean = parameters["mean"]
         if distribution == "exponential":
@@ -181,14 +191,25 @@ def _weibull_cov(shape: float) -> float:
 
 
 def beta_shapes(low: float, high: float, mean: float, sd: float) -> tuple[float, float]:
-    """Alpha and beta of a beta distribution between two bounds."""
+    """Alpha and beta of a beta distribution between two bounds.
+
+    Args:
+        low, high: the bounds.
+        mean, sd: its moments; both results are positive if low < mean < high and sd² < (mean − low)(high − mean).
+    """
     share = (mean - low) / (high - low)
     total = share * (1.0 - share) * ((high - low) / sd) ** 2 - 1.0
     return share * total, (1.0 - share) * total
 
 
 def quantiles_at(distribution: Distribution, mean: float, sd: float, distance: float) -> tuple[float, float]:
-    """The quantiles of an unbounded distribution that correspond to ∓`distance` standard deviations of a normal one."""
+    """The quantiles of an unbounded distribution that correspond to ∓`distance` standard deviations of a normal one.
+
+    Args:
+        distribution: name of the distribution; not beta.
+        mean, sd: its moments, as for `frozen`.
+        distance: not negative.
+    """
     beyond = 0.5 * math.erfc(distance / math.sqrt(2.0))
     law = frozen(distribution, 0.0, 0.0, mean, sd)
     return float(law.ppf(beyond)), float(law.isf(beyond))
@@ -196,7 +217,16 @@ def quantiles_at(distribution: Distribution, mean: float, sd: float, distance: f
 
 @lru_cache(maxsize=1024)
 def frozen(distribution: Distribution, low: float, high: float, mean: float, sd: float) -> "rv_frozen":
-    """SciPy's distribution with a mean and a standard deviation; the bounds are those of a beta distribution alone."""
+    """SciPy's distribution with a mean and a standard deviation.
+
+    Args:
+        distribution: name of the distribution; a truncated normal one gives the normal distribution before truncation.
+        low, high: bounds of a beta distribution; others ignore them.
+        mean, sd: its moments, for which `parameters_fault` finds no fault.
+
+    Raises:
+        ValueError: if no Weibull distribution with a shape between 0.1 and 10,000 has these moments.
+    """
     # Imported here: importing scipy.stats takes longer than a thousand simulations of a bearing.
     from scipy import stats
     from scipy.optimize import brentq

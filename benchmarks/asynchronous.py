@@ -126,9 +126,9 @@ def accuracy(seeds: int, features: str, criterion: str, workers: int, fresh: int
         outcome = executor.run(campaign.simulator, X).outcome
     kept = outcome != NUMERICAL_FAILURE
     test = FreshSet(X[kept], outcome[kept], outcome[kept][:, None])
-    found: dict[bool, list[dict[str, float]]] = {False: [], True: []}
+    scores_by_kind: dict[bool, list[dict[str, float]]] = {False: [], True: []}
     for seed in range(FIRST_SEED, FIRST_SEED + seeds):
-        for asynchronous, scores in found.items():
+        for asynchronous, scores in scores_by_kind.items():
             changes = base | {"seed": seed, "sampling.asynchronous": asynchronous}
             campaign = Campaign.of(CampaignSettings().changed(changes))
             store = MemoryStore(campaign.schema)
@@ -137,17 +137,17 @@ def accuracy(seeds: int, features: str, criterion: str, workers: int, fresh: int
                 classifier = current_classifier(campaign, store, write=False)
                 scores.append(measures(classifier, campaign.severity, test))
         line = "  ".join(
-            f"{name} {found[False][-1][measure]:.4f} {found[True][-1][measure]:.4f}"
+            f"{name} {scores_by_kind[False][-1][measure]:.4f} {scores_by_kind[True][-1][measure]:.4f}"
             for measure, name in MEASURES.items()
         )
         print(f"seed {seed}  in batches, without: {line}", flush=True)
     for measure, name in MEASURES.items():
-        before, after = (np.array([score[measure] for score in found[kind]]) for kind in (False, True))
+        before, after = (np.array([score[measure] for score in scores_by_kind[kind]]) for kind in (False, True))
         gain = Estimate.over(after - before) if seeds > 1 else None
-        told = ""
+        difference = ""
         if gain is not None:
-            told = f", difference {gain.mean:+.4f} ({gain.of_mean[0]:+.4f} to {gain.of_mean[1]:+.4f})"
-        print(f"{name}: in batches {np.median(before):.4f}, without {np.median(after):.4f}{told}")
+            difference = f", difference {gain.mean:+.4f} ({gain.of_mean[0]:+.4f} to {gain.of_mean[1]:+.4f})"
+        print(f"{name}: in batches {np.median(before):.4f}, without {np.median(after):.4f}{difference}")
 
 
 def main() -> None:

@@ -97,10 +97,10 @@ def esdirk(gamma, A, error):
                 slopes[len(slopes) - 1],
             )
             if solved:
-                at_q, at_v, rate, more, solved = newton(
+                at_q, at_v, rate, iterations, solved = newton(
                     problem, t + time * step, at_q, at_v, rate, factors, gamma_step, q, v, control
                 )
-                count += more
+                count += iterations
             return (*qs, at_q), (*vs, at_v), (*slopes, rate), count, solved
 
         return stages

@@ -98,9 +98,9 @@ class Problem:
     """n designs, their labels, and fresh ones."""
 
     def __init__(self, features, n, seed):
-        more = math.ceil((1.0 + fitting.GROWTH) * n) + 1
+        total = math.ceil((1.0 + fitting.GROWTH) * n) + 1
         self.n, self.features = n, features
-        self.X = TABLE_1.latin_hypercube(more, np.random.default_rng([seed, n]))
+        self.X = TABLE_1.latin_hypercube(total, np.random.default_rng([seed, n]))
         np.random.default_rng([seed, n, 1]).shuffle(self.X)
         self.fresh = TABLE_1.from_unit(np.random.default_rng([seed, 1]).random((FRESH, TABLE_1.dimension)))
         self.F, self.y = torch.from_numpy(features(self.X)), torch.from_numpy(labels(self.X))
@@ -128,8 +128,15 @@ def ours(problem):
     line(n, "cold", objective, seconds, problem.judged(cold), f"{cold.evaluations} evaluations, {points} points")
     warm, seconds = timed(lambda: ready(n + BATCH, cold))
     line(n, "warm", fitting.objective(warm), seconds, problem.judged(warm), f"{BATCH} designs more")
-    again, seconds = timed(lambda: ready(len(problem.y), cold))
-    line(n, "relearned", fitting.objective(again), seconds, problem.judged(again), f"{len(problem.y) - n} designs more")
+    relearned, seconds = timed(lambda: ready(len(problem.y), cold))
+    line(
+        n,
+        "relearned",
+        fitting.objective(relearned),
+        seconds,
+        problem.judged(relearned),
+        f"{len(problem.y) - n} designs more",
+    )
     rng = np.random.default_rng(1)
     _, seconds = timed(lambda: propose(Latent(warm), problem.features, TABLE_1, entropy, BATCH, rng))
     line(n, "propose", None, seconds, "")
@@ -285,8 +292,8 @@ def main() -> None:
     parser.add_argument("--inducing", nargs="+", type=int, help="numbers of inducing points to compare, and no more")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    asked = [name for name in arguments.peers.split(",") if name]
-    if unknown := [name for name in asked if name not in PEERS]:
+    requested = [name for name in arguments.peers.split(",") if name]
+    if unknown := [name for name in requested if name not in PEERS]:
         parser.error(f"--peers must be of {', '.join(PEERS)}, got {unknown[0]!r}.")
     features = feature_map(arguments.features, TABLE_1)
     with one_thread():
@@ -299,7 +306,7 @@ def main() -> None:
                 inducing_points(problem, arguments.inducing)
                 continue
             objective = ours(problem)
-            for name in asked:
+            for name in requested:
                 try:
                     PEERS[name](problem, objective - arguments.short, arguments.limit)
                 except ImportError as error:

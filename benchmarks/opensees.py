@@ -144,18 +144,18 @@ def compare(python, n, seed, least):
         ),
         "rigid pendulum": arbiter,
     }
-    found, left_out = [], 0
+    compared, left_out = [], 0
     for row in X.tolist():
-        if len(found) == n:
+        if len(compared) == n:
             break
         motions = {name: maker(row) for name, maker in makers.items()}
         # One of them touches the rim that the others just miss, or the motion is tiny.
         if any(motion is None for motion in motions.values()) or motions["rigid pendulum"].peak < least:
             left_out += 1
             continue
-        found.append(motions)
-    print(f"{len(found)} designs without a rim touch, {left_out} left out (a peak below {least:g} m, or a touch)")
-    peaks = [motions["rigid pendulum"].peak for motions in found]
+        compared.append(motions)
+    print(f"{len(compared)} designs without a rim touch, {left_out} left out (a peak below {least:g} m, or a touch)")
+    peaks = [motions["rigid pendulum"].peak for motions in compared]
     print(f"peak displacement {min(peaks):.3f} to {max(peaks):.3f} m, median {np.median(peaks):.3f} m\n")
     print("| motion | compared with | peak: mean | median | 90 % | largest | history: median | 90 % | largest |")
     print("|---|---|---|---|---|---|---|---|---|")
@@ -168,8 +168,8 @@ def compare(python, n, seed, least):
         ("bearing", "OpenSees, elastic"),
         ("bearing, slow creep", "OpenSees, elastic"),
     ):
-        peak = np.array([100.0 * (motions[one].peak / motions[other].peak - 1.0) for motions in found])
-        history = np.array([100.0 * motions[one].difference(motions[other]) for motions in found])
+        peak = np.array([100.0 * (motions[one].peak / motions[other].peak - 1.0) for motions in compared])
+        history = np.array([100.0 * motions[one].difference(motions[other]) for motions in compared])
         cells = [f"{peak.mean():+.2f}"]
         cells += [
             f"{value:.2f}" for part in (np.abs(peak), history) for value in (*np.quantile(part, [0.5, 0.9]), part.max())
@@ -181,9 +181,9 @@ def compare_outcomes(python, n, seed):
     """Whether OpenSees returns `impact` if the bearing touches a rim, over all of Table 1."""
     X = TABLE_1.latin_hypercube(n, np.random.default_rng(seed + 1))
     touched = simulate(X).outcome >= 1
-    said = np.array([opensees(python, row) is None for row in X.tolist()])
-    print(f"\nimpact or not: the same for {np.mean(said == touched):.1%} of {n} designs;")
-    print(f"{np.sum(touched & ~said)} touch a rim in the bearing alone, {np.sum(said & ~touched)} in OpenSees alone")
+    there = np.array([opensees(python, row) is None for row in X.tolist()])
+    print(f"\nimpact or not: the same for {np.mean(there == touched):.1%} of {n} designs;")
+    print(f"{np.sum(touched & ~there)} touch a rim in the bearing alone, {np.sum(there & ~touched)} in OpenSees alone")
 
 
 def main():
@@ -193,11 +193,11 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--least", type=float, default=0.01, help="smallest peak displacement that is compared [m]")
     parser.add_argument("--outcomes", type=int, default=0, help="designs of all of Table 1 whose outcomes are compared")
-    given = parser.parse_args()
+    options = parser.parse_args()
     began = time.perf_counter()
-    compare(given.python, given.n, given.seed, given.least)
-    if given.outcomes:
-        compare_outcomes(given.python, given.outcomes, given.seed)
+    compare(options.python, options.n, options.seed, options.least)
+    if options.outcomes:
+        compare_outcomes(options.python, options.outcomes, options.seed)
     print(f"\n{time.perf_counter() - began:.0f} s")
 
 

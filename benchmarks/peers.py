@@ -285,13 +285,13 @@ class Entry:
     """A peer of the comparison.
 
     Attributes:
-        said: what it is, for the table.
+        title: what it is, for the table.
         make: seed -> peer.
         needs: modules.
         static: how all designs are drawn at once; None where they are chosen.
     """
 
-    said: str
+    title: str
     make: Callable[[int], Peer]
     needs: Sequence[str] = ()
     static: Callable[[int, np.random.Generator], Array] | None = None
@@ -419,23 +419,23 @@ def table(lines: list[dict[str, Any]], named: dict[str, Entry]) -> str:
         pairs = [factor * (line[key] - other[line["seed"]]) for line in reference if line["seed"] in other]
         if group[0]["peer"] == REFERENCE or len(pairs) < 2:
             return ""
-        found = Estimate.over(np.array(pairs))
-        low, high = found.of_mean
-        return f"{found.mean:+.{digits}f} ({low:+.{digits}f} .. {high:+.{digits}f})"
+        difference = Estimate.over(np.array(pairs))
+        low, high = difference.of_mean
+        return f"{difference.mean:+.{digits}f} ({low:+.{digits}f} .. {high:+.{digits}f})"
 
     def span(group: list[dict[str, Any]], key: str, factor: float, digits: int) -> str:
         values = factor * np.array([line[key] for line in group])
         return f"{values.mean():.{digits}f} ({values.min():.{digits}f} .. {values.max():.{digits}f})"
 
     rows = [
-        f"| peer | features | seeds | failure accuracy [%] | {named[REFERENCE].said} ahead by | log score [nat] "
-        f"| {named[REFERENCE].said} ahead by | own time [s] |",
+        f"| peer | features | seeds | failure accuracy [%] | {named[REFERENCE].title} ahead by | log score [nat] "
+        f"| {named[REFERENCE].title} ahead by | own time [s] |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for (peer, features), group in sorted(groups.items(), key=lambda g: -np.mean([x["accuracy"] for x in g[1]])):
-        said = named[peer].said if peer in named else peer
+        title = named[peer].title if peer in named else peer
         rows.append(
-            f"| {said} | {features} | {len(group)} | {span(group, 'accuracy', 100.0, 2)} "
+            f"| {title} | {features} | {len(group)} | {span(group, 'accuracy', 100.0, 2)} "
             f"| {ahead(group, 'accuracy', 100.0, 2)} | {span(group, 'log_score', 1.0, 3)} "
             f"| {ahead(group, 'log_score', 1.0, 3)} | {np.mean([x['seconds'] for x in group]):.0f} |"
         )
@@ -479,10 +479,10 @@ def run(
     done: set[tuple[str, str, int]],
 ) -> None:
     """Every campaign that is not done yet; each appends its line to the results file."""
-    asked = arguments.peers.split(",")
-    if unknown := [name for name in asked if name not in named]:
+    requested = arguments.peers.split(",")
+    if unknown := [name for name in requested if name not in named]:
         raise SystemExit(f"--peers: must be of {', '.join(named)}, got {unknown[0]!r}.")
-    reasons = {name: missing(named[name]) for name in asked}
+    reasons = {name: missing(named[name]) for name in requested}
     for name, reason in reasons.items():
         if reason is not None:
             print(f"{name} is left out: {reason}")
@@ -490,7 +490,7 @@ def run(
     fresh = fresh_answers(arguments.fresh, arguments.cache)
     F = {name: features(fresh.X) for name, features in maps.items()}
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        for name in (name for name in asked if reasons[name] is None):
+        for name in (name for name in requested if reasons[name] is None):
             for features in maps:
                 if (name, features, seed) in done:
                     continue

@@ -226,22 +226,22 @@ def main() -> None:
     parser.add_argument(
         "--history", type=Path, help="file for the motion: CSV with time [s], displacement [m], shear/W"
     )
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
-        height = given.h_sl_ratio * given.slider_diameter
-        pendulum = Pendulum.of(given.t_b, given.mu, given.d_tot, given.slider_diameter, height)
-        settling = SETTLING * given.t_b
-        motion = respond(pendulum, given.t_p, given.a_p, settling, given.steps, given.stick, not given.level)
+        height = options.h_sl_ratio * options.slider_diameter
+        pendulum = Pendulum.of(options.t_b, options.mu, options.d_tot, options.slider_diameter, height)
+        settling = SETTLING * options.t_b
+        motion = respond(pendulum, options.t_p, options.a_p, settling, options.steps, options.stick, not options.level)
     except (ValueError, RuntimeError) as error:
         sys.exit(f"opensees_model.py: {error}.")
-    if given.history:
+    if options.history:
         columns = np.column_stack([motion.t, motion.x, motion.shear])
-        np.savetxt(given.history, columns, delimiter=",", header="t,x,shear", comments="")
-    said = json.dumps(answer(pendulum, motion))
-    if given.out:
-        given.out.write_text(said + "\n", encoding="utf-8")
+        np.savetxt(options.history, columns, delimiter=",", header="t,x,shear", comments="")
+    line = json.dumps(answer(pendulum, motion))
+    if options.out:
+        options.out.write_text(line + "\n", encoding="utf-8")
     else:
-        sys.stdout.write(said + "\n")
+        sys.stdout.write(line + "\n")
 
 
 if __name__ == "__main__":

@@ -61,8 +61,8 @@ def main() -> None:
     X = TABLE_1.from_unit(U)
     failed = fails(X)
     wrong = None if arguments.run is None else wrong_designs(arguments.run, X, failed)
-    more = "" if wrong is None else f"  {'wrong':>13}  {'right':>13}  {'pockets':>8}"
-    print(f"{'moved by':>10}  {'all':>13}{more}")
+    extra = "" if wrong is None else f"  {'wrong':>13}  {'right':>13}  {'pockets':>8}"
+    print(f"{'moved by':>10}  {'all':>13}{extra}")
     for distance in DISTANCES:
         copies = TABLE_1.from_unit(displaced(U, distance, np.random.default_rng([arguments.seed, 1])))
         changed = fails(copies).reshape(arguments.n, COPIES) != failed[:, None]

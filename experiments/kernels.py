@@ -113,25 +113,25 @@ class Variant:
 
     def covariance(self, theta, A, B):
         scale = torch.exp(theta[2 : 2 + self.m])
-        K, more = torch.exp(theta[1]) * correlation(self.kind, A / scale, B / scale), torch.exp(theta[2 + self.m :])
+        K, extra = torch.exp(theta[1]) * correlation(self.kind, A / scale, B / scale), torch.exp(theta[2 + self.m :])
         if "linear" in self.parts:
-            K, more = K + more[0] * (A @ B.T), more[1:]
+            K, extra = K + extra[0] * (A @ B.T), extra[1:]
         if "one" in self.parts:
-            K = K + more[0] * correlation("matern52", A[:, -1:] / more[1], B[:, -1:] / more[1])
+            K = K + extra[0] * correlation("matern52", A[:, -1:] / extra[1], B[:, -1:] / extra[1])
         return K
 
     def log_prior(self, theta):
         def normal(x, mean, sd):
             return -0.5 * (((x - mean) / sd) ** 2).sum()
 
-        scale, more = theta[2 : 2 + self.m], theta[2 + self.m :]
+        scale, extra = theta[2 : 2 + self.m], theta[2 + self.m :]
         width = 1.0 if "tight" in self.parts else math.sqrt(3.0)
         narrow = "narrow" in self.parts
         value = normal(scale, math.sqrt(2.0) + 0.5 * math.log(self.m), width)
         value = value + normal(theta[1], math.log(10.0), 1.0 if narrow else 2.0)
         if narrow:
             value = value + normal(theta[0], 0.0, 1.0)
-        return value + normal(more, 1.0 if self.threshold else 0.0, 2.0)
+        return value + normal(extra, 1.0 if self.threshold else 0.0, 2.0)
 
     def likelihood(self, theta):
         if self.threshold:
@@ -208,15 +208,15 @@ def report(name, F, outcome, F_fresh, happened, severity):
     if "initial" in variant.parts:
         variant = learned_on_first(name, F, labels)
     first = ndtr(variant.probit(F_fresh))
-    p, more = variant.rate + (1.0 - 2.0 * variant.rate) * first, ""
+    p, extra = variant.rate + (1.0 - 2.0 * variant.rate) * first, ""
     if variant.threshold:
         p = ndtr(variant.probit(F_fresh, math.exp(variant.theta[-1])))
-        more = f"  {log_score(np.choose(happened, [1.0 - first, first - p, p])):8.3f}"
+        extra = f"  {log_score(np.choose(happened, [1.0 - first, first - p, p])):8.3f}"
     if "average" in variant.parts:
         p = variant.averaged(F_fresh)
     if "mixed" in variant.parts:
         p = 0.5 * (p + ndtr(learned_on_first(name, F, labels).probit(F_fresh)))
-    return f"{100.0 * np.mean((p > 0.5) == beyond):8.3f}  {log_score(np.where(beyond, p, 1.0 - p)):8.3f}{more}"
+    return f"{100.0 * np.mean((p > 0.5) == beyond):8.3f}  {log_score(np.where(beyond, p, 1.0 - p)):8.3f}{extra}"
 
 
 def learned_on_first(name, F, labels):

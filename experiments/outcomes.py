@@ -83,9 +83,9 @@ def couplings(P1, P2, Pc, Pb):
 
 
 def judged(p, outcome):
-    said = np.clip(p[np.arange(len(p)), outcome], 1e-12, None)
+    result = np.clip(p[np.arange(len(p)), outcome], 1e-12, None)
     return (
-        np.log(said).mean(),
+        np.log(result).mean(),
         np.mean(p.argmax(axis=1) == outcome),
         np.mean((p[:, 2] > 0.5) == (outcome == 2)),
         np.mean((p[:, 0] < 0.5) == (outcome >= 1)),

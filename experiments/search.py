@@ -34,9 +34,9 @@ def first_failure(campaign: Campaign, problem: RareProblem, searching: bool) -> 
         if searching:
             zeros = np.zeros(len(X), dtype=np.int8)
             known = History(X, outcome, zeros.astype(np.int64), zeros)
-            more = next_designs(campaign, classifier, known, iteration, q=BATCH, chosen=chosen)
+            proposed = next_designs(campaign, classifier, known, iteration, q=BATCH, chosen=chosen)
         else:
-            more = propose_shared(
+            proposed = propose_shared(
                 classifier,
                 campaign.space,
                 criterion_of(settings.criterion),
@@ -46,10 +46,10 @@ def first_failure(campaign: Campaign, problem: RareProblem, searching: bool) -> 
                 q=BATCH,
                 rng=stream(campaign.settings.seed, "propose", iteration),
             )
-        failed = problem.limit(more) <= 0.0
+        failed = problem.limit(proposed) <= 0.0
         if failed.any():
             return (iteration - 1) * BATCH + int(np.argmax(failed)) + 1
-        X = np.concatenate([X, more])
+        X = np.concatenate([X, proposed])
     return None
 
 
@@ -60,9 +60,9 @@ def main() -> None:
     with one_thread():
         for problem in (FOUR_BRANCH, RP38):
             for criterion in ("eavc", "globalmi", "entropy"):
-                found: dict[str, list[int | None]] = {"with the search": [], "criterion alone": [], "hypercube": []}
+                firsts: dict[str, list[int | None]] = {"with the search": [], "criterion alone": [], "hypercube": []}
                 seed = 0
-                while len(found["hypercube"]) < options.campaigns:
+                while len(firsts["hypercube"]) < options.campaigns:
                     seed += 1
                     settings = problem.settings(
                         seed=seed, sampling__initial=INITIAL, acquisition__criterion=criterion, sampling__batch=BATCH
@@ -70,14 +70,14 @@ def main() -> None:
                     campaign = Campaign.of(settings, simulator=problem)
                     if problem.run(initial_designs(campaign)).outcome.any():
                         continue
-                    found["with the search"].append(first_failure(campaign, problem, True))
-                    found["criterion alone"].append(first_failure(campaign, problem, False))
+                    firsts["with the search"].append(first_failure(campaign, problem, True))
+                    firsts["criterion alone"].append(first_failure(campaign, problem, False))
                     failed = (
                         problem.limit(campaign.space.latin_hypercube(BATCH * BATCHES, np.random.default_rng([seed, 1])))
                         <= 0.0
                     )
-                    found["hypercube"].append(int(np.argmax(failed)) + 1 if failed.any() else None)
-                for way, numbers in found.items():
+                    firsts["hypercube"].append(int(np.argmax(failed)) + 1 if failed.any() else None)
+                for way, numbers in firsts.items():
                     seen = sorted(number for number in numbers if number is not None)
                     middle = f", in the median of these after {np.median(seen):g}" if seen else ""
                     saw = f"{len(seen)} of {len(numbers)} campaigns saw a failure within {BATCH * BATCHES} designs"

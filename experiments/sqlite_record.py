@@ -73,8 +73,8 @@ class SqliteRecord:
         self._base.execute("CREATE TABLE IF NOT EXISTS batches (iteration INTEGER PRIMARY KEY, chain TEXT)")
         last = self._base.execute("SELECT max(iteration) FROM batches").fetchone()[0]
         self.batches = 0 if last is None else last + 1
-        found = self._base.execute("SELECT chain FROM batches WHERE iteration = ?", (last,)).fetchone()
-        self._chain = found[0] if found else chain_start(SETTINGS, SCHEMA)
+        actual = self._base.execute("SELECT chain FROM batches WHERE iteration = ?", (last,)).fetchone()
+        self._chain = actual[0] if actual else chain_start(SETTINGS, SCHEMA)
 
     def commit(self, batch: Batch) -> None:
         self._base.execute("BEGIN IMMEDIATE")
@@ -112,9 +112,9 @@ def read_sqlite(path: Path, checked: bool) -> bytes:
     """
     base = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     try:
-        (said,) = base.execute("PRAGMA integrity_check").fetchone()
-        if said != "ok":
-            raise sqlite3.DatabaseError(said)
+        (result,) = base.execute("PRAGMA integrity_check").fetchone()
+        if result != "ok":
+            raise sqlite3.DatabaseError(result)
         rows = base.execute(f"SELECT iteration, {', '.join(COLUMNS)} FROM simulations ORDER BY id").fetchall()
         chains = base.execute("SELECT chain FROM batches ORDER BY iteration").fetchall() if checked else []
     finally:
@@ -281,8 +281,8 @@ def flipped(place: Path, kind: str, flips: int) -> None:
         try:
             if path.is_dir():
                 with FolderStore.open(path, write=False) as store:
-                    told = bool(store.warnings)
-                seen["noticed" if told else "read as written" if read(path) == expected else "WRONG, unnoticed"] += 1
+                    noticed = bool(store.warnings)
+                seen["noticed" if noticed else "read as written" if read(path) == expected else "WRONG, unnoticed"] += 1
             else:
                 seen["read as written" if read(path) == expected else "WRONG, unnoticed"] += 1
         except (StoreError, sqlite3.Error, ValueError, OverflowError, TypeError):

@@ -25,13 +25,13 @@ TESTS = Path(__file__).parent
 
 
 @dataclass(frozen=True)
-class Said:
+class CommandResult:
     code: int
     out: str
     err: str
 
 
-def activefail(*words: str | Path) -> Said:
+def activefail(*words: str | Path) -> CommandResult:
     """What the program says to a command line, in this process; an exception that it lets through is a failure."""
     out, err = io.StringIO(), io.StringIO()
     code: object = 0
@@ -46,15 +46,15 @@ def activefail(*words: str | Path) -> Said:
         except SystemExit as left:
             code = left.code or 0
     assert isinstance(code, int)
-    return Said(code, out.getvalue(), err.getvalue())
+    return CommandResult(code, out.getvalue(), err.getvalue())
 
 
-def refused(said: Said, *parts: str, code: int = 2) -> None:
+def refused(result: CommandResult, *parts: str, code: int = 2) -> None:
     """Assert that the program ended in one message on stderr with all these parts."""
-    assert (said.code, said.out) == (code, "")
-    assert said.err.startswith("activefail: ")
-    assert "Traceback" not in said.err
-    assert [part for part in parts if part not in said.err] == []
+    assert (result.code, result.out) == (code, "")
+    assert result.err.startswith("activefail: ")
+    assert "Traceback" not in result.err
+    assert [part for part in parts if part not in result.err] == []
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -106,8 +106,8 @@ class Held:
 
         def noted() -> list[int]:
             assert self.process.poll() is None, self.process.communicate()
-            found = [int(name.partition("-")[0]) for name in os.listdir(self.folder) if name != held.OPEN]
-            return found if len(found) >= number else []
+            numbers = [int(name.partition("-")[0]) for name in os.listdir(self.folder) if name != held.OPEN]
+            return numbers if len(numbers) >= number else []
 
         return until(noted, "the program to come to what is held")
 

@@ -40,8 +40,8 @@ def hold(place: str, folder: Path, passing: int) -> None:
     setattr(owner, name, held)
 
 
-if asked := os.environ.get(VARIABLE):
-    _place, _folder, _passing = json.loads(asked)
+if requested := os.environ.get(VARIABLE):
+    _place, _folder, _passing = json.loads(requested)
     hold(_place, Path(_folder), _passing)
 
 if __name__ == "__main__":

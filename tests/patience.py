@@ -33,7 +33,7 @@ class Clock:
 def until(holds: Callable[[], T], what: str) -> T:
     """Wait until something holds, and give what it gave."""
     give_up = time.monotonic() + PATIENCE
-    while not (found := holds()):
+    while not (value := holds()):
         assert time.monotonic() < give_up, f"waited {PATIENCE:.0f} s for {what}"
         time.sleep(0.02)
-    return found
+    return value

@@ -25,7 +25,7 @@ class Run:
 @pytest.fixture(scope="session")
 def ran() -> Run:
     """A campaign on a disc half a unit of which lies in fog, run to its 40 simulations, and what it learned."""
-    campaign = disc(Disc(blind=-1.5), initial=20, budget=40, batch=10, more="limits.numerical_failures = 0.5")
+    campaign = disc(Disc(blind=-1.5), initial=20, budget=40, batch=10, extra="limits.numerical_failures = 0.5")
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor:
         run(campaign, store, executor, 40)

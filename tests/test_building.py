@@ -138,14 +138,14 @@ def test_small_swings_have_the_periods_of_a_chain_on_the_pendulum_s_spring(build
     b = building.building_of(design)
     q, still = np.array([*equilibrium(b.bearing), 0.0, 0.0, 0.0]), np.zeros(8)
     by_q, _, _ = linearised(building, b, 10.0, q, still)
-    found = np.sqrt(np.sort(-np.linalg.eigvals(by_q).real)[:4])
+    actual = np.sqrt(np.sort(-np.linalg.eigvals(by_q).real)[:4])
     radius, half = b.bearing.bottom.radius, b.bearing.half_width
     _, sunk = static_contact(b.bearing.bottom, half, b.bearing.plate_mass * 9.81)
     length = 2.0 * math.sqrt((radius + sunk) ** 2 - half**2) - 2.0 * b.bearing.half_height
     storey = (2.0 * math.pi / T_s / (2.0 * math.sin(math.pi / 14.0))) ** 2
     M, K = chain(3, storey, 4.0 * 9.81 / length)  # the weight of four masses, over one
     # The slider's own mass is in neither: a part in three thousand of what it carries.
-    assert found == pytest.approx(np.sqrt(eigh(K, M, eigvals_only=True)), rel=1e-3)
+    assert actual == pytest.approx(np.sqrt(eigh(K, M, eigvals_only=True)), rel=1e-3)
 
 
 def test_a_stiff_building_is_a_rigid_mass_until_the_rims_are_met(building: ModuleType) -> None:
@@ -192,8 +192,8 @@ def test_a_flexible_building_answers_as_one_on_the_motion_of_its_base(building: 
     for j in range(3):
         system = ([-1.0], [1.0, b.damping[j], b.stiffness[j]])
         _, D, _ = lsim(system, absolute, t - t[0])
-        found = np.interp(t, history[:, 0], history[:, 6 + j])
-        assert np.abs(found - D).max() < 0.02 * np.abs(D).max(), j
+        actual = np.interp(t, history[:, 0], history[:, 6 + j])
+        assert np.abs(actual - D).max() < 0.02 * np.abs(D).max(), j
 
 
 # --- energy and order --------------------------------------------------------------------------------------------
@@ -283,8 +283,10 @@ def test_the_campaign_runs_from_its_file_and_its_table_is_consistent(building: M
         settings = settings.replace(name, value)
     (tmp_path / "building.toml").write_text(settings, encoding="utf-8")
     (tmp_path / "building.py").write_bytes((CAMPAIGNS / "building.py").read_bytes())
-    said = activefail("run", tmp_path / "building.toml", "--out", tmp_path / "run", "--budget", "20", "--workers", "1")
-    assert said.code == 0, said.err
+    result = activefail(
+        "run", tmp_path / "building.toml", "--out", tmp_path / "run", "--budget", "20", "--workers", "1"
+    )
+    assert result.code == 0, result.err
     assert activefail("export", tmp_path / "run", "--csv", tmp_path / "all.csv").code == 0
     rows = table(tmp_path / "all.csv")
     assert [row["origin"] for row in rows] == ["seed"] * 16 + ["active"] * 4

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from commandline import Said, activefail, holding, record, refused, started, table, wait_for
+from commandline import CommandResult, activefail, holding, record, refused, started, table, wait_for
 from patience import PATIENCE, until
 
 from activefail import __version__
@@ -66,14 +66,14 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def ran(tiny: Path) -> tuple[Path, Said]:
+def ran(tiny: Path) -> tuple[Path, CommandResult]:
     """The run folder of the tiny campaign, not to be changed, and what was said when it was run."""
     folder = tiny.with_name("ran")
     return folder, activefail("run", tiny, "--out", folder)
 
 
 @pytest.fixture
-def folder(ran: tuple[Path, Said], tmp_path: Path) -> Path:
+def folder(ran: tuple[Path, CommandResult], tmp_path: Path) -> Path:
     """A copy of the run folder of the tiny campaign."""
     return Path(shutil.copytree(ran[0], tmp_path / "run"))
 
@@ -94,19 +94,19 @@ def halted(tiny: Path, folder: Path, batches: int) -> Path:
 
 def test_the_help_lists_every_command_and_loads_neither_learning_nor_physics() -> None:
     script = "import sys; from activefail.cli import app, main\ntry: main()\nfinally: print(sorted(sys.modules))"
-    said = subprocess.run([sys.executable, "-c", script, "--help"], capture_output=True, text=True, check=True)
+    result = subprocess.run([sys.executable, "-c", script, "--help"], capture_output=True, text=True, check=True)
     assert {"simulate", "run", "resume", "status", "predict", "export", "compare"} <= set(COMMANDS)
-    assert [command for command in COMMANDS if command not in said.stdout] == []
-    loaded = said.stdout[said.stdout.index("['") :]
+    assert [command for command in COMMANDS if command not in result.stdout] == []
+    loaded = result.stdout[result.stdout.index("['") :]
     assert [name for name in ("torch", "numba", "h5py", "matplotlib") if f"'{name}'" in loaded] == []
 
 
-@pytest.mark.parametrize("asked", ["--help", "-h"])
+@pytest.mark.parametrize("option", ["--help", "-h"])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_a_help(command: str, asked: str) -> None:
-    said = activefail(command, asked)
-    assert (said.code, said.err) == (0, "")
-    assert f"activefail {command}" in said.out
+def test_every_command_has_a_help(command: str, option: str) -> None:
+    result = activefail(command, option)
+    assert (result.code, result.err) == (0, "")
+    assert f"activefail {command}" in result.out
 
 
 def test_the_help_of_simulate_gives_the_unit_of_every_variable_that_has_one() -> None:
@@ -118,7 +118,7 @@ def test_the_help_of_simulate_gives_the_unit_of_every_variable_that_has_one() ->
 
 
 def test_the_version_is_the_packages() -> None:
-    assert activefail("--version") == Said(0, f"activefail {__version__}\n", "")
+    assert activefail("--version") == CommandResult(0, f"activefail {__version__}\n", "")
 
 
 @pytest.mark.parametrize(
@@ -141,26 +141,26 @@ def test_the_version_is_the_packages() -> None:
     ],
 )
 def test_a_command_line_that_makes_no_sense_is_refused_naming_what_does_not(words: list[str], says: str) -> None:
-    said = activefail(*words)
-    assert (said.code, said.out) == (2, "")
-    assert says in said.err
-    assert "Traceback" not in said.err
+    result = activefail(*words)
+    assert (result.code, result.out) == (2, "")
+    assert says in result.err
+    assert "Traceback" not in result.err
 
 
 def test_without_a_command_the_help_is_shown_and_the_exit_code_says_that_nothing_was_done() -> None:
-    said = activefail()
-    assert said.code == 2
-    assert "simulate" in said.out + said.err
+    result = activefail()
+    assert result.code == 2
+    assert "simulate" in result.out + result.err
 
 
 # --- simulate ----------------------------------------------------------------------------------------------------
 
 
 def test_one_design_is_simulated_as_the_library_does() -> None:
-    said = activefail("simulate", *design())
+    result = activefail("simulate", *design())
     answer = simulate(np.array([[float(value) for value in DESIGN.values()]]))
-    assert (said.code, said.err) == (0, "")
-    assert re.search(rf"^outcome +{answer.outcome_name[0]} \(\w+\)$", said.out, re.MULTILINE)
+    assert (result.code, result.err) == (0, "")
+    assert re.search(rf"^outcome +{answer.outcome_name[0]} \(\w+\)$", result.out, re.MULTILINE)
     for label, margin in (
         ("impact", "first_touch_time"),
         ("failure", "failure_time"),
@@ -168,50 +168,50 @@ def test_one_design_is_simulated_as_the_library_does() -> None:
         ("F_rim / Mg", "peak_rim_force_ratio"),
         ("tilt", "peak_tilt"),
     ):
-        assert re.search(rf"^{label} +{answer.margin(margin)[0]:.3f} ", said.out, re.MULTILINE)
+        assert re.search(rf"^{label} +{answer.margin(margin)[0]:.3f} ", result.out, re.MULTILINE)
 
 
 def test_without_an_impact_no_impact_is_told() -> None:
-    said = activefail("simulate", *design(a_p="0.1", t_p="0.5"))
-    assert re.search(r"^outcome +no_impact$", said.out, re.MULTILINE)
-    assert not re.search(r"^(impact|failure) ", said.out, re.MULTILINE)
+    result = activefail("simulate", *design(a_p="0.1", t_p="0.5"))
+    assert re.search(r"^outcome +no_impact$", result.out, re.MULTILINE)
+    assert not re.search(r"^(impact|failure) ", result.out, re.MULTILINE)
 
 
 def test_a_design_outside_the_papers_ranges_is_simulated_with_a_note_that_names_value_and_range() -> None:
-    said = activefail("simulate", *design(mu="0.3"))
-    assert said.code == 0
-    assert said.err == "note: mu = 0.3 lies outside the paper's range 0.02 to 0.12\n"
+    result = activefail("simulate", *design(mu="0.3"))
+    assert result.code == 0
+    assert result.err == "note: mu = 0.3 lies outside the paper's range 0.02 to 0.12\n"
 
 
 def test_a_failure_without_a_rim_touch_is_not_called_an_integration_that_gave_up() -> None:
-    said = activefail("simulate", *design(p="45e6", h_sl_ratio="0.6", t_p="2.5", a_p="0.5"))  # Pa in place of MPa
-    assert said.code == 1
-    assert "numerical_failure (failure_without_rim_touch)\n" in said.out
-    assert "failed before it touched a rim" in said.out
-    assert "gave up" not in said.out
+    result = activefail("simulate", *design(p="45e6", h_sl_ratio="0.6", t_p="2.5", a_p="0.5"))  # Pa in place of MPa
+    assert result.code == 1
+    assert "numerical_failure (failure_without_rim_touch)\n" in result.out
+    assert "failed before it touched a rim" in result.out
+    assert "gave up" not in result.out
 
 
 def test_a_plot_and_a_film_are_written_and_named(tmp_path: Path) -> None:
     plot, film = tmp_path / "a.svg", tmp_path / "a.gif"
-    said = activefail("simulate", *design(), "--plot", plot, "--animate", film)
-    assert said.code == 0
-    assert said.out.splitlines()[-2:] == [f"plot       {plot}", f"film       {film}"]
+    result = activefail("simulate", *design(), "--plot", plot, "--animate", film)
+    assert result.code == 0
+    assert result.out.splitlines()[-2:] == [f"plot       {plot}", f"film       {film}"]
     assert plot.read_text().startswith("<?xml")
     assert film.read_bytes().startswith(b"GIF8")
 
 
 def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER},site\n{ROW},A\n{ROW.replace('0.4', '0.1')},B\n")
-    said = activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    assert (said.code, said.err) == (0, "")
+    result = activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    assert (result.code, result.err) == (0, "")
     rows = table(tmp_path / "out.csv")
     assert [row["site"] for row in rows] == ["A", "B"]
-    counted = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)(?:,|$)", said.out.splitlines()[0])}
+    counted = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)(?:,|$)", result.out.splitlines()[0])}
     assert counted == {
         name: [row["outcome"] for row in rows].count(name)
         for name in ("no_impact", "impact", "failure", "numerical_failure")
     }
-    assert said.out.splitlines()[1] == f"written to {tmp_path / 'out.csv'}"
+    assert result.out.splitlines()[1] == f"written to {tmp_path / 'out.csv'}"
 
 
 @pytest.mark.parametrize(
@@ -255,32 +255,32 @@ def test_a_design_or_options_that_break_a_rule_are_refused(
 )
 def test_a_value_that_breaks_a_rule_is_told_by_a_name_that_the_user_knows(option: str, value: str) -> None:
     name = option.removeprefix("--").replace("-", "_")
-    said = activefail("simulate", *design(**{name: value}))
-    refused(said, value)
-    assert option in said.err or re.search(rf"\b{name}\b", said.err, re.IGNORECASE)
+    result = activefail("simulate", *design(**{name: value}))
+    refused(result, value)
+    assert option in result.err or re.search(rf"\b{name}\b", result.err, re.IGNORECASE)
 
 
 def test_a_bad_row_of_a_table_is_named_and_nothing_is_written(tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n{ROW.replace('0.06', 'rough')}\n")
-    said = activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    refused(said, f"{tmp_path / 'in.csv'}: row 2 (line 3), column mu: must be a number, got 'rough'.")
+    result = activefail("simulate", "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    refused(result, f"{tmp_path / 'in.csv'}: row 2 (line 3), column mu: must be a number, got 'rough'.")
     assert os.listdir(tmp_path) == ["in.csv"]
 
 
 def test_a_plot_that_cannot_be_written_is_named_with_the_reason(tmp_path: Path) -> None:
     (tmp_path / "p.png").mkdir()
-    said = activefail("simulate", *design(), "--plot", tmp_path / "p.png")
-    assert said.code == 2
-    assert said.err == f"activefail: {tmp_path / 'p.png'}: cannot be written: Is a directory.\n"
+    result = activefail("simulate", *design(), "--plot", tmp_path / "p.png")
+    assert result.code == 2
+    assert result.err == f"activefail: {tmp_path / 'p.png'}: cannot be written: Is a directory.\n"
 
 
 # --- run and resume ----------------------------------------------------------------------------------------------
 
 
-def test_a_campaign_is_run_to_its_budget_and_tells_where_it_is(ran: tuple[Path, Said]) -> None:
-    folder, said = ran
-    assert (said.code, said.err) == (0, "")
-    lines = said.out.splitlines()
+def test_a_campaign_is_run_to_its_budget_and_tells_where_it_is(ran: tuple[Path, CommandResult]) -> None:
+    folder, result = ran
+    assert (result.code, result.err) == (0, "")
+    lines = result.out.splitlines()
     assert lines[0].startswith("0/30 simulations | iteration 0 | 0 no_impact, 0 impact, 0 failure")
     assert lines[-2].startswith("30/30 simulations | iteration 2 | ")
     assert lines[-1] == f"results    {folder}"
@@ -291,27 +291,27 @@ def test_a_campaign_is_run_to_its_budget_and_tells_where_it_is(ran: tuple[Path, 
 
 
 def test_the_run_folder_keeps_the_settings_with_the_command_lines_seed_and_budget(tiny: Path, tmp_path: Path) -> None:
-    said = activefail("run", tiny, "--out", tmp_path / "run", "--seed", "8", "--budget", "22", "--workers", "1")
-    assert said.code == 0
+    result = activefail("run", tiny, "--out", tmp_path / "run", "--seed", "8", "--budget", "22", "--workers", "1")
+    assert result.code == 0
     kept = read_settings(tmp_path / "run" / "campaign.toml")
     assert kept == read_settings(tiny).with_overrides(seed=8, budget=22)
     assert len(record(tmp_path / "run")) == 22
 
 
 def test_the_command_line_and_the_library_run_the_same_campaign(
-    tiny: Path, ran: tuple[Path, Said], tmp_path: Path
+    tiny: Path, ran: tuple[Path, CommandResult], tmp_path: Path
 ) -> None:
     assert record(halted(tiny, tmp_path / "run", 99)) == record(ran[0])
 
 
 @pytest.mark.parametrize("batches", [0, 2, 5])
 def test_a_campaign_that_was_stopped_is_resumed_to_the_uninterrupted_one(
-    tiny: Path, ran: tuple[Path, Said], tmp_path: Path, batches: int
+    tiny: Path, ran: tuple[Path, CommandResult], tmp_path: Path, batches: int
 ) -> None:
     folder = halted(tiny, tmp_path / "run", batches)
-    said = activefail("resume", folder, "--workers", "2")
-    assert (said.code, said.err) == (0, "")
-    assert said.out.splitlines()[0].startswith(f"{5 * batches}/30 simulations")
+    result = activefail("resume", folder, "--workers", "2")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.splitlines()[0].startswith(f"{5 * batches}/30 simulations")
     assert record(folder) == record(ran[0])
 
 
@@ -319,16 +319,18 @@ def test_a_finished_campaign_is_resumed_to_itself_and_beyond_its_budget_when_ask
     before = record(folder)
     assert activefail("resume", folder).code == 0
     assert record(folder) == before
-    said = activefail("resume", folder, "--budget", "33")
-    assert (said.code, said.out.splitlines()[-1]) == (0, f"results    {folder}")
+    result = activefail("resume", folder, "--budget", "33")
+    assert (result.code, result.out.splitlines()[-1]) == (0, f"results    {folder}")
     after = record(folder)
     assert (len(after), after[:30]) == (33, before)
     assert {row["origin"] for row in after[30:]} == {"active"}
 
 
-def test_an_existing_run_folder_is_refused_with_the_command_that_goes_on(tiny: Path, ran: tuple[Path, Said]) -> None:
-    said = activefail("run", tiny, "--out", ran[0])
-    refused(said, f"{ran[0]}: holds a campaign already", f"`activefail resume {ran[0]}`")
+def test_an_existing_run_folder_is_refused_with_the_command_that_goes_on(
+    tiny: Path, ran: tuple[Path, CommandResult]
+) -> None:
+    result = activefail("run", tiny, "--out", ran[0])
+    refused(result, f"{ran[0]}: holds a campaign already", f"`activefail resume {ran[0]}`")
 
 
 def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tiny: Path, tmp_path: Path) -> None:
@@ -428,8 +430,8 @@ def test_what_is_no_run_folder_is_refused_by_every_command_and_left_alone(comman
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").touch()
     for name in ("none", "empty", "file"):
-        said = activefail(command, tmp_path / name, *COMMANDS_ON_FOLDERS[command])
-        refused(said, f"{tmp_path / name}: is not a run folder")
+        result = activefail(command, tmp_path / name, *COMMANDS_ON_FOLDERS[command])
+        refused(result, f"{tmp_path / name}: is not a run folder")
     assert sorted(os.listdir(tmp_path)) == ["empty", "file"]
     assert os.listdir(tmp_path / "empty") == []
     long = tmp_path / ("n" * 300)
@@ -443,8 +445,8 @@ def test_settings_that_were_changed_afterwards_are_refused_by_every_command_with
 ) -> None:
     path = folder / "campaign.toml"
     path.write_text(path.read_text().replace("seed = 3", "seed = 4"))
-    said = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
-    refused(said, "settings were changed", "-seed = 3", "+seed = 4", code=1)
+    result = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
+    refused(result, "settings were changed", "-seed = 3", "+seed = 4", code=1)
 
 
 @pytest.mark.faults
@@ -455,8 +457,8 @@ def test_a_folder_that_another_process_writes_to_can_be_read_and_not_written_to(
             refused(activefail(command, folder), "Another process is writing to", str(folder), code=1)
         assert activefail("status", folder).code == 0
         assert activefail("export", folder, "--csv", tmp_path / "all.csv").code == 0
-        said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-        assert said.code == 0
+        result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+        assert result.code == 0
 
 
 # --- status, predict, export -------------------------------------------------------------------------------------
@@ -465,31 +467,31 @@ def test_a_folder_that_another_process_writes_to_can_be_read_and_not_written_to(
 def test_the_status_names_every_boundary_that_is_sought_with_its_share(tiny: Path, tmp_path: Path) -> None:
     text = tiny.read_text() + "\n[acquisition]\nboundary = { failure = 3, impact = 1 }\n"
     (tmp_path / "both.toml").write_text(text)
-    said = activefail("status", halted(tmp_path / "both.toml", tmp_path / "both", 0))
-    assert "entropy at the failure boundary (75 %) and the impact boundary (25 %)" in said.out
+    result = activefail("status", halted(tmp_path / "both.toml", tmp_path / "both", 0))
+    assert "entropy at the failure boundary (75 %) and the impact boundary (25 %)" in result.out
 
 
-def test_the_status_of_a_finished_campaign_tells_its_pieces_and_counts(ran: tuple[Path, Said]) -> None:
-    said = activefail("status", ran[0])
-    assert (said.code, said.err) == (0, "")
-    assert "dfp, 9 variables, seed 3" in said.out
-    assert "rbf on paper features, entropy at the failure boundary" in said.out
-    assert "done       30 of 30 simulations, iteration 2" in said.out
+def test_the_status_of_a_finished_campaign_tells_its_pieces_and_counts(ran: tuple[Path, CommandResult]) -> None:
+    result = activefail("status", ran[0])
+    assert (result.code, result.err) == (0, "")
+    assert "dfp, 9 variables, seed 3" in result.out
+    assert "rbf on paper features, entropy at the failure boundary" in result.out
+    assert "done       30 of 30 simulations, iteration 2" in result.out
     rows = record(ran[0])
     for title, origins in (("initial", {"seed"}), ("chosen", {"active"}), ("all", {"seed", "active"})):
         outcomes = [row["outcome"] for row in rows if row["origin"] in origins]
         counts = ", ".join(f"{outcomes.count(name)} {name}" for name in ("no_impact", "impact", "failure"))
-        assert f"{title:<10} {counts}, 0 numerical failures\n" in said.out
-    assert "resume" not in said.out
+        assert f"{title:<10} {counts}, 0 numerical failures\n" in result.out
+    assert "resume" not in result.out
 
 
 @pytest.mark.parametrize("batches", [0, 3])
 def test_the_status_of_a_campaign_that_was_stopped_says_how_to_go_on(tiny: Path, tmp_path: Path, batches: int) -> None:
     folder = halted(tiny, tmp_path / "run", batches)
-    said = activefail("status", folder)
-    assert said.code == 0
-    assert f"done       {5 * batches} of 30 simulations, iteration 0" in said.out
-    assert said.out.splitlines()[-1] == f"continue   activefail resume {folder}"
+    result = activefail("status", folder)
+    assert result.code == 0
+    assert f"done       {5 * batches} of 30 simulations, iteration 0" in result.out
+    assert result.out.splitlines()[-1] == f"continue   activefail resume {folder}"
 
 
 def test_the_command_to_go_on_can_be_pasted_whatever_the_name_of_the_folder(tiny: Path, tmp_path: Path) -> None:
@@ -519,10 +521,10 @@ def test_the_status_of_a_campaign_taken_beyond_its_budget_does_not_say_that_it_d
 
 def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"site,{HEADER}\nA,{ROW}\nB,{ROW.replace('0.06', '0.5')}\n")
-    said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    assert said.code == 0
-    assert said.err == "warning: the classifier extrapolates: 1 designs lie outside the design space\n"
-    assert said.out == f"written to {tmp_path / 'out.csv'}\n"
+    result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    assert result.code == 0
+    assert result.err == "warning: the classifier extrapolates: 1 designs lie outside the design space\n"
+    assert result.out == f"written to {tmp_path / 'out.csv'}\n"
     for row in table(tmp_path / "out.csv"):
         assert sum(float(row[f"p_{name}"]) for name in ("no_impact", "impact", "failure")) == pytest.approx(1.0)
 
@@ -553,16 +555,16 @@ def test_a_table_that_cannot_be_predicted_is_refused_and_nothing_is_written(
 ) -> None:
     if content is not None:
         (tmp_path / "in.csv").write_text(content)
-    said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    refused(said, f"{tmp_path / 'in.csv'}", part)
+    result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    refused(result, f"{tmp_path / 'in.csv'}", part)
     assert not (tmp_path / "out.csv").exists()
 
 
 def test_a_campaign_without_simulations_predicts_and_compares_nothing(tiny: Path, tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER}\n{ROW}\n")
     folder = halted(tiny, tmp_path / "run", 0)
-    said = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
-    refused(said, f"{folder}: has no simulations to learn from yet")
+    result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
+    refused(result, f"{folder}: has no simulations to learn from yet")
     refused(activefail("compare", folder), "no simulations to compare yet")
     refused(activefail("report", folder), "no simulations to learn from yet", f"activefail resume {folder}")
     refused(activefail("explore", folder), "no simulations to learn from yet")
@@ -602,8 +604,8 @@ def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Pat
         ("--out", folder / own, ("compare", tiny)),
         ("--out", folder / own, ("paper",)),
     ):
-        said = activefail(*words, option, path)
-        refused(said, f"{option}: {path} is a file of the run folder itself; name another.")
+        result = activefail(*words, option, path)
+        refused(result, f"{option}: {path} is a file of the run folder itself; name another.")
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == own_files
 
 
@@ -619,8 +621,8 @@ def test_other_files_in_a_run_folder_and_beside_a_campaign_file_may_be_written(f
 
 
 def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folder: Path) -> None:
-    said = activefail("compare", folder, "--budgets", "30,20,30", "--test", "60")
-    assert said.code == 0
+    result = activefail("compare", folder, "--budgets", "30,20,30", "--test", "60")
+    assert result.code == 0
     results = folder / "compare"
     rows = table(results / "scores.csv")
     assert [(row["sampling"], row["simulations"]) for row in rows] == [
@@ -629,7 +631,7 @@ def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folde
         ("static", "20"),
         ("static", "30"),
     ]
-    lines = said.out.splitlines()
+    lines = result.out.splitlines()
     assert "failure accuracy" in lines[0]
     printed = [line.split() for line in lines[1:5]]
     assert [(words[1], words[0]) for words in printed] == [
@@ -644,15 +646,15 @@ def test_a_comparison_prints_and_writes_a_row_for_each_sampling_and_budget(folde
         assert (row["test_designs"], row["test_unanswered"]) == ("60", "0")
     assert (results / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     assert (results / "learning_curves.svg").read_text().startswith("<?xml")
-    assert str(results / "scores.csv") in said.out
+    assert str(results / "scores.csv") in result.out
     # The campaign is what it was.
     assert len(record(folder)) == 30
 
 
 @pytest.mark.parametrize("budgets", ["", "many", "20;30", "20,", "20,30.5", "1e2"])
 def test_budgets_that_are_no_whole_numbers_are_refused(folder: Path, budgets: str) -> None:
-    said = activefail("compare", folder, "--budgets", budgets)
-    refused(said, f"--budgets: must be whole numbers separated by commas, got {budgets!r}")
+    result = activefail("compare", folder, "--budgets", budgets)
+    refused(result, f"--budgets: must be whole numbers separated by commas, got {budgets!r}")
 
 
 @pytest.mark.parametrize(("budgets", "wrong"), [("20,31", 31), ("1", 1), ("0,20", 0), ("-5", -5)])
@@ -672,13 +674,13 @@ SMALL = "seed = 3\n[sampling]\ninitial = 20\nbudget = 30\nbatch = 10\n"
 def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
     words = ("compare", tmp_path / "small.toml", "--seeds", "1", "--static", "20", "--test", "100")
-    said = activefail(*words, "--out", tmp_path / "out")
-    assert (said.code, "Traceback" in said.err) == (0, False)
-    assert "entropy" in said.out
+    result = activefail(*words, "--out", tmp_path / "out")
+    assert (result.code, "Traceback" in result.err) == (0, False)
+    assert "entropy" in result.out
     assert (tmp_path / "out" / "comparison.md").exists()
-    again = activefail(*words, "--out", tmp_path / "out")
-    assert again.out == said.out
-    assert again.err == ""
+    repeated = activefail(*words, "--out", tmp_path / "out")
+    assert repeated.out == result.out
+    assert repeated.err == ""
 
 
 @pytest.mark.parametrize(
@@ -707,8 +709,8 @@ def test_a_comparison_is_not_made_among_other_things(folder: Path, tmp_path: Pat
     (tmp_path / "mine" / "notes.txt").touch()
     for place, holds in ((tmp_path / "mine", "notes.txt"), (folder, "campaign.toml")):
         before = sorted(place.rglob("*"))
-        said = activefail("compare", tmp_path / "small.toml", "--out", place, "--seeds", "1", "--test", "10")
-        refused(said, f"{place} is not empty (it holds {holds}): a new comparison needs a new folder.")
+        result = activefail("compare", tmp_path / "small.toml", "--out", place, "--seeds", "1", "--test", "10")
+        refused(result, f"{place} is not empty (it holds {holds}): a new comparison needs a new folder.")
         assert sorted(place.rglob("*")) == before
 
 
@@ -719,11 +721,11 @@ def test_options_of_a_campaign_file_are_refused_for_a_run_folder(folder: Path) -
 
 
 def test_a_campaign_is_verified_and_says_so_again_without_simulating(folder: Path) -> None:
-    said = activefail("verify", folder, "--simulations", "30")
-    assert said.code == 0
-    assert re.search(r"error +\d+\.\d\d % \(\d+\.\d\d to \d+\.\d\d %\) of the design space", said.out)
+    result = activefail("verify", folder, "--simulations", "30")
+    assert result.code == 0
+    assert re.search(r"error +\d+\.\d\d % \(\d+\.\d\d to \d+\.\d\d %\) of the design space", result.out)
     before = sorted((folder / "sets").iterdir())
-    assert activefail("verify", folder, "--simulations", "30").out == said.out
+    assert activefail("verify", folder, "--simulations", "30").out == result.out
     assert sorted((folder / "sets").iterdir()) == before
 
 
@@ -732,8 +734,8 @@ def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_com
     error = re.search(r"error +(\d+\.\d\d %)", verified.out)
     assert error is not None
     assert activefail("compare", folder, "--budgets", "20,30", "--test", "50").code == 0
-    said = activefail("report", folder)
-    assert (said.code, said.out) == (0, f"report     {folder / 'report.html'}\n")
+    result = activefail("report", folder)
+    assert (result.code, result.out) == (0, f"report     {folder / 'report.html'}\n")
     page = (folder / "report.html").read_text()
     assert f"<dd>{error[1]} of the design space" in page
     assert "<td>static Latin hypercube</td>" in page
@@ -758,9 +760,9 @@ def test_a_campaign_is_explored_on_this_machine_until_ctrl_c(folder: Path) -> No
     words = [sys.executable, "-m", "activefail.cli", "explore", str(folder), "--port", "0"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server, ended(server):
         assert server.stdout is not None
-        said = server.stdout.readline()
-        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C to quit\)\n", said)
-        assert address is not None, said
+        result = server.stdout.readline()
+        address = re.fullmatch(r"explorer   (http://127\.0\.0\.1:\d+/)  \(Ctrl-C to quit\)\n", result)
+        assert address is not None, result
         with urllib.request.urlopen(address[1], timeout=PATIENCE) as page:
             assert "This design" in page.read().decode()
         server.send_signal(signal.SIGINT)
@@ -785,16 +787,16 @@ def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, t
         "none does not exist",
     )
     (folder / "report.html").mkdir()
-    said = activefail("report", folder)
-    assert said.code == 2
-    assert said.err.splitlines()[-1] == f"activefail: {folder / 'report.html'}: cannot be written: Is a directory."
+    result = activefail("report", folder)
+    assert result.code == 2
+    assert result.err.splitlines()[-1] == f"activefail: {folder / 'report.html'}: cannot be written: Is a directory."
 
 
 def test_where_a_comparison_cannot_be_written_the_place_is_named(folder: Path) -> None:
     (folder / "compare").touch()
-    said = activefail("compare", folder, "--budgets", "20", "--test", "10")
-    assert said.code == 2
-    assert f"activefail: {folder / 'compare'}: cannot be written: File exists" in said.err
+    result = activefail("compare", folder, "--budgets", "20", "--test", "10")
+    assert result.code == 2
+    assert f"activefail: {folder / 'compare'}: cannot be written: File exists" in result.err
 
 
 # --- signals and pipes -------------------------------------------------------------------------------------------
@@ -919,13 +921,13 @@ def test_a_ctrl_c_ends_every_command_without_a_traceback(
     def struck(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    for place in ("activefail.record.recovery.read_segments", "activefail.findings.summary.read_summary"):
+    for place in ("activefail.record.recovery.read_segments", "activefail.findings.status.read_summary"):
         module, _, name = place.rpartition(".")
         monkeypatch.setattr(f"{module}.{name}", struck)
     monkeypatch.setattr("activefail.record.run_folder.read_segments", struck)
-    said = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
-    assert said.code == 130
-    assert said.err == "activefail: stopped; recorded simulations are safe\n"
+    result = activefail(command, folder, *COMMANDS_ON_FOLDERS[command])
+    assert result.code == 130
+    assert result.err == "activefail: stopped; recorded simulations are safe\n"
 
 
 def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
@@ -940,8 +942,8 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
         pytest.fail("nothing came")
 
     monkeypatch.setattr("activefail.paper.study.run_study", compiling)
-    said = activefail("paper", "--out", tmp_path / "paper")
-    assert (said.code, said.err) == (130, "stopped; nothing was saved. The same command starts over.\n")
+    result = activefail("paper", "--out", tmp_path / "paper")
+    assert (result.code, result.err) == (130, "stopped; nothing was saved. The same command starts over.\n")
 
 
 def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], None] = lambda: None) -> str:
@@ -998,8 +1000,8 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
         wait_for(running.process.stderr, "campaigns and classifiers")
         err = struck_as_by_a_terminal(running.process, running.release)
     assert err.splitlines()[-1] == f"stopped; scores are kept in {tmp_path / 'compared'}. The same command continues."
-    said = activefail(*words, "--static", "20")
-    assert said.code == 0, said.err
+    result = activefail(*words, "--static", "20")
+    assert result.code == 0, result.err
 
 
 @pytest.mark.faults
@@ -1047,13 +1049,13 @@ def test_what_the_terminal_has_no_letters_for_is_written_by_its_number(
     folder = tmp_path / os.fsdecode(b"run-\xff")
     assert activefail("run", tmp_path / "mine.toml", "--out", folder, "--budget", "20").code == 0
     monkeypatch.setenv("PYTHONIOENCODING", f"{encoding}:strict")
-    said = ""
+    result = ""
     for words in (["status", folder], ["export", folder, "--csv", folder / "all.csv"]):
         done = subprocess.run([sys.executable, "-m", "activefail.cli", *words], capture_output=True, check=False)
         assert (done.returncode, done.stderr) == (0, b"")
-        said += done.stdout.decode(encoding)
-    assert ("桥" if encoding == "utf-8" else r"\u6865") in said
-    assert r"run-\udcff/all.csv" in said
+        result += done.stdout.decode(encoding)
+    assert ("桥" if encoding == "utf-8" else r"\u6865") in result
+    assert r"run-\udcff/all.csv" in result
 
 
 def test_without_an_output_a_fault_is_told_all_the_same(tmp_path: Path) -> None:
@@ -1064,7 +1066,7 @@ def test_without_an_output_a_fault_is_told_all_the_same(tmp_path: Path) -> None:
     assert line.endswith(": File name too long")
 
 
-def test_a_reader_that_goes_away_is_no_reason_for_a_traceback(ran: tuple[Path, Said]) -> None:
+def test_a_reader_that_goes_away_is_no_reason_for_a_traceback(ran: tuple[Path, CommandResult]) -> None:
     with started("status", ran[0]) as process:
         process.stdout.close()  # type: ignore[union-attr]
         process.stdout = None

@@ -163,8 +163,8 @@ def test_what_is_written_is_read_again_to_the_last_bit(
     given = [[note, repr(a), other, repr(b)] for note, a, other, b in texts]
     with writing(path, ["note", "a", "other", "b"]) as write:
         write(given)
-    again = DesignTable.checked(path, NAMES, (), ordered)
-    assert rows(again) == (given, [[a, b] for _, a, _, b in texts])
+    repeated = DesignTable.checked(path, NAMES, (), ordered)
+    assert rows(repeated) == (given, [[a, b] for _, a, _, b in texts])
 
 
 # --- writing -----------------------------------------------------------------------------------------------------
@@ -229,8 +229,8 @@ def test_numbers_that_are_written_with_repr_are_read_again_to_the_last_bit(tmp_p
     with writing(tmp_path / "out.csv", ["a", "b"]) as write:
         write([list(map(repr, row)) for row in X.tolist()])
     with (tmp_path / "out.csv").open(newline="") as file:
-        again = np.array(list(csv.reader(file))[1:], dtype=np.float64)
-    assert again.tobytes() == X.tobytes()
+        repeated = np.array(list(csv.reader(file))[1:], dtype=np.float64)
+    assert repeated.tobytes() == X.tobytes()
 
 
 def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:

@@ -168,12 +168,12 @@ LOGNORMAL = (
 
 @pytest.mark.parametrize("rho", [-0.8, -0.3, 0.5, 0.95])
 def test_the_copula_of_uniform_and_of_lognormal_pairs_has_the_known_coefficient(rho: float) -> None:
-    found = nataf_factor(UNIFORM, [("a", "b", rho)])[1, 0]
-    assert found == pytest.approx(2.0 * math.sin(math.pi * rho / 6.0), abs=1e-9)
+    actual = nataf_factor(UNIFORM, [("a", "b", rho)])[1, 0]
+    assert actual == pytest.approx(2.0 * math.sin(math.pi * rho / 6.0), abs=1e-9)
     if rho > -0.8:  # two positive variables cannot be so opposed
-        found = nataf_factor(LOGNORMAL, [("a", "b", rho)])[1, 0]
+        actual = nataf_factor(LOGNORMAL, [("a", "b", rho)])[1, 0]
         one, other = (math.sqrt(math.log1p(cov**2)) for cov in (0.5, 0.3))
-        assert found == pytest.approx(math.log1p(rho * 0.5 * 0.3) / (one * other), abs=1e-4)
+        assert actual == pytest.approx(math.log1p(rho * 0.5 * 0.3) / (one * other), abs=1e-4)
 
 
 def test_designs_have_the_correlation_that_was_stated_and_their_own_distributions() -> None:

@@ -144,8 +144,8 @@ def test_pages_and_docstrings_cite_by_key():
             continue
         plain = re.sub(r"\[[^\]]*\]\([^)]*references\.md#\w+\)", "", text)
         for key, entry in entries.items():
-            found = re.search(in_words(entry), plain)
-            assert found is None, f"{where}: {found[0]!r} is cited in words, not as {key}"
+            actual = re.search(in_words(entry), plain)
+            assert actual is None, f"{where}: {actual[0]!r} is cited in words, not as {key}"
 
 
 def test_the_page_of_references_is_what_its_program_writes():

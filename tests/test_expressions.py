@@ -101,9 +101,9 @@ def test_numbers_alone_end_in_what_is_not_finite_too(text: str, value: float) ->
 
 
 @pytest.mark.parametrize("name", ["\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}"])
-@pytest.mark.parametrize("asked", ["\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}"])
-def test_a_letter_that_has_two_codes_names_the_quantity_by_either(name: str, asked: str) -> None:
-    assert parse_expression(f"2 * {asked}_1", [f"{name}_1"])({f"{name}_1": 0.1}) == 0.2
+@pytest.mark.parametrize("requested", ["\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}"])
+def test_a_letter_that_has_two_codes_names_the_quantity_by_either(name: str, requested: str) -> None:
+    assert parse_expression(f"2 * {requested}_1", [f"{name}_1"])({f"{name}_1": 0.1}) == 0.2
 
 
 def test_quantities_whose_names_python_reads_as_one_are_refused() -> None:

@@ -55,10 +55,10 @@ def test_ratios_over_decades_enter_by_their_logarithm() -> None:
     space = feature_map("paper", TABLE_1)
     low, high = space(np.array([DESIGN])), np.array([DESIGN])
     high[0, TABLE_1.names.index("k")] *= 1.5
-    more = high.copy()
-    more[0, TABLE_1.names.index("k")] *= 1.5
+    extra = high.copy()
+    extra[0, TABLE_1.names.index("k")] *= 1.5
     column = PAPER_FEATURES.index("k_norm")
-    assert_allclose((space(high) - low)[0, column], (space(more) - space(high))[0, column], rtol=1e-12)
+    assert_allclose((space(high) - low)[0, column], (space(extra) - space(high))[0, column], rtol=1e-12)
     assert space.logarithmic.tolist() == [True, True, True, False, False, True]
 
 

@@ -47,9 +47,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
 def test_a_command_that_reads_loads_only_what_it_uses(words: list[str], unloaded: set[str], folder: Path) -> None:
-    said = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", PROGRAM, *words], cwd=folder.parent, capture_output=True, text=True, check=True
     )
-    loaded = set(said.stderr.splitlines()[-1].split())
+    loaded = set(result.stderr.splitlines()[-1].split())
     assert "activefail" in loaded
     assert not loaded & unloaded

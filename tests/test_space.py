@@ -41,8 +41,8 @@ def test_the_variables_of_a_latin_hypercube_are_permuted_independently() -> None
 
 @pytest.mark.parametrize("sample", ["latin_hypercube", "sobol"])
 def test_a_sample_follows_from_its_generator_and_from_nothing_else(sample: str) -> None:
-    first, again, other = (getattr(SPACE, sample)(64, np.random.default_rng(seed)) for seed in (5, 5, 6))
-    assert first.tobytes() == again.tobytes()
+    first, repeated, other = (getattr(SPACE, sample)(64, np.random.default_rng(seed)) for seed in (5, 5, 6))
+    assert first.tobytes() == repeated.tobytes()
     assert not np.isin(first, other).any()
 
 

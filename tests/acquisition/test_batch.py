@@ -116,10 +116,10 @@ def test_the_refinement_never_makes_the_best_design_worse(learned):
 
 
 def test_the_same_generator_gives_the_same_batch(learned):
-    first, again = (
+    first, repeated = (
         propose(learned.latent("in"), learned.features, SPACE, entropy, 5, np.random.default_rng(8)) for _ in range(2)
     )
-    assert np.array_equal(first, again)
+    assert np.array_equal(first, repeated)
 
 
 # --- looking ahead -----------------------------------------------------------------------------------------------
@@ -199,11 +199,11 @@ def test_a_batch_by_global_information_tells_more_of_the_whole_space_than_one_by
 
 @pytest.mark.parametrize("name", ["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"])
 def test_every_criterion_proposes_distinct_designs_of_the_space_and_the_same_ones_again(learned, name):
-    first, again = (
+    first, repeated = (
         propose(learned.latent("in"), learned.features, SPACE, criterion(name), 5, np.random.default_rng(8))
         for _ in range(2)
     )
-    assert np.array_equal(first, again)
+    assert np.array_equal(first, repeated)
     assert first.shape == (5, 2)
     assert SPACE.contains(first).all()
     assert len(np.unique(first, axis=0)) == 5

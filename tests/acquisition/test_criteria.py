@@ -155,14 +155,14 @@ def test_a_candidates_value_does_not_depend_on_its_company(value):
 def test_a_reference_that_is_known_already_takes_no_part(value):
     (mean, sd, reference_mean, reference_sd, covariance), _ = posterior(6, 3, seed=6)
     known = np.column_stack([covariance, np.zeros(6)])
-    more = value(mean, sd, np.append(reference_mean, 1.0), np.append(reference_sd, 0.0), known)
-    assert more == pytest.approx(0.75 * value(mean, sd, reference_mean, reference_sd, covariance), rel=1e-9)
+    extra_settings = value(mean, sd, np.append(reference_mean, 1.0), np.append(reference_sd, 0.0), known)
+    assert extra_settings == pytest.approx(0.75 * value(mean, sd, reference_mean, reference_sd, covariance), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["entropy", "u", "straddle", "bald", "eavc", "globalmi", "sur"])
 def test_each_criterion_is_found_by_its_name(name):
-    found = criterion(name)
-    function = found.gain if isinstance(found, LookAhead) else found
+    named = criterion(name)
+    function = named.gain if isinstance(named, LookAhead) else named
     assert function.__name__ == name
 
 

@@ -20,19 +20,19 @@ def test_a_failure_that_a_hypercube_missed_is_found_within_ten_designs(seed):
     rng = np.random.default_rng(seed)
     known = NORMAL.latin_hypercube(30, rng)
     known = known[four_branch(known) > 0.0]
-    found = search(NORMAL, known, 0, 10, rng)
-    assert (four_branch(found) < 0.0).any()
-    assert NORMAL.contains(found).all()
+    designs = search(NORMAL, known, 0, 10, rng)
+    assert (four_branch(designs) < 0.0).any()
+    assert NORMAL.contains(designs).all()
 
 
 def test_each_design_is_farther_from_the_known_ones_than_random_designs_are():
     rng = np.random.default_rng(1)
     known = BOX.latin_hypercube(40, rng)
-    found = search(BOX, known, 0, 8, rng)
-    nearest = cdist(BOX.standardised(found), BOX.standardised(known)).min(axis=1)
+    designs = search(BOX, known, 0, 8, rng)
+    nearest = cdist(BOX.standardised(designs), BOX.standardised(known)).min(axis=1)
     usual = cdist(BOX.standardised(BOX.sobol(256, rng)), BOX.standardised(known)).min(axis=1)
     assert nearest.min() > np.quantile(usual, 0.9)
-    assert len(np.unique(found, axis=0)) == 8
+    assert len(np.unique(designs, axis=0)) == 8
 
 
 def test_designs_take_turns_in_how_far_out_they_look_also_over_several_batches():

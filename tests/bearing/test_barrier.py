@@ -98,11 +98,11 @@ def test_the_lowest_state_of_a_kind_that_a_search_finds_is_no_lower(designs, kin
             (rim, 0.05, 0.0, rim, 0.05),
             (0.0, 0.1, 0.3, 0.0, 0.2),
         ):
-            found = rest + np.array(begin)
+            point = rest + np.array(begin)
             for _ in range(4):
-                found = minimize(cost, found, method="Nelder-Mead", options={"maxiter": 3000, "fatol": 1e-9}).x
-            if shortfall(found) < 1e-6 and abs(found[2]) < constants.tilt_limit + 1e-6:
-                lowest = min(lowest, potential(constants, found) / weight)
+                point = minimize(cost, point, method="Nelder-Mead", options={"maxiter": 3000, "fatol": 1e-9}).x
+            if shortfall(point) < 1e-6 and abs(point[2]) < constants.tilt_limit + 1e-6:
+                lowest = min(lowest, potential(constants, point) / weight)
         needed = {"least": levels.least, "touch": levels.touch}.get(kind, levels.failure) / weight
         assert lowest >= needed - 1e-4
         if kind == "least":

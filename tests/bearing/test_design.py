@@ -63,10 +63,10 @@ def test_a_bad_entry_is_named_by_row_column_rule_and_value(column, value):
     name = TABLE_1.names[column]
     with pytest.raises(InputError) as caught:
         simulate(X)
-    said = str(caught.value)
-    assert f"Row 3, column {name}" in said
-    assert f"`{name} > 0`" in said
-    assert str(value) in said
+    message = str(caught.value)
+    assert f"Row 3, column {name}" in message
+    assert f"`{name} > 0`" in message
+    assert str(value) in message
 
 
 @pytest.mark.parametrize("X", [np.ones(9), np.ones((4, 8)), np.ones((4, 10)), np.ones((2, 2, 9))])
@@ -78,7 +78,7 @@ def test_designs_of_the_wrong_shape_are_refused_with_their_shape(X):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"mu": -0.1}, ("`mu > 0`", "-0.1")),
         ({"radius": math.nan}, ("`radius > 0`", "nan")),
@@ -88,15 +88,15 @@ def test_designs_of_the_wrong_shape_are_refused_with_their_shape(X):
         ({"slider_height": 4.1}, ("less than the distance", "4.1", "2")),
     ],
 )
-def test_a_bearing_that_cannot_be_built_is_refused_with_rule_and_value(bearing, change, said):
+def test_a_bearing_that_cannot_be_built_is_refused_with_rule_and_value(bearing, change, message):
     with pytest.raises(InputError) as caught:
         Bearing(**{**vars(bearing), **change})
-    for part in said:
+    for part in message:
         assert part in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: Bearing.from_table(-4.0, *ROW[1:7]), ("`T_b > 0`", "-4.0")),
         (lambda: Bearing.from_table(1e308, *ROW[1:7]), ("`-1e+75 <= T_b <= 1e+75`", "1e+308")),
@@ -116,10 +116,10 @@ def test_a_bearing_that_cannot_be_built_is_refused_with_rule_and_value(bearing, 
         (lambda: Tolerance(most_steps=0.5), ("`most_steps`", "whole number", "0.5")),
     ],
 )
-def test_a_setting_outside_its_range_is_refused_with_rule_and_value(make, said):
+def test_a_setting_outside_its_range_is_refused_with_rule_and_value(make, message):
     with pytest.raises(InputError) as caught:
         make()
-    for part in said:
+    for part in message:
         assert part in str(caught.value)
 
 

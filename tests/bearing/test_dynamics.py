@@ -238,10 +238,10 @@ def test_without_ground_motion_mechanical_energy_never_grows(designs, drift):
         v = rng.normal(size=5) * np.array([0.3, 0.3, 1.0, 1.5, 0.5])
         path = drift(constants, 0.0, q, v, 2.0)
         stored = np.array([energy(constants, 0.0, state[1:6], state[6:11]).stored for state in path])
-        given = stored[0] - energy(constants, 0.0, rest, np.zeros(5)).stored
+        supplied = stored[0] - energy(constants, 0.0, rest, np.zeros(5)).stored
         # A vertex that leaves over the rim's top takes the rim's elastic energy along: failure ends the account.
         growth = np.diff(stored).max()
-        assert growth <= 1e-9 * given
+        assert growth <= 1e-9 * supplied
         assert stored[-1] < stored[0]
         touched += np.abs(path[:, 4]).max() > bearing_of(row).displacement_capacity
     assert touched >= 8

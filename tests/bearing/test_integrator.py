@@ -250,11 +250,11 @@ def test_the_step_of_a_table_has_its_order_and_its_error_estimate_that_of_the_em
 
     exact = duffing_reference(DUFFING, np.array([0.4, 3.4]), [0.7, -0.2])[-1]
     ends = np.array([motion(DUFFING, 0.4, (0.7,), (-0.2,), 3.0 / n, n) for n in (60, 120, 240)])
-    found = orders(np.abs(ends[:, :2] - exact).max(axis=1))
-    assert found[-1] > tableau.order - 0.3, found
+    observed = orders(np.abs(ends[:, :2] - exact).max(axis=1))
+    assert observed[-1] > tableau.order - 0.3, observed
     # Of one step: one order more.
-    found = orders(ends[:, 2])
-    assert found == pytest.approx(tableau.error_order + 1, abs=0.3)
+    observed = orders(ends[:, 2])
+    assert observed == pytest.approx(tableau.error_order + 1, abs=0.3)
 
 
 def test_a_linear_oscillator_is_integrated_with_order_four():

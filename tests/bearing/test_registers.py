@@ -36,8 +36,8 @@ def rows_of(matrix):
 def test_tuples_do_what_vectors_and_matrices_do(n):
     rng = np.random.default_rng(n)
     X, Y, (x, y, weights) = rng.normal(size=(n, n)), rng.normal(size=(n, n)), rng.normal(size=(3, n))
-    found = _sums(0.7, rows_of(X), rows_of(Y), tuple(x), tuple(y), tuple(weights))
-    for one, other in zip(found, (0.7 * x + y, y + weights @ X, X @ x, 0.7 * X + Y, 0.7 * X), strict=True):
+    sums = _sums(0.7, rows_of(X), rows_of(Y), tuple(x), tuple(y), tuple(weights))
+    for one, other in zip(sums, (0.7 * x + y, y + weights @ X, X @ x, 0.7 * X + Y, 0.7 * X), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(_solution(rows_of(X @ X.T), tuple(x)), np.linalg.solve(np.eye(n) + X @ X.T, x))
     error = ((x / (np.abs(weights) + np.maximum(np.abs(x), np.abs(y)))) ** 2).sum()

@@ -96,7 +96,7 @@ def disc(
     budget: int = 28,
     batch: int = 4,
     asynchronous: bool = False,
-    more: str = "",
+    extra: str = "",
 ) -> "Campaign":
     """A campaign on the disc; `more` is TOML that the settings get besides."""
     # Here, not above: a worker process that is sent a disc starts without the learning and its libraries.
@@ -107,7 +107,7 @@ def disc(
     text = f"""
         seed = {seed}
         sampling = {{ initial = {initial}, budget = {budget}, batch = {batch}, asynchronous = {without_batches} }}
-        {more}
+        {extra}
         classifier.features = "design"
         acquisition.boundary = "broken"
         space.x = {{ low = {LOW[0]}, high = {HIGH[0]} }}

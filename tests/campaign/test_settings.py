@@ -454,11 +454,11 @@ valid = st.fixed_dictionaries(
 def test_settings_written_out_and_read_again_are_the_same_to_the_last_bit(values: dict[str, Any]) -> None:
     settings = parse_settings(tomli_w.dumps(values), "drawn")
     text = settings.text()
-    again = parse_settings(text, "written out")
-    assert again == settings
+    repeated = parse_settings(text, "written out")
+    assert repeated == settings
     # Equal floats are not yet equal bits: zero has two signs.
-    assert again.text() == text
-    assert list(again.space) == list(settings.space)
+    assert repeated.text() == text
+    assert list(repeated.space) == list(settings.space)
 
 
 @pytest.mark.parametrize(

@@ -32,29 +32,29 @@ def test_displaced_designs_stay_in_the_space_and_near_their_own(ran):
 
 
 def test_the_measures_are_what_counting_says(ran, test_set):
-    found = measures(ran.classifier, 1, test_set)
+    scores = measures(ran.classifier, 1, test_set)
     inside = distance(test_set.X) > 0.0
     p = ran.classifier.probabilities(test_set.X)[:, 1]
     right = (p > 0.5) == inside
-    assert found["accuracy"] == pytest.approx(right.mean())
-    assert found["accuracy_broken"] == found["accuracy"]
-    assert found["outcome_accuracy"] == pytest.approx(right.mean())
+    assert scores["accuracy"] == pytest.approx(right.mean())
+    assert scores["accuracy_broken"] == scores["accuracy"]
+    assert scores["outcome_accuracy"] == pytest.approx(right.mean())
     own = np.where(inside, p, 1.0 - p)
-    assert found["log_score"] == pytest.approx(np.log(own).mean())
-    assert found["outcome_log_score"] == pytest.approx(np.log(own).mean())
+    assert scores["log_score"] == pytest.approx(np.log(own).mean())
+    assert scores["outcome_log_score"] == pytest.approx(np.log(own).mean())
     near = [i for i in range(len(right)) if any(test_set.around[i] != inside[i])]
     assert 20 < len(near) < len(right) / 2
-    assert found["accuracy_near"] == pytest.approx(right[near].mean())
+    assert scores["accuracy_near"] == pytest.approx(right[near].mean())
     assert np.abs(distance(test_set.X[near])).max() < 5 * DISPLACEMENT
     small = [i for i in near if inside[i] and sum(test_set.around[i] == 0) >= NEIGHBOURS / 2]
-    assert found["recall_small"] == pytest.approx((p > 0.5)[small].mean())
+    assert scores["recall_small"] == pytest.approx((p > 0.5)[small].mean())
 
 
 def test_copies_without_an_answer_say_nothing_of_what_is_near(ran, test_set):
     blind = FreshSet(test_set.X, test_set.outcome, np.full_like(test_set.around, -1))
-    found = measures(ran.classifier, 1, blind)
-    assert np.isnan(found["accuracy_near"])
-    assert np.isnan(found["recall_small"])
+    scores = measures(ran.classifier, 1, blind)
+    assert np.isnan(scores["accuracy_near"])
+    assert np.isnan(scores["recall_small"])
 
 
 def test_the_calibration_error_is_zero_for_shares_that_come_and_the_gap_otherwise():

@@ -73,9 +73,9 @@ def test_an_arm_whose_scores_are_lost_is_scored_again_and_alike(folder, scores):
 
 def test_more_arms_leave_those_that_were_scored_alone(folder, scores):
     before = {path: path.stat().st_mtime_ns for path in (folder / "scores").glob("*.json")}
-    more = compare_seeds(replace(PLAN, static=(30, 45, 60), features=("paper",)), folder, 2)
+    extra = compare_seeds(replace(PLAN, static=(30, 45, 60), features=("paper",)), folder, 2)
     assert {path: path.stat().st_mtime_ns for path in before} == before
-    assert {s.simulations for s in more if s.arm.sampling == STATIC} == {30, 45, 60}
+    assert {s.simulations for s in extra if s.arm.sampling == STATIC} == {30, 45, 60}
 
 
 def test_a_folder_of_another_campaign_is_refused(folder, scores):
@@ -118,8 +118,8 @@ def test_simulations_to_reach_a_level_are_interpolated_in_their_logarithm():
 
 
 def test_curves_hold_the_seeds_of_each_size_in_order_of_size():
-    found = curves([*made("entropy", 60, [0.9, 0.8]), *made("entropy", 30, [0.7, 0.6])], "accuracy")
-    assert [(p.simulations, p.values.tolist()) for p in found["paper", "entropy"]] == [
+    actual = curves([*made("entropy", 60, [0.9, 0.8]), *made("entropy", 30, [0.7, 0.6])], "accuracy")
+    assert [(p.simulations, p.values.tolist()) for p in actual["paper", "entropy"]] == [
         (30, [0.7, 0.6]),
         (60, [0.9, 0.8]),
     ]

@@ -102,9 +102,9 @@ def test_a_score_is_that_of_a_classifier_of_the_first_designs_on_fresh_ones(
         with one_thread():
             classifier = train(designs, Disc().run(designs).outcome, Disc.outcomes, campaign.features, "rbf")
             latent = classifier.latents[0].moments(campaign.features(X))
-        said = (latent.mean > 0.0).astype(int)
+        sides = (latent.mean > 0.0).astype(int)
         assert row.simulations == 30
-        assert row.accuracy == np.mean(said == truth)
+        assert row.accuracy == np.mean(sides == truth)
         assert row.outcome_accuracy == row.accuracy  # two outcomes: the boundary is all there is to know
         p = np.where(truth == 1, latent.probability, 1.0 - latent.probability)
         assert row.log_score == pytest.approx(np.mean(np.log(p)))
@@ -139,8 +139,8 @@ def test_a_perfect_score_and_one_in_which_all_is_wrong(campaign: Campaign, store
     with one_thread():
         classifier = current_classifier(campaign, store, write=False)
         X: Array = campaign.space.sobol(64, np.random.default_rng(5))
-        said = (classifier.latents[0].moments(campaign.features(X)).mean > 0.0).astype(np.int8)
-        right, wrong = (score("active", classifier, 1, 40, X, truth) for truth in (said, 1 - said))
+        sides = (classifier.latents[0].moments(campaign.features(X)).mean > 0.0).astype(np.int8)
+        right, wrong = (score("active", classifier, 1, 40, X, truth) for truth in (sides, 1 - sides))
     assert (right.accuracy, right.outcome_accuracy, wrong.accuracy, wrong.outcome_accuracy) == (1.0, 1.0, 0.0, 0.0)
     assert wrong.log_score < right.log_score < 0.0
 
@@ -175,19 +175,19 @@ def test_a_campaign_that_stopped_within_its_seed_is_compared_at_what_it_has() ->
 
 
 def test_numerical_failures_are_neither_learned_from_nor_judged_by() -> None:
-    campaign = disc(Disc(blind=-1.0), more="limits.numerical_failures = 1.0")
+    campaign = disc(Disc(blind=-1.0), extra="limits.numerical_failures = 1.0")
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor:
         run(campaign, store, executor, 28)
-    told: list[str] = []
+    stages: list[str] = []
     with ThreadExecutor(2) as executor:
-        row = compare(campaign, store, executor, [28], TEST, told.append)[0]
+        row = compare(campaign, store, executor, [28], TEST, stages.append)[0]
     saved = store.read_set(f"test-{TEST}-0")
     assert saved is not None
     answered = int((saved[1].outcome >= 0).sum())
     assert answered < TEST
     assert row.test_designs == answered
-    assert f"{TEST - answered} of {TEST} test designs failed numerically; using the other {answered}" in told
+    assert f"{TEST - answered} of {TEST} test designs failed numerically; using the other {answered}" in stages
     # Shares of the designs that were answered, and the interval of so many.
     assert row.accuracy * answered == pytest.approx(round(row.accuracy * answered))
     assert (row.low, row.high) == pytest.approx(wilson(round(row.accuracy * answered), answered))
@@ -217,11 +217,16 @@ def test_a_score_has_a_column_for_each_of_its_values(first: tuple[list[Score], i
 def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted_so() -> None:
     outcome = np.array([0] * 6 + [1] * 3, dtype=np.int8)
     predicted = np.array([0, 0, 0, 0, 0, 1, 1, 0, 0])
-    found = recalls(("safe", "broken", "lost"), predicted, outcome)
-    assert (found["safe"].found, found["safe"].of, found["broken"].found, found["broken"].of) == (5, 6, 1, 3)
-    assert found["broken"].share == pytest.approx(1 / 3)
+    recall = recalls(("safe", "broken", "lost"), predicted, outcome)
+    assert (recall["safe"].found, recall["safe"].of, recall["broken"].found, recall["broken"].of) == (
+        5,
+        6,
+        1,
+        3,
+    )
+    assert recall["broken"].share == pytest.approx(1 / 3)
     # Clopper and Pearson's, from tables.
-    assert found["broken"].interval == pytest.approx((0.0084, 0.9057), abs=1e-4)
-    assert found["broken"].in_words == "33.3 % (1 of 3; 0.8 to 90.6 %)"
-    assert found["lost"].in_words == "– (none in the test set)"
-    assert found["lost"].interval == (0.0, 1.0)
+    assert recall["broken"].interval == pytest.approx((0.0084, 0.9057), abs=1e-4)
+    assert recall["broken"].in_words == "33.3 % (1 of 3; 0.8 to 90.6 %)"
+    assert recall["lost"].in_words == "– (none in the test set)"
+    assert recall["lost"].interval == (0.0, 1.0)

@@ -365,9 +365,9 @@ def test_a_simulation_without_a_usable_answer_is_one_numerical_failure_with_its_
         assert sum(steps) == 40
         assert says in results.faults[20]
         # The executor still works. Its later results do not contain earlier faults.
-        again = executor.run(Disc(), X)
-        assert bits(again) == bits(Disc().run(X))
-        assert again.faults == {}
+        repeated = executor.run(Disc(), X)
+        assert bits(repeated) == bits(Disc().run(X))
+        assert repeated.faults == {}
 
 
 def test_the_faults_of_a_batch_and_of_single_designs_at_the_same_time_come_with_their_own_results(

@@ -71,10 +71,10 @@ def batch_bits(one: Batch) -> list[object]:
 
 
 def test_committed_batches_come_back_in_order_and_bit_for_bit(kind: Kind) -> None:
-    given = [batch(n, seed, iteration) for seed, (n, iteration) in enumerate([(5, 0), (1, 1), (7, 1), (3, 2)])]
-    for one in given:
+    committed = [batch(n, seed, iteration) for seed, (n, iteration) in enumerate([(5, 0), (1, 1), (7, 1), (3, 2)])]
+    for one in committed:
         kind.store.commit(one)
-    assert [batch_bits(one) for one in kind.reopen().batches] == [batch_bits(one) for one in given]
+    assert [batch_bits(one) for one in kind.reopen().batches] == [batch_bits(one) for one in committed]
 
 
 def test_the_faults_of_results_are_not_kept(kind: Kind) -> None:
@@ -129,27 +129,27 @@ def test_a_state_comes_back_bit_for_bit_whatever_its_names_and_shapes(kind: Kind
         "large": np.random.default_rng(0).normal(size=(700, 300)),
     }
     kind.store.write_state(3, state)
-    found = kind.reopen().latest_state()
-    assert found is not None
-    assert found[0] == 3
-    assert {name: bits(array) for name, array in found[1].items()} == {name: bits(a) for name, a in state.items()}
+    saved = kind.reopen().latest_state()
+    assert saved is not None
+    assert saved[0] == 3
+    assert {name: bits(array) for name, array in saved[1].items()} == {name: bits(a) for name, a in state.items()}
 
 
 def test_the_latest_state_is_that_of_the_highest_iteration(kind: Kind) -> None:
     for iteration in range(12):
         kind.store.write_state(iteration, {"i": np.array(iteration)})
-        found = kind.reopen().latest_state()
-        assert found is not None
-        assert (found[0], found[1]["i"]) == (iteration, iteration)
+        saved = kind.reopen().latest_state()
+        assert saved is not None
+        assert (saved[0], saved[1]["i"]) == (iteration, iteration)
         kind.store = kind.reopen()
 
 
 def test_a_state_of_an_earlier_iteration_drops_those_of_a_course_not_taken(kind: Kind) -> None:
     for iteration in (1, 2, 8, 9, 3):
         kind.store.write_state(iteration, {"i": np.array(iteration)})
-    found = kind.reopen().latest_state()
-    assert found is not None
-    assert (found[0], found[1]["i"]) == (3, 3)
+    saved = kind.reopen().latest_state()
+    assert saved is not None
+    assert (saved[0], saved[1]["i"]) == (3, 3)
 
 
 def test_a_set_comes_back_bit_for_bit_and_a_second_one_replaces_it(kind: Kind) -> None:
@@ -214,9 +214,9 @@ def test_a_closed_store_refuses_writing_and_still_shows_its_batches(kind: Kind) 
 
 def test_a_commit_does_not_change_the_batches_that_were_given_before(kind: Kind) -> None:
     kind.store.commit(batch(4, 0))
-    given = kind.store.batches
+    committed = kind.store.batches
     kind.store.commit(batch(3, 1, 1))
-    assert len(given) == 1
+    assert len(committed) == 1
     assert [len(one) for one in kind.store.batches] == [4, 3]
 
 
@@ -238,16 +238,16 @@ def test_the_last_three_states_stay_and_a_rejected_one_is_skipped_until_it_is_wr
         kind.store.write_state(iteration, {"i": np.array(iteration)})
     store = kind.reopen()
     for iteration in (4, 3, 2):
-        found = store.latest_state()
-        assert found is not None
-        assert found[0] == iteration
+        saved = store.latest_state()
+        assert saved is not None
+        assert saved[0] == iteration
         store.reject_state(iteration, "predicts nothing")
     store.reject_state(99, "was never there")
     assert store.latest_state() is None
     store.write_state(4, {"i": np.array(7)})
-    found = store.latest_state()
-    assert found is not None
-    assert found[1]["i"] == 7
+    saved = store.latest_state()
+    assert saved is not None
+    assert saved[1]["i"] == 7
 
 
 def test_a_state_of_a_negative_iteration_is_refused(kind: Kind) -> None:
@@ -288,9 +288,9 @@ def test_a_reader_of_a_folder_sees_the_batches_of_its_opening_and_no_later_ones(
             writer.commit(batch(3, 1, 1))
             assert [batch_bits(one) for one in reader.batches] == [batch_bits(one) for one in writer.batches[:1]]
             writer.write_state(1, {"i": np.array(1)})
-            found = reader.latest_state()
-            assert found is not None
-            assert found[0] == 0
+            saved = reader.latest_state()
+            assert saved is not None
+            assert saved[0] == 0
             with pytest.raises(StoreError, match="reading only"):
                 reader.commit(batch(1, 2))
 

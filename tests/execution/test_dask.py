@@ -309,8 +309,8 @@ def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time
     (tmp_path / "unruly.toml").write_text(limited)
     dask = ("--executor", "dask", "--scheduler", alone.address)
     for name in ("bearing", "unruly"):
-        said = activefail("run", tmp_path / f"{name}.toml", "--out", tmp_path / name, *dask)
-        assert said.code == 0, said.err
+        result = activefail("run", tmp_path / f"{name}.toml", "--out", tmp_path / name, *dask)
+        assert result.code == 0, result.err
     assert activefail("run", tmp_path / "bearing.toml", "--out", tmp_path / "here").code == 0
     assert record(tmp_path / "bearing") == record(tmp_path / "here")
     rows = record(tmp_path / "unruly")
@@ -478,8 +478,8 @@ def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cl
         worker.wait()
     (tmp_path / "open").touch()
     cluster.add("three")
-    said = activefail("resume", folder, *dask, "--code", tmp_path)
-    assert said.code == 0, said.err
+    result = activefail("resume", folder, *dask, "--code", tmp_path)
+    assert result.code == 0, result.err
     rows = record(folder)
     assert rows[: len(before)] == before
     assert len({(row["x"], row["y"]) for row in rows}) == 24
@@ -496,10 +496,10 @@ def hear(process: subprocess.Popen[str], start: str) -> None:
 
 
 def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) -> None:
-    told: list[str] = []
-    with DaskExecutor(alone.address, report=told.append) as executor:
+    messages: list[str] = []
+    with DaskExecutor(alone.address, report=messages.append) as executor:
         executor.start(Disc(), 1, np.array([0.0, 20.0]))
-        until(lambda: executor.answered(0.1) == [] and len(told) == 1)
+        until(lambda: executor.answered(0.1) == [] and len(messages) == 1)
         alone.scheduler.send_signal(signal.SIGSTOP)
         waker = Timer(PATIENCE, alone.scheduler.send_signal, (signal.SIGCONT,))
         waker.start()
@@ -510,7 +510,7 @@ def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) ->
         alone.scheduler.send_signal(signal.SIGCONT)
         alone.add("one")
         until(lambda: [ticket for ticket, _ in executor.answered(0.1)] == [1])
-    assert len(told) == 1
+    assert len(messages) == 1
 
 
 @pytest.mark.parametrize("asynchronous", [True, False])
@@ -600,8 +600,8 @@ def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(
     (tmp_path / "mine.toml").write_text("seed = 2\nsampling = { initial = 20, budget = 30, batch = 5 }")
     words = ("run", tmp_path / "mine.toml", "--out")
     dask = ("--executor", "dask", "--scheduler", cluster.address)
-    said = activefail(*words, tmp_path / "there", *dask)
-    assert said.code == 0, said.err
+    result = activefail(*words, tmp_path / "there", *dask)
+    assert result.code == 0, result.err
     assert activefail(*words, tmp_path / "here").code == 0
     assert record(tmp_path / "there") == record(tmp_path / "here")
 
@@ -614,9 +614,9 @@ def versions() -> dict[str, str]:
 def test_a_worker_of_another_version_answers_nothing(cluster: Cluster) -> None:
     X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
     with DaskExecutor(cluster.address, versions=versions) as executor:
-        with pytest.raises(SimulationError, match="differs from this machine: leader there there, here here") as told:
+        with pytest.raises(SimulationError, match="differs from this machine: leader there there, here here") as raised:
             executor.run(Disc(), X)
-        assert "none was recorded" in str(told.value)
+        assert "none was recorded" in str(raised.value)
 
 
 def test_the_workers_of_a_campaign_must_simulate_with_what_is_here(cluster: Cluster) -> None:

@@ -29,14 +29,14 @@ FAILING = [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]
 
 
 def test_a_prediction_is_the_classifier_s(answers, findings):
-    said = answers.predict(FAILING)
+    reply = answers.predict(FAILING)
     expected = predict(findings.campaign, findings.classifier, np.array([FAILING]))
-    assert said["probabilities"] == pytest.approx(expected.probabilities[0].tolist())
-    failure = said["boundaries"][-1]
+    assert reply["probabilities"] == pytest.approx(expected.probabilities[0].tolist())
+    failure = reply["boundaries"][-1]
     assert (failure["probability"], failure["low"], failure["high"]) == pytest.approx(
         (expected.beyond[0], expected.low[0], expected.high[0])
     )
-    assert [boundary["text"] for boundary in said["boundaries"]] == ["impact or worse", "failure"]
+    assert [boundary["text"] for boundary in reply["boundaries"]] == ["impact or worse", "failure"]
 
 
 def test_the_interval_of_every_boundary_holds_its_probability(answers, findings):
@@ -46,63 +46,63 @@ def test_the_interval_of_every_boundary_holds_its_probability(answers, findings)
 
 
 def test_a_simulation_is_the_simulator_s_and_its_frames_are_the_motion(answers):
-    said = answers.simulate(FAILING)
+    reply = answers.simulate(FAILING)
     response = simulate_one(Bearing.from_row(FAILING, 0.3), Pulse.from_table(*FAILING[7:]), to_the_end=True)
-    assert said["outcome"] == response.outcome_name == "failure"
-    q = np.array(said["frames"]["q"])
+    assert reply["outcome"] == response.outcome_name == "failure"
+    q = np.array(reply["frames"]["q"])
     assert q.shape == (240, 5)
     np.testing.assert_allclose(q[-1], response.q[-1], atol=1e-4)
-    assert said["command"].startswith("activefail simulate --t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 ")
+    assert reply["command"].startswith("activefail simulate --t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 ")
 
 
 @pytest.mark.parametrize("narrow", [False, True])
 def test_histories_say_where_in_them_an_instant_is(answers, narrow):
-    said = answers.histories(FAILING, narrow)
+    reply = answers.histories(FAILING, narrow)
     frames = answers.simulate(FAILING)["frames"]["t"]
-    assert said["times"][0] == pytest.approx(frames[0], abs=1e-4)
-    assert frames[0] < frames[-1] < said["times"][1]
-    place = said["axes"]
+    assert reply["times"][0] == pytest.approx(frames[0], abs=1e-4)
+    assert frames[0] < frames[-1] < reply["times"][1]
+    place = reply["axes"]
     assert 0.0 < place["left"] < place["right"] <= 1.0
     assert 0.0 < place["top"] < place["bottom"] < 1.0
-    assert said["svg"].startswith("<svg")
+    assert reply["svg"].startswith("<svg")
 
 
 def test_the_command_line_of_a_bearing_simulates_that_very_one(tmp_path):
     unusual = "bearing = { slider_density = 5000.0, restitution = 'assembly', loss_of_confinement = false }"
-    ran(tmp_path / "run", settings(budget=20, more=unusual))
+    ran(tmp_path / "run", settings(budget=20, extra=unusual))
     with open_campaign(tmp_path / "run", write=False) as (campaign, store), one_thread():
         answers = Answers(
             findings_of(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False))
         )
-    said = answers.simulate([4.0 / 3.0 + 2.0, *FAILING[1:]])
-    assert said["command"] == (
+    reply = answers.simulate([4.0 / 3.0 + 2.0, *FAILING[1:]])
+    assert reply["command"] == (
         "activefail simulate --t-b 3.333333333333333 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 "
         "--k 2000000000 --t-p 2.5 --a-p 0.5 --restitution assembly --slider-density 5000 --no-loss-of-confinement"
     )
-    result = CliRunner().invoke(app, shlex.split(said["command"])[1:])
+    result = CliRunner().invoke(app, shlex.split(reply["command"])[1:])
     assert result.exit_code == 0
-    assert said["outcome"] in result.output.splitlines()[0]
+    assert reply["outcome"] in result.output.splitlines()[0]
 
 
 def test_every_answer_is_json_that_any_browser_reads(answers):
-    for said in (
+    for reply in (
         answers.about(),
         answers.predict(FAILING),
         answers.simulate(FAILING),
         answers.fragility(FAILING, 8),
         answers.histories(FAILING, True),
     ):
-        json.dumps(said, allow_nan=False)
+        json.dumps(reply, allow_nan=False)
 
 
 def test_a_plane_says_where_its_axes_are_and_names_their_units(answers):
-    said = answers.plane(FAILING, 7, 8, "failure")
-    axes = said["axes"]
+    reply = answers.plane(FAILING, 7, 8, "failure")
+    axes = reply["axes"]
     assert 0.0 < axes["left"] < axes["right"] < 1.0
     assert 0.0 < axes["top"] < axes["bottom"] < 1.0
-    assert "in the plane of T_p and A_p" in said["svg"]
-    assert "<script" not in said["svg"]
-    assert answers.plane(FAILING, 7, 8, "uncertainty")["svg"] != said["svg"]
+    assert "in the plane of T_p and A_p" in reply["svg"]
+    assert "<script" not in reply["svg"]
+    assert answers.plane(FAILING, 7, 8, "uncertainty")["svg"] != reply["svg"]
 
 
 def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
@@ -131,7 +131,7 @@ def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("inputs", "says"),
     [
         (None, "point: must be a list of 9 numbers"),
         ([1.0], "point: must be a list of 9 numbers"),
@@ -143,9 +143,9 @@ def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
         ([True, *FAILING[1:]], "T_b: must lie between"),
     ],
 )
-def test_a_point_outside_the_space_is_refused_by_variable_rule_and_value(answers, given, says):
+def test_a_point_outside_the_space_is_refused_by_variable_rule_and_value(answers, inputs, says):
     with pytest.raises(InputError, match=says):
-        answers.point(given)
+        answers.point(inputs)
 
 
 def test_a_plane_of_one_variable_or_of_nothing_is_refused(answers):
@@ -170,8 +170,8 @@ def test_another_simulator_is_explored_without_bearings(dimension, tmp_path):
     campaign = disc() if dimension == 2 else other(1)
     ran(tmp_path / "run", campaign)
     with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store, one_thread():
-        found = findings_of(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False))
-    answers = Answers(found)
+        actual = findings_of(tmp_path / "run", campaign, store, current_classifier(campaign, store, write=False))
+    answers = Answers(actual)
     text = page(answers.about())
     assert "Simulate this bearing" not in text
     assert ("Plane through this design" in text) == (dimension == 2)

@@ -101,7 +101,8 @@ def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_ref
     for text in ("0.9", "much", ""):
         types(8, text)
         until(
-            lambda said=text: visitor.one("#status").text == f"A_p: a number from 0.1 to 0.8, not “{said}”.", "a reason"
+            lambda result=text: visitor.one("#status").text == f"A_p: a number from 0.1 to 0.8, not “{result}”.",
+            "a reason",
         )
         assert visitor.one("#t8").get_attribute("value") == "0.4567"
     assert visitor.one("#t6").get_attribute("value") == "2.5e9"

@@ -39,11 +39,11 @@ def request(
 ) -> Reply:
     """A reply to a request with these headers (`Content_Type` for Content-Type); `Host` replaces the right one."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=PATIENCE)
-    given = {name.replace("_", "-"): value for name, value in headers.items()}
-    connection.putrequest(method, path, skip_host="Host" in given)
-    for name, value in given.items():
+    fields = {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.putrequest(method, path, skip_host="Host" in fields)
+    for name, value in fields.items():
         connection.putheader(name, value)
-    if body is not None and "Content-Length" not in given:
+    if body is not None and "Content-Length" not in fields:
         connection.putheader("Content-Length", str(len(body)))
     connection.endheaders(body)
     try:
@@ -53,8 +53,8 @@ def request(
 
 
 def ask(server: ExplorerServer, question: str, what: object, **headers: str) -> Reply:
-    given = {"Content_Type": "application/json"} | headers
-    return request(server, "POST", f"/api/{question}", json.dumps(what).encode(), **given)
+    fields = {"Content_Type": "application/json"} | headers
+    return request(server, "POST", f"/api/{question}", json.dumps(what).encode(), **fields)
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +73,9 @@ def abroad(answers: Answers):
 def test_the_page_its_files_and_its_questions_are_served(server):
     assert "This design" in request(server).text
     for path, kind in (("/explorer.js", "text/javascript"), ("/explorer.css", "text/css")):
-        found = request(server, path=path)
-        assert found.status == 200
-        assert found.headers["Content-Type"].startswith(kind)
+        answer = request(server, path=path)
+        assert answer.status == 200
+        assert answer.headers["Content-Type"].startswith(kind)
     assert sum(ask(server, "predict", {"point": POINT}).json["probabilities"]) == pytest.approx(1.0)
     assert ask(server, "simulate", {"point": POINT}).json["outcome"] == "failure"
     assert ask(server, "plane", {"point": POINT, "x": "T_p", "y": "A_p", "shown": "failure"}).status == 200
@@ -99,9 +99,9 @@ def test_a_page_may_load_nothing_from_elsewhere_and_be_shown_nowhere_else(server
 )
 def test_another_host_s_name_is_not_answered(server, host):
     port = server.server_address[1]
-    found = request(server, Host=host.format(port=port))
-    assert found.status in (400, 421)
-    assert "This design" not in found.text
+    answer = request(server, Host=host.format(port=port))
+    assert answer.status in (400, 421)
+    assert "This design" not in answer.text
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:{port}", "localhost:{port}", "LOCALHOST:{port}", "[::1]:{port}"])
@@ -128,10 +128,10 @@ def test_another_site_s_page_may_not_ask(server):
     ],
 )
 def test_a_question_that_makes_no_sense_is_refused_in_words(server, question, what, status, says):
-    found = ask(server, question, what)
-    assert found.status == status
-    assert says in found.json["error"]
-    assert "Traceback" not in found.text
+    answer = ask(server, question, what)
+    assert answer.status == status
+    assert says in answer.json["error"]
+    assert "Traceback" not in answer.text
 
 
 def test_what_is_no_json_or_too_long_or_of_no_length_is_refused(server):
@@ -145,16 +145,16 @@ def test_what_is_no_json_or_too_long_or_of_no_length_is_refused(server):
     assert request(server, path="/../pyproject.toml").status == 404
     here = f"127.0.0.1:{server.server_address[1]}"
     assert request(server, path="http://[", Host=here).json["error"] == "The path is invalid."
-    found = request(server, "PUT", "/")
-    assert found.status == 501
-    assert found.json["error"] == "Unsupported method ('PUT')"
+    answer = request(server, "PUT", "/")
+    assert answer.status == 501
+    assert answer.json["error"] == "Unsupported method ('PUT')"
 
 
 def test_what_is_no_http_is_refused_in_words(server):
     with socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=PATIENCE) as line:
         line.sendall(b"nonsense\r\n\r\n")
-        said = line.makefile("rb").read()
-    assert b'{"error": "Bad request syntax' in said
+        received = line.makefile("rb").read()
+    assert b'{"error": "Bad request syntax' in received
 
 
 def test_a_fault_of_the_explorer_is_told_in_its_terminal_and_not_to_the_page(answers, monkeypatch, capfd):
@@ -163,16 +163,16 @@ def test_a_fault_of_the_explorer_is_told_in_its_terminal_and_not_to_the_page(ans
 
     monkeypatch.setattr(answers, "predict", fails)
     with served(answers) as server:
-        found = ask(server, "predict", {"point": POINT})
-    assert found.status == 500
-    assert found.json == {"error": "The explorer failed; its terminal shows the error."}
+        answer = ask(server, "predict", {"point": POINT})
+    assert answer.status == 500
+    assert answer.json == {"error": "The explorer failed; its terminal shows the error."}
     assert "a secret of the machine" in capfd.readouterr().err
 
 
 def test_beyond_this_machine_a_token_is_needed_for_everything(abroad):
     assert abroad.address.endswith(f"/?token={abroad.token}")
     assert len(abroad.token) >= 32
-    for found in (
+    for answer in (
         request(abroad),
         request(abroad, path="/explorer.js"),
         request(abroad, path="/?token=wrong"),
@@ -180,14 +180,14 @@ def test_beyond_this_machine_a_token_is_needed_for_everything(abroad):
         ask(abroad, "predict", {"point": POINT}),
         request(abroad, "POST", f"/api/predict?token={abroad.token}", b"{}", Content_Type="application/json"),
     ):
-        assert found.status == 403
-        assert abroad.token not in found.text
+        assert answer.status == 403
+        assert abroad.token not in answer.text
 
 
 def test_the_token_opens_the_page_and_goes_from_its_address_into_a_cookie(abroad):
-    found = request(abroad, path=f"/?token={abroad.token}")
-    assert (found.status, found.headers["Location"]) == (303, "/")
-    cookie = found.headers["Set-Cookie"]
+    answer = request(abroad, path=f"/?token={abroad.token}")
+    assert (answer.status, answer.headers["Location"]) == (303, "/")
+    cookie = answer.headers["Set-Cookie"]
     assert "HttpOnly" in cookie
     assert "SameSite=Strict" in cookie
     kept = cookie.split(";")[0]
@@ -283,12 +283,12 @@ def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(answ
         replies = [reply(line) for line in lines]
         server.shutdown()
         thread.join()
-    assert {found.status for found in replies} <= {200, 503}
+    assert {answer.status for answer in replies} <= {200, 503}
     # The page is no question, and there is always room for some of these.
-    assert all(found.status == 200 for found in replies[::4])
-    assert [found.status for found in replies].count(200) >= 50 + MOST_QUESTIONS
-    for found in replies:
-        assert found.status == 200 or (found.headers["Retry-After"], found.json["error"]) == (
+    assert all(answer.status == 200 for answer in replies[::4])
+    assert [answer.status for answer in replies].count(200) >= 50 + MOST_QUESTIONS
+    for answer in replies:
+        assert answer.status == 200 or (answer.headers["Retry-After"], answer.json["error"]) == (
             "1",
             "The explorer is busy; try again.",
         )
@@ -297,14 +297,14 @@ def test_two_hundred_connections_that_come_at_once_all_get_a_whole_response(answ
 def test_beyond_the_most_questions_at_once_one_is_refused_and_may_be_asked_again(answers, held, monkeypatch):
     monkeypatch.setattr(explorer_server, "MOST_QUESTIONS", 2)
     with served(answers) as server, ThreadPoolExecutor(2) as visitors:
-        asked = [visitors.submit(ask, server, "predict", {"point": POINT}) for _ in range(2)]
-        for _ in asked:
+        visits = [visitors.submit(ask, server, "predict", {"point": POINT}) for _ in range(2)]
+        for _ in visits:
             assert held.begun.acquire(timeout=PATIENCE)
-        found = ask(server, "predict", {"point": POINT})
-        assert (found.status, found.headers["Retry-After"], found.headers["Connection"]) == (503, "1", "close")
+        answer = ask(server, "predict", {"point": POINT})
+        assert (answer.status, answer.headers["Retry-After"], answer.headers["Connection"]) == (503, "1", "close")
         assert request(server).status == 200
         held.released.set()
-        assert [visitor.result().status for visitor in asked] == [200, 200]
+        assert [visitor.result().status for visitor in visits] == [200, 200]
         assert ask(server, "predict", {"point": POINT}).status == 200
 
 

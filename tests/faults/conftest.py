@@ -33,11 +33,11 @@ def victims(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Victims]:
 @pytest.fixture(scope="session")
 def strace() -> str:
     """The tracer, where there is one that may trace."""
-    found = shutil.which("strace")
-    if found is None:
+    actual = shutil.which("strace")
+    if actual is None:
         pytest.skip("strace is not installed (Debian: apt install strace)")
     sleeping = subprocess.Popen(["sleep", "3600"])
-    words = [found, "-qq", "-e", "trace=none", "-e", "inject=write:error=EIO:when=1", "-p", str(sleeping.pid)]
+    words = [actual, "-qq", "-e", "trace=none", "-e", "inject=write:error=EIO:when=1", "-p", str(sleeping.pid)]
     tracer = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     try:
         watched = f"TracerPid:\t{tracer.pid}\n"
@@ -47,7 +47,7 @@ def strace() -> str:
         )
         if tracer.poll() is not None:
             pytest.skip(f"strace may not trace here: {tracer.communicate()[1].strip()}")
-        return found
+        return actual
     finally:
         for process in (tracer, sleeping):
             process.kill()
@@ -64,8 +64,8 @@ def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
     place.mkdir()
 
     def sized(kilobytes: int) -> Path:
-        again = "remount," if place.is_mount() else ""
-        command = ["mount", "-t", "tmpfs", "-o", f"{again}size={kilobytes}k", "tmpfs", str(place)]
+        remount = "remount," if place.is_mount() else ""
+        command = ["mount", "-t", "tmpfs", "-o", f"{remount}size={kilobytes}k", "tmpfs", str(place)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             pytest.skip(f"a small file system cannot be mounted here: {done.stderr.strip()}")

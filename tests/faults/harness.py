@@ -75,7 +75,7 @@ class Victim:
     pid: int
     log: Path
     gate: int = -1
-    told: list[str] = field(default_factory=list)
+    reports: list[str] = field(default_factory=list)
 
     def go_on(self) -> None:
         """Let it go on from where it waits."""
@@ -85,13 +85,13 @@ class Victim:
     def end(self) -> int:
         """Its exit code, below 0 for a signal; `told` is what it was told until then."""
         code = int(self.server.answer({"wait": self.pid}))
-        self.told = self.log.read_text().splitlines() if self.log.exists() else []
+        self.reports = self.log.read_text().splitlines() if self.log.exists() else []
         return code
 
     @property
     def acknowledged(self) -> list[str]:
         """What the record acknowledged: lines like "commit 3 <digest>", "state 1" and "set <name>"."""
-        return [line for line in self.told if line.split()[0] in ("commit", "state", "set")]
+        return [line for line in self.reports if line.split()[0] in ("commit", "state", "set")]
 
 
 class Victims:
@@ -145,9 +145,9 @@ class Victims:
                 if error.errno != errno.ENXIO:  # nobody reads from it yet
                     raise
                 state = Path(f"/proc/{victim.pid}/stat").read_text().rpartition(")")[2].split()[0]
-                told = log.read_text() if log.exists() else ""
-                assert state not in "ZX", f"the victim ended before it came to {place!r}: {told}"
-                assert time.monotonic() < give_up, f"the victim did not come to {place!r}: {told}"
+                reports = log.read_text() if log.exists() else ""
+                assert state not in "ZX", f"the victim ended before it came to {place!r}: {reports}"
+                assert time.monotonic() < give_up, f"the victim did not come to {place!r}: {reports}"
                 time.sleep(0.002)
 
     def close(self) -> None:

@@ -223,8 +223,8 @@ def test_no_file_that_agrees_with_itself_makes_the_program_read_another_one_or_m
     path = newest(folder, kind)
     forged(path, change)
     with FolderStore.open(folder, SCHEMA, write=False) as store:
-        found = {"segments": store.batches, "state": store.latest_state(), "sets": store.read_set("test")}
-        assert not found[kind]
+        parts = {"segments": store.batches, "state": store.latest_state(), "sets": store.read_set("test")}
+        assert not parts[kind]
         assert path.name in store.warnings[0]
 
 
@@ -267,8 +267,8 @@ def test_a_foreign_run_folder_brings_no_command_to_a_traceback(tmp_path: Path, c
     path = newest(folder, "segments")
     forged(path, change)
     for command in (["status", folder], ["export", folder, "--csv", tmp_path / "out.csv"], ["resume", folder]):
-        said = activefail(*command, *(["--budget", "3"] if command[0] == "resume" else []))
-        assert said.code == 0, said.err
-        assert said.err.startswith(f"warning: segments/{path.name} ")
-        assert len([line for line in said.err.splitlines() if "initial designs without it" not in line]) == 1
+        result = activefail(*command, *(["--budget", "3"] if command[0] == "resume" else []))
+        assert result.code == 0, result.err
+        assert result.err.startswith(f"warning: segments/{path.name} ")
+        assert len([line for line in result.err.splitlines() if "initial designs without it" not in line]) == 1
     assert path.with_name(f"{path.name}.quarantine").exists()

@@ -16,7 +16,7 @@ import hypothesis
 import numpy as np
 import pytest
 import tomli_w
-from commandline import Said, activefail, record, refused, table
+from commandline import CommandResult, activefail, record, refused, table
 from faults.harness import Course, Victims, finished, traced
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
@@ -92,18 +92,18 @@ def commands(folder: Path) -> Iterator[list[str | Path]]:
 
 def tree(folder: Path) -> dict[str, tuple[object, ...]]:
     """All that is in a folder: where links lead, contents, and which file each name stands for."""
-    found: dict[str, tuple[object, ...]] = {}
+    entries: dict[str, tuple[object, ...]] = {}
     for path in sorted(folder.rglob("*")):
         if path.is_symlink():
-            found[str(path)] = ("link", os.readlink(path))
+            entries[str(path)] = ("link", os.readlink(path))
         else:
-            found[str(path)] = (path.stat().st_ino, path.read_bytes() if path.is_file() else b"")
-    return found
+            entries[str(path)] = (path.stat().st_ino, path.read_bytes() if path.is_file() else b"")
+    return entries
 
 
-def unforged(said: Said) -> None:
+def unforged(result: CommandResult) -> None:
     """Assert that what the program said holds no control character but line ends, and no line that is not its own."""
-    for text in (said.out, said.err):
+    for text in (result.out, result.err):
         assert visible(text, keep="\n") == text
         assert not [line for line in text.splitlines() if line.startswith("results    forged")]
         text.encode()
@@ -140,8 +140,8 @@ def test_a_link_in_a_run_folder_is_refused_by_every_command_and_what_it_leads_to
     link.symlink_to(victim / "thing")
     before = tree(tmp_path)
     for words in commands(received):
-        said = activefail(*words)
-        refused(said, f"{link} is a symbolic link; activefail follows no links inside a run folder", code=1)
+        result = activefail(*words)
+        refused(result, f"{link} is a symbolic link; activefail follows no links inside a run folder", code=1)
         assert tree(tmp_path) == before
         survived()
 
@@ -182,8 +182,8 @@ def test_an_output_that_is_a_link_in_a_run_folder_is_refused_and_a_link_of_the_u
     other = Path(shutil.copytree(received, tmp_path / "other", symlinks=True))
     (received / "compare" / "table.csv").unlink()
     for target in (received / "table.csv", other / "table.csv", other / "compare" / "table.csv"):
-        said = activefail("export", received, "--csv", target)
-        refused(said, "--csv: ", f"{target} is a symbolic link in a run folder, which is not followed")
+        result = activefail("export", received, "--csv", target)
+        refused(result, "--csv: ", f"{target} is a symbolic link in a run folder, which is not followed")
     assert victim.read_text() == "mine"
     assert activefail("export", received, "--csv", tmp_path / "mine.csv").code == 0
     assert (tmp_path / "mine.csv").is_symlink()
@@ -206,8 +206,8 @@ def test_every_character_that_is_no_letter_is_shown_as_an_escape(text: str) -> N
 )
 def test_a_word_for_the_shell_is_one_visible_line_that_names_the_same(name: str) -> None:
     assert quoted(name).isprintable()
-    said = subprocess.run(["bash", "-c", f"printf %s {quoted(name)}"], capture_output=True, check=True).stdout
-    assert said == os.fsencode(name)
+    result = subprocess.run(["bash", "-c", f"printf %s {quoted(name)}"], capture_output=True, check=True).stdout
+    assert result == os.fsencode(name)
 
 
 def test_no_text_of_a_run_folder_forges_a_line_of_the_program(tmp_path: Path, survived: Survived) -> None:
@@ -223,11 +223,11 @@ def test_no_text_of_a_run_folder_forges_a_line_of_the_program(tmp_path: Path, su
     (folder / "segments" / f"x{FORGED.replace('/', '')}").touch()
     for words in commands(folder):
         if words[0] != "explore":
-            said = activefail(*words)
-            unforged(said)
-            assert said.code == 0, said
+            result = activefail(*words)
+            unforged(result)
+            assert result.code == 0, result
             if words[0] != "status":
-                assert r"\nresults    forged\r\x1b[2J" in said.err
+                assert r"\nresults    forged\r\x1b[2J" in result.err
             survived()
     assert r"quiet\nresults    forged\r\x1b[2J\x1b]0;title\x07\u202e" in activefail("status", folder).out
     page = (folder / "report.html").read_text()
@@ -236,37 +236,37 @@ def test_no_text_of_a_run_folder_forges_a_line_of_the_program(tmp_path: Path, su
     # The difference to changed settings quotes both.
     text = (folder / "campaign.toml").read_text()
     (folder / "campaign.toml").write_text(text.replace("budget = 12", "budget = 13") + "# \u202e\u2066\x85\n")
-    said = activefail("export", folder, "--csv", tmp_path / "all.csv")
-    unforged(said)
-    assert "settings were changed" in said.err
-    assert r"\u202e\u2066" in said.err
+    result = activefail("export", folder, "--csv", tmp_path / "all.csv")
+    unforged(result)
+    assert "settings were changed" in result.err
+    assert r"\u202e\u2066" in result.err
 
 
 def test_no_message_of_a_simulator_forges_a_line_of_the_program(tmp_path: Path) -> None:
     (tmp_path / "model.py").write_text(f"def run(d):\n    raise ValueError({FORGED!r})\n")
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    said = activefail("run", tmp_path / "campaign.toml", "--out", tmp_path / "raises", "--workers", "1")
-    unforged(said)
-    assert (said.code, r"ValueError: \nresults    forged\r\x1b[2J" in said.err) == (1, True), said.err
+    result = activefail("run", tmp_path / "campaign.toml", "--out", tmp_path / "raises", "--workers", "1")
+    unforged(result)
+    assert (result.code, r"ValueError: \nresults    forged\r\x1b[2J" in result.err) == (1, True), result.err
     (tmp_path / "model.py").write_text(f"raise ImportError({FORGED!r})\n")
-    said = activefail("run", tmp_path / "campaign.toml", "--out", tmp_path / "import", "--workers", "1")
-    unforged(said)
-    assert said.code == 2
+    result = activefail("run", tmp_path / "campaign.toml", "--out", tmp_path / "import", "--workers", "1")
+    unforged(result)
+    assert result.code == 2
     # A program's words on its error stream.
     (tmp_path / "program.py").write_text(f"import sys\nsys.stderr.buffer.write({FORGED.encode()!r})\nsys.exit(3)\n")
     settings = tomllib.loads(CAMPAIGN) | {"simulator": {"command": f"{sys.executable} {{here}}/program.py {{out}}"}}
     (tmp_path / "campaign.toml").write_text(tomli_w.dumps(settings))
-    said = activefail("run", tmp_path / "campaign.toml", "--out", tmp_path / "program", "--workers", "1")
-    unforged(said)
-    assert (said.code, "exit code 3; " in said.err) == (1, True), said.err
+    result = activefail("run", tmp_path / "campaign.toml", "--out", tmp_path / "program", "--workers", "1")
+    unforged(result)
+    assert (result.code, "exit code 3; " in result.err) == (1, True), result.err
 
 
 def test_only_the_first_line_of_a_message_begins_at_the_margin(tmp_path: Path) -> None:
     folder = tmp_path / f"a{FORGED.replace('/', '')}"
     for words in (["status", folder], ["run", folder, "--out", tmp_path / "new"], ["compare", folder]):
-        said = activefail(*words)
-        unforged(said)
-        assert [line for line in said.err.splitlines()[1:] if not line.startswith("  ")] == []
+        result = activefail(*words)
+        unforged(result)
+        assert [line for line in result.err.splitlines()[1:] if not line.startswith("  ")] == []
 
 
 @pytest.mark.parametrize("name", [b"run\xff", b"a\nresults    forged", b"\x1b[2J"])
@@ -275,9 +275,9 @@ def test_a_folder_of_any_name_is_worked_with_by_every_command(received: Path, na
     for words in commands(folder):
         if words[0] == "explore":
             continue
-        said = activefail(*words)
-        unforged(said)
-        assert said.code == 0, said
+        result = activefail(*words)
+        unforged(result)
+        assert result.code == 0, result
     page = (folder / "report.html").read_text()
     assert visible(page, keep="\n\t") == page
     assert f"activefail verify {quoted(folder)}".replace("'", "&#39;") in page
@@ -297,12 +297,12 @@ values = st.one_of(
 
 
 def paths(settings: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    found = []
+    entries = []
     for key, value in settings.items():
-        found.append((*above, key))
+        entries.append((*above, key))
         if isinstance(value, dict):
-            found += paths(value, (*above, key))
-    return found
+            entries += paths(value, (*above, key))
+    return entries
 
 
 @often
@@ -330,10 +330,10 @@ def test_settings_of_any_shape_end_in_an_answer_or_one_message(
     for folder in (home / "changed", home / "forged"):
         for words in commands(folder):
             if words[0] in ("status", "export", "predict") and folder.exists():
-                said = activefail(*words)
-                unforged(said)
-                assert said.code in (0, 1, 2)
-                assert said.code == 0 or said.err.count("activefail: ") == 1
+                result = activefail(*words)
+                unforged(result)
+                assert result.code in (0, 1, 2)
+                assert result.code == 0 or result.err.count("activefail: ") == 1
     survived()
     shutil.rmtree(home)
 
@@ -410,10 +410,10 @@ def test_a_state_that_no_training_gives_is_skipped_and_learned_again_by_every_co
     for words in commands(received):
         if words[0] in ("predict", "report", "verify", "resume"):
             folder = Path(shutil.copytree(received, tmp_path / str(words[0])))
-            said = activefail(words[0], folder, *words[2:])
-            assert said.code == 0, said
-            assert f"warning: state/{path.name} " in said.err
-            assert "; it is skipped." in said.err
+            result = activefail(words[0], folder, *words[2:])
+            assert result.code == 0, result
+            assert f"warning: state/{path.name} " in result.err
+            assert "; it is skipped." in result.err
             survived()
     assert (tmp_path / "predicted.csv").read_text() == before
 
@@ -536,8 +536,8 @@ def test_without_flock_a_kill_locks_nothing_and_a_lock_made_elsewhere_is_not_bus
         victim = victims.start(folder, "", commits=commits)
         with traced(victim.pid, *no_flock):
             victim.go_on()
-            assert victim.end() == 0, victim.told
-        assert "has no locks: make sure that only one process writes at a time" in victim.told[-1]
+            assert victim.end() == 0, victim.reports
+        assert "has no locks: make sure that only one process writes at a time" in victim.reports[-1]
     assert "(INJECTED)" in (tmp_path / "trace").read_text()
     assert finished(folder) == uninterrupted
 
@@ -561,8 +561,8 @@ def test_a_file_of_the_longest_name_that_there_is_is_written(received: Path, tmp
     designs = tmp_path / "designs.csv"
     assert activefail("predict", received, "--csv", designs, "--out", tmp_path / f"{name[1:]}1.csv").code == 0
     assert activefail("report", received, "--out", tmp_path / f"{name[1:]}.html").code == 0
-    said = activefail("export", received, "--csv", tmp_path / f"{name}n.csv")
-    refused(said, "cannot be written: File name too long")
+    result = activefail("export", received, "--csv", tmp_path / f"{name}n.csv")
+    refused(result, "cannot be written: File name too long")
     assert not list(tmp_path.glob(".tmp-*"))
 
 
@@ -589,9 +589,9 @@ def test_a_key_of_thousands_of_parts_is_refused_at_once(
     settings = folder / "campaign.toml"
     settings.write_text(f"{settings.read_text()}\n{line}\n")
     for command in (("status", folder), ("export", folder, "--csv", tmp_path / "out.csv")):
-        said = activefail(*command)
-        assert said.code == 2
-        assert "must have at most 200 dots" in said.err
+        result = activefail(*command)
+        assert result.code == 2
+        assert "must have at most 200 dots" in result.err
     survived(1)
 
 
@@ -606,6 +606,6 @@ def test_a_file_of_a_run_folder_is_known_by_the_file_system_and_not_by_its_spell
     assert run_folder_owning(folder / "segments" / "new.csv") == folder
     assert run_folder_owning(folder / "mine.csv") is None
     assert run_folder_owning(tmp_path / "elsewhere" / "campaign.toml") is None
-    said = activefail("export", folder, "--csv", folder / "Campaign.toml")
-    assert (said.code, "is a file of the run folder itself" in said.err) == (2, True)
+    result = activefail("export", folder, "--csv", folder / "Campaign.toml")
+    assert (result.code, "is a file of the run folder itself" in result.err) == (2, True)
     survived(1)

@@ -14,7 +14,7 @@ from typing import Any
 import hypothesis
 import pytest
 import tomli_w
-from commandline import Said, activefail
+from commandline import CommandResult, activefail
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
@@ -46,12 +46,12 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def refused(said: Said, *parts: str) -> None:
+def refused(result: CommandResult, *parts: str) -> None:
     """Assert that the program refused what it was given, with all these parts and no traceback."""
-    assert (said.code, said.out) == (2, ""), said
-    assert said.err.startswith("activefail: ")
-    assert "Traceback" not in said.err
-    assert [part for part in parts if part not in said.err] == [], said.err
+    assert (result.code, result.out) == (2, ""), result
+    assert result.err.startswith("activefail: ")
+    assert "Traceback" not in result.err
+    assert [part for part in parts if part not in result.err] == [], result.err
 
 
 # --- campaign files ----------------------------------------------------------------------------------------------
@@ -59,12 +59,12 @@ def refused(said: Said, *parts: str) -> None:
 
 def keys(values: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
     """The path of every key, tables included."""
-    found = []
+    paths = []
     for name, value in values.items():
-        found.append((*path, name))
+        paths.append((*path, name))
         if isinstance(value, dict):
-            found += keys(value, (*path, name))
-    return found
+            paths += keys(value, (*path, name))
+    return paths
 
 
 def full(settings: dict[str, Any]) -> dict[str, Any]:
@@ -137,13 +137,13 @@ def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
     good, path = place
     file = taken.with_name("mine.toml")
     file.write_text(tomli_w.dumps(changed(good, path, value)), encoding="utf-8")
-    said = activefail("run", file, "--out", taken)
-    refused(said)
+    result = activefail("run", file, "--out", taken)
+    refused(result)
     survived()
-    if "holds a campaign already" in said.err:
+    if "holds a campaign already" in result.err:
         return  # the value is good
-    assert said.err.startswith(f"activefail: {file}:"), said.err
-    for rule in said.err.splitlines()[1:] or [said.err]:
+    assert result.err.startswith(f"activefail: {file}:"), result.err
+    for rule in result.err.splitlines()[1:] or [result.err]:
         key = rule.removeprefix(f"activefail: {file}:").strip().partition(":")[0]
         # The key, one within the value that was given, or the table whose values do not fit each other or the key.
         assert dotted(path).startswith(key) or key.startswith(dotted(path)) or dotted(path) in rule, rule
@@ -226,12 +226,12 @@ def own_campaigns(draw: st.DrawFn) -> dict[str, Any]:
     settings["acquisition"] = {"boundary": draw(beyond | st.dictionaries(beyond, st.floats(0.1, 10.0), min_size=1))}
     if draw(st.booleans()):
         rule = {"error": st.floats(1e-3, 0.49)}
-        more = {
+        extra = {
             "confidence": st.floats(0.5, 0.99),
             "simulations": st.integers(10, 10_000),
             "every": st.integers(1, 1000),
         }
-        settings["stop"] = draw(st.fixed_dictionaries(rule, optional=more))
+        settings["stop"] = draw(st.fixed_dictionaries(rule, optional=extra))
     if draw(st.booleans()):
         seen = draw(st.lists(names.filter(lambda name: name not in known), min_size=1, max_size=3, unique=True))
         form = st.sampled_from(["{} * 2 + pi", "sqrt({})", "-{} / (1 + exp(-g))", "maximum({}, 0.001) ** 2", "log({})"])
@@ -260,9 +260,9 @@ def test_a_file_of_any_bytes_is_read_as_settings_or_refused_by_its_name(
 ) -> None:
     file = taken.with_name("mine.toml")
     file.write_bytes(content)
-    said = activefail("run", file, "--out", taken)
-    refused(said)
-    assert "holds a campaign already" in said.err or said.err.startswith(f"activefail: {file}:")
+    result = activefail("run", file, "--out", taken)
+    refused(result)
+    assert "holds a campaign already" in result.err or result.err.startswith(f"activefail: {file}:")
     survived()
 
 
@@ -270,8 +270,8 @@ def test_a_file_of_any_bytes_is_read_as_settings_or_refused_by_its_name(
 def test_settings_in_another_encoding_are_refused_by_the_byte(encoding: str, taken: Path) -> None:
     file = taken.with_name("mine.toml")
     file.write_bytes('description = "Brücke"\n'.encode(encoding))
-    said = activefail("run", file, "--out", taken)
-    refused(said, "holds a campaign already" if encoding == "utf-8-sig" else f"{file}: not UTF-8 text: ")
+    result = activefail("run", file, "--out", taken)
+    refused(result, "holds a campaign already" if encoding == "utf-8-sig" else f"{file}: not UTF-8 text: ")
 
 
 def test_settings_without_an_end_are_refused_and_do_not_fill_the_memory(taken: Path) -> None:
@@ -338,11 +338,11 @@ def test_a_bad_cell_is_refused_by_file_row_line_column_rule_and_value_and_nothin
     good = ",".join(ROW[i] for i in order)
     lines = [",".join(TABLE_1.names[i] for i in order), *[""] * blank, *[good] * before, ",".join(row), *[good] * after]
     (place / "in.csv").write_bytes((end.join(lines) + end).encode("utf-8-sig" if mark else "utf-8"))
-    said = activefail("simulate", "--csv", place / "in.csv", "--out", place / "out.csv")
+    result = activefail("simulate", "--csv", place / "in.csv", "--out", place / "out.csv")
     name, line = TABLE_1.names[column], before + 2 + blank
-    refused(said, f"{place / 'in.csv'}: row {before + 1} (line {line}), column {name}: ", "must ", "got ")
-    value = said.err.rpartition("got ")[2].rstrip(".\n")
-    assert value in (repr(bad.strip()), _number(bad)), said.err
+    refused(result, f"{place / 'in.csv'}: row {before + 1} (line {line}), column {name}: ", "must ", "got ")
+    value = result.err.rpartition("got ")[2].rstrip(".\n")
+    assert value in (repr(bad.strip()), _number(bad)), result.err
     assert os.listdir(place) == ["in.csv"]
     survived()
 
@@ -434,8 +434,8 @@ def test_no_options_of_any_command_bring_a_traceback(
         words += [option, data.draw(values)]
     if command == "paper":
         words += ["--draws", "0"]
-    said = activefail(*words)
-    assert said.code == 2, said
-    assert "Traceback" not in said.err + said.out
+    result = activefail(*words)
+    assert result.code == 2, result
+    assert "Traceback" not in result.err + result.out
     assert sorted(os.listdir(taken)) == ["campaign.toml"]
     survived()

@@ -75,7 +75,7 @@ def calls_of(victims: Victims, window: tuple[Path, str], folder: Path) -> list[C
     victim = victims.start(folder / "traced", place)
     with traced(victim.pid, "-o", str(folder / "trace")):
         victim.go_on()
-        assert victim.end() == 0, victim.told
+        assert victim.end() == 0, victim.reports
     return _between((folder / "trace").read_text().splitlines(), place.split()[0])
 
 
@@ -108,19 +108,19 @@ def assert_nothing_lost(victim: Victim, folder: Path, uninterrupted: Course, alo
         alone: whether no second writer was let in by a lock that does nothing. Two remove each other's states, which
             can be learned again, and withdraw what the other had already.
     """
-    told = victim.acknowledged
-    if told:
+    reports = victim.acknowledged
+    if reports:
         with FolderStore.open(folder, write=False) as store:
             digests = {digest for segment in store._segments for digest in segment.chain.values()}
-            kept = {f"commit {line.split()[1]}": line.split()[2] for line in told if line.startswith("commit")}
+            kept = {f"commit {line.split()[1]}": line.split()[2] for line in reports if line.startswith("commit")}
             assert set(kept.values()) <= digests
             assert len(store.batches) >= max((int(name.split()[1]) for name in kept), default=0)
             state = store.latest_state()
-            iterations = [int(line.split()[1]) for line in told if line.startswith("state")]
+            iterations = [int(line.split()[1]) for line in reports if line.startswith("state")]
             if iterations and alone:
                 assert state is not None
                 assert state[0] >= max(iterations)
-            for line in told:
+            for line in reports:
                 if line.startswith("set"):
                     assert store.read_set(line.split()[1]) is not None
     assert finished(folder) == uninterrupted
@@ -208,15 +208,15 @@ def test_refused_any_system_call_it_stops_with_the_reason_or_goes_on_and_loses_n
         lines = trace.read_text().splitlines()
         (at,) = [index for index, line in enumerate(lines) if "(INJECTED)" in line]
         # One message that names a file of the folder and the reason, or nothing to tell: never a traceback.
-        assert code in (0, 1), (name, number, error, victim.told)
+        assert code in (0, 1), (name, number, error, victim.reports)
         if code == 1:
             # The entry of a new folder is made durable in the one above it, and that one's too.
-            assert str(folder.parents[1] if place == "creation 1" else folder) in victim.told[-1], victim.told[-1]
-            assert os.strerror(getattr(errno, error)) in victim.told[-1], victim.told[-1]
+            assert str(folder.parents[1] if place == "creation 1" else folder) in victim.reports[-1], victim.reports[-1]
+            assert os.strerror(getattr(errno, error)) in victim.reports[-1], victim.reports[-1]
         if name == "fsync":
             # The kernel may have dropped the pages: a second fsync would succeed without them (Rebello et al. 2020).
             assert code == 1
-            assert "(fsync)" in victim.told[-1]
+            assert "(fsync)" in victim.reports[-1]
             after = [
                 line for line in lines[at + 1 :] if re.match(r"(fsync|link|rename)\(|write\(\d+, \"activefail", line)
             ]

@@ -34,8 +34,8 @@ def test_a_disk_that_is_full_at_any_page_ends_the_campaign_with_the_reason_and_l
         code = victim.end()
         ended.add(code)
         if code:
-            assert code == 1, victim.told
-            assert re.search(rf"error Cannot .*{disk}.*No space left on device", victim.told[-1]), victim.told[-1]
+            assert code == 1, victim.reports
+            assert re.search(rf"error Cannot .*{disk}.*No space left on device", victim.reports[-1]), victim.reports[-1]
         small_disk(2000)
         assert_nothing_lost(victim, disk / "run", uninterrupted)
         shutil.rmtree(disk / "run")
@@ -50,16 +50,16 @@ def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_ca
     assert activefail("run", tmp_path / "tiny.toml", "--out", tmp_path / "straight").code == 0
     disk = small_disk(300)
     (disk / "ballast").write_bytes(bytes(200_000))
-    said = activefail("run", tmp_path / "tiny.toml", "--out", disk / "run")
-    assert said.code == 1
-    (line,) = said.err.splitlines()
+    result = activefail("run", tmp_path / "tiny.toml", "--out", disk / "run")
+    assert result.code == 1
+    (line,) = result.err.splitlines()
     assert line.startswith(f"activefail: Cannot write {disk / 'run'}")
     assert line.endswith("No space left on device. Existing data is intact. Fix the problem, then resume.")
     done = len(list((disk / "run" / "segments").iterdir()))
     assert 0 < done < 6
-    again = activefail("resume", disk / "run")
-    assert again.code == 1
-    assert "No space left on device" in again.err
+    repeated = activefail("resume", disk / "run")
+    assert repeated.code == 1
+    assert "No space left on device" in repeated.err
     (disk / "ballast").unlink()
     assert activefail("resume", disk / "run").code == 0
     # The table would not fit on the disk with the run folder.
@@ -77,8 +77,8 @@ def test_a_limit_on_the_size_of_files_ends_the_campaign_with_the_reason_and_lose
     assert (code, limit) in [(1, limit), (0, 9000)]
     if code:
         # The victim's log is a file too, and may be cut.
-        assert victim.told[-1].startswith("error Cannot write ")
-        assert "File too large" in victim.told[-1] or limit == 150
+        assert victim.reports[-1].startswith("error Cannot write ")
+        assert "File too large" in victim.reports[-1] or limit == 150
     assert_nothing_lost(victim, tmp_path / "run", uninterrupted)
 
 
@@ -108,9 +108,9 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_simulated
         ["verify", disk / "run"],
         ["compare", disk / "run"],
     ):
-        said = activefail(*words)
-        assert (said.code, said.out) == (1, ""), said
-        (line,) = said.err.splitlines()
+        result = activefail(*words)
+        assert (result.code, result.out) == (1, ""), result
+        (line,) = result.err.splitlines()
         assert re.match(rf"activefail: Cannot (write to|create) {disk}/\w+: Read-only file system", line), line
     # To read it needs no right to write.
     assert "22 of 22 simulations" in activefail("status", disk / "run").out
@@ -125,7 +125,7 @@ def test_a_clock_that_jumps_and_files_from_other_times_change_nothing(
     for commits, seconds in enumerate([-1.0, 4e9, 0.0, 2**33], start=1):
         victim = victims.start(folder, "", commits=commits, fault="jumping clock")
         victim.go_on()
-        assert victim.end() == 0, victim.told
+        assert victim.end() == 0, victim.reports
         for path in (folder, *folder.rglob("*")):
             os.utime(path, (seconds, seconds))
         survived()
@@ -172,12 +172,12 @@ def test_two_processes_that_begin_or_go_on_with_a_campaign_at_once_are_one_write
         first.go_on()
         codes = first.end(), code
         if fault is None:
-            assert codes == (0, 1), (place, before, first.told, second.told)
-            refusal = second.told[-1]
+            assert codes == (0, 1), (place, before, first.reports, second.reports)
+            refusal = second.reports[-1]
             assert "Another process is writing to" in refusal or "is not empty" in refusal, refusal
         else:
-            assert codes == (1, 0), (place, before, first.told, second.told)
-            assert "error " in first.told[-1]
+            assert codes == (1, 0), (place, before, first.reports, second.reports)
+            assert "error " in first.reports[-1]
         check_writers([first, second], folder, uninterrupted, fault)
         survived()
 
@@ -200,7 +200,7 @@ def test_two_processes_that_run_side_by_side_on_a_campaign_lose_none_of_it(
         for victim in both:
             victim.go_on()
         codes = [victim.end() for victim in both]
-        assert set(codes) <= {0, 1}, [victim.told for victim in both]
+        assert set(codes) <= {0, 1}, [victim.reports for victim in both]
         assert 0 in codes or fault is not None
         check_writers(both, folder, uninterrupted, fault)
         survived()

@@ -80,7 +80,7 @@ class Moment:
     names: Mapping[str, int]
     pending: tuple[Change, ...]
     files: Mapping[int, File | Directory]
-    told: tuple[str, ...]
+    reports: tuple[str, ...]
 
     def after_power_loss(self) -> Iterator[dict[str, bytes | None]]:
         """Contents by name that may be found, None for a folder."""
@@ -95,8 +95,8 @@ class Moment:
             names = {name: number for name, number in names.items() if _above(name) <= names.keys()}
             numbers = sorted(set(names.values()))
             for contents in itertools.product(*(list(self.files[number].kept()) for number in numbers)):
-                found = dict(zip(numbers, contents, strict=True))
-                yield {name: found[number] for name, number in names.items()}
+                stored = dict(zip(numbers, contents, strict=True))
+                yield {name: stored[number] for name, number in names.items()}
 
     def _subsets(self) -> Iterator[tuple[Change, ...]]:
         n = len(self.pending)
@@ -125,7 +125,7 @@ class Disk:
         self.names: dict[str, int] = {}
         self.pending: list[Change] = []
         self.files: dict[int, File | Directory] = {}
-        self.told: list[str] = []
+        self.reports: list[str] = []
         self.open_files: dict[int, int] = {}
         self.open_folders: dict[int, str] = {}
         self.moments: list[Moment] = []
@@ -134,7 +134,7 @@ class Disk:
         return getattr(os, name)
 
     def note(self) -> None:
-        self.moments.append(Moment(dict(self.names), tuple(self.pending), dict(self.files), tuple(self.told)))
+        self.moments.append(Moment(dict(self.names), tuple(self.pending), dict(self.files), tuple(self.reports)))
 
     def _change(self, *change: tuple[Any, int | None]) -> None:
         self.pending.append(tuple((os.path.relpath(path, self.folder), number) for path, number in change))
@@ -142,11 +142,11 @@ class Disk:
 
     def _number(self, path: Any) -> int:
         """Which file a name stands for, as the running system sees it."""
-        name, found = os.path.relpath(path, self.folder), None
+        name, stored = os.path.relpath(path, self.folder), None
         for known, number in [*self.names.items(), *itertools.chain(*self.pending)]:
-            found = number if known == name else found
-        assert found is not None, name
-        return found
+            stored = number if known == name else stored
+        assert stored is not None, name
+        return stored
 
     def _file(self, number: int) -> File:
         file = self.files[number]
@@ -227,17 +227,17 @@ def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tupl
             for module in (files, store_module, recovery):
                 patch.setattr(module, "os", disk)
             with FolderStore.create(tmp_path / "disk" / RUN, SETTINGS, SCHEMA) as store:
-                disk.told.append("created")
+                disk.reports.append("created")
                 for number in range(BATCHES):
                     store.commit(batch(number))
-                    disk.told.append(f"commit {store._digest}")
+                    disk.reports.append(f"commit {store._digest}")
                     disk.note()
                     store.write_state(number, {"i": np.array(number)})
-                    disk.told.append(f"state {number}")
+                    disk.reports.append(f"state {number}")
                     disk.note()
                     if number == 1:
                         store.write_set("test", batch(9).designs, batch(9).results)
-                        disk.told.append("set test")
+                        disk.reports.append("set test")
                         disk.note()
                 return disk.moments, store._digest
 
@@ -253,9 +253,9 @@ def restored(contents: Mapping[str, bytes | None], disk: Path) -> Path:
     return disk / RUN
 
 
-def lost(told: tuple[str, ...], folder: Path) -> list[str]:
+def lost(reports: tuple[str, ...], folder: Path) -> list[str]:
     """What was acknowledged and is not there."""
-    if "created" not in told:
+    if "created" not in reports:
         return []
     if not (folder / "campaign.toml").exists():
         return ["created"]
@@ -269,7 +269,7 @@ def lost(told: tuple[str, ...], folder: Path) -> list[str]:
             **{f"commit {digest}": True for digest in digests},
             **{f"state {number}": True for number in range(iteration + 1)},
         }
-    return [line for line in told if not whole.get(line, False)]
+    return [line for line in reports if not whole.get(line, False)]
 
 
 def test_a_loss_of_power_at_any_moment_leaves_all_that_was_acknowledged(
@@ -277,12 +277,14 @@ def test_a_loss_of_power_at_any_moment_leaves_all_that_was_acknowledged(
 ) -> None:
     moments, digest = course()
     states = {
-        (moment.told, tuple(sorted(contents.items()))) for moment in moments for contents in moment.after_power_loss()
+        (moment.reports, tuple(sorted(contents.items())))
+        for moment in moments
+        for contents in moment.after_power_loss()
     }
     assert len(states) > 80
-    for number, (told, contents) in enumerate(few(sorted(states, key=repr), every_fault, 30)):
+    for number, (reports, contents) in enumerate(few(sorted(states, key=repr), every_fault, 30)):
         folder = restored(MappingProxyType(dict(contents)), tmp_path / str(number))
-        assert lost(told, folder) == []
+        assert lost(reports, folder) == []
         opener = FolderStore.open if (folder / "campaign.toml").exists() else FolderStore.create
         arguments: dict[str, Any] = {"write": True} if opener == FolderStore.open else {"settings": SETTINGS}
         if opener == FolderStore.open and (folder / "campaign.toml").read_text() != SETTINGS:
@@ -314,14 +316,14 @@ def test_the_model_finds_what_a_program_without_fsync_would_lose(
             monkeypatch.setattr(module, "sync_folder", lambda folder: None)
     moments, _ = course()
     last = moments[-1]
-    found = 0
+    stored = 0
     for number, contents in enumerate(itertools.islice(last.after_power_loss(), 60)):
         folder = restored(contents, tmp_path / str(number))
         try:
-            found += bool(lost(last.told, folder))
+            stored += bool(lost(last.reports, folder))
         except Exception:
-            found += 1
-    assert found > 0
+            stored += 1
+    assert stored > 0
 
 
 def test_every_folder_that_is_made_is_durable_in_the_one_above_it_before_anything_is_recorded(

@@ -30,9 +30,9 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, Simulator, cause_
 from activefail.space import Array
 
 
-def on(simulator: Simulator, more: float = 0.05) -> Campaign:
+def on(simulator: Simulator, extra: float = 0.05) -> Campaign:
     """The campaign that faults are tried on, with another simulator."""
-    settings = campaign().settings.changed({"limits.numerical_failures": more})
+    settings = campaign().settings.changed({"limits.numerical_failures": extra})
     return Campaign.of(settings, simulator=simulator)
 
 
@@ -197,8 +197,8 @@ def plane(folder: Path, source: str, toml: str = PLANE) -> Path:
 
 
 def test_every_exported_row_has_its_own_answer_where_a_fork_comes_back_out_of_the_function(tmp_path: Path) -> None:
-    said = activefail("run", plane(tmp_path, FORKS), "--out", tmp_path / "run", "--workers", "1")
-    assert (said.code, said.err) == (0, "")
+    result = activefail("run", plane(tmp_path, FORKS), "--out", tmp_path / "run", "--workers", "1")
+    assert (result.code, result.err) == (0, "")
     assert activefail("export", tmp_path / "run", "--csv", tmp_path / "all.csv").code == 0
     rows = table(tmp_path / "all.csv")
     assert len(rows) == 40
@@ -318,8 +318,8 @@ def test_a_simulator_that_spoils_its_process_fails_nowhere_and_resumes_to_the_sa
         for budget in budgets:
             folder = tmp_path / name
             words = ("resume", folder, "--code", tmp_path) if folder.exists() else ("run", file, "--out", folder)
-            said = activefail(*words, "--budget", budget, "--workers", "1")
-            assert (said.code, said.err) == (0, "")
+            result = activefail(*words, "--budget", budget, "--workers", "1")
+            assert (result.code, result.err) == (0, "")
     assert record(tmp_path / "whole") == record(tmp_path / "resumed")
     assert {row["cause"] for row in record(tmp_path / "whole")} == {""}
     survived(16)

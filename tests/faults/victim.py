@@ -57,7 +57,7 @@ class Inline:
 
 def campaign() -> Campaign:
     """The campaign that every fault is tried on."""
-    return disc(Disc(), initial=INITIAL, budget=BUDGET, batch=BATCH, more="validation.size = 5")
+    return disc(Disc(), initial=INITIAL, budget=BUDGET, batch=BATCH, extra="validation.size = 5")
 
 
 class Gate:

@@ -24,7 +24,7 @@ from activefail.record.run_folder import FolderStore
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of a campaign with numerical failures, merged files and small ones."""
     folder = tmp_path_factory.mktemp("summary") / "run"
-    campaign = disc(Disc(blind=-1.5), more="limits.numerical_failures = 1.0")
+    campaign = disc(Disc(blind=-1.5), extra="limits.numerical_failures = 1.0")
     patch = pytest.MonkeyPatch()
     patch.setattr(compaction, "COMPACT_AT", 3)
     with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store, ThreadExecutor(1) as executor:
@@ -50,11 +50,11 @@ def values(summary: Summary | None) -> dict[str, object]:
 
 
 def test_a_summary_says_what_the_whole_record_says(folder: Path) -> None:
-    said = read_summary(folder)
-    assert values(said) == values(whole(folder))
-    assert said is not None
-    assert (said.done, said.iteration, int(said.initial.sum())) == (28, 4, 12)
-    assert said.counts[-1] > 0
+    summary = read_summary(folder)
+    assert values(summary) == values(whole(folder))
+    assert summary is not None
+    assert (summary.done, summary.iteration, int(summary.initial.sum())) == (28, 4, 12)
+    assert summary.counts[-1] > 0
     assert len(list((folder / "segments").iterdir())) > 1
 
 
@@ -67,10 +67,10 @@ def test_designs_are_counted_by_who_asked_for_them_not_by_when_they_were_answere
         run(campaign, store, executor, 28)
         # The last initial designs are answered when the first chosen ones are out.
         assert any((batch.origin == INITIAL).any() for batch in store.batches if batch.iteration > 0)
-    said = read_summary(tmp_path)
-    assert values(said) == values(whole(tmp_path))
-    assert said is not None
-    assert (int(said.initial.sum()), int(said.chosen.sum())) == (12, 16)
+    summary = read_summary(tmp_path)
+    assert values(summary) == values(whole(tmp_path))
+    assert summary is not None
+    assert (int(summary.initial.sum()), int(summary.chosen.sum())) == (12, 16)
 
 
 @pytest.mark.parametrize(
@@ -134,9 +134,9 @@ def test_where_only_the_record_can_say_what_is_wrong_there_is_no_summary(folder:
 def test_counting_loads_neither_learning_nor_physics(folder: Path) -> None:
     script = "import sys; from activefail.cli import main\ntry: main()\nfinally: print(sorted(sys.modules))"
     words = [sys.executable, "-c", script, "status", str(folder)]
-    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    assert "28 of 28 simulations" in said
-    loaded = said[said.index("['") :]
+    output = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert "28 of 28 simulations" in output
+    loaded = output[output.index("['") :]
     assert [name for name in ("torch", "numba", "scipy", "matplotlib") if f"'{name}'" in loaded] == []
 
 

@@ -42,11 +42,11 @@ def save(path: Path, X: Array, names: tuple[str, ...] = TABLE_1.names) -> Path:
 def test_a_simulated_table_holds_what_simulate_answers_to_the_last_bit(tmp_path: Path) -> None:
     X = TABLE_1.latin_hypercube(40, np.random.default_rng(1))
     model, tolerance = Model(slider_diameter=0.32), Tolerance(relative=1e-3)
-    told: list[int] = []
+    progress: list[int] = []
 
     def begin(total: int) -> object:
         assert total == 40
-        return told.append
+        return progress.append
 
     counts = simulate_table(save(tmp_path / "in.csv", X), tmp_path / "out.csv", model, tolerance, begin)  # type: ignore[arg-type]
     answers = simulate(X, model, tolerance)
@@ -58,7 +58,7 @@ def test_a_simulated_table_holds_what_simulate_answers_to_the_last_bit(tmp_path:
     assert np.array_equal(numbers(rows, slice(11, None)), answers.columns, equal_nan=True)
     assert counts == {name: int((answers.outcome_name == name).sum()) for name in OUTCOME_NAMES}
     assert len(set(answers.outcome_name.tolist())) == 3
-    assert sum(told) == 40
+    assert sum(progress) == 40
 
 
 def test_a_numerical_failure_is_written_and_counted_as_one(tmp_path: Path) -> None:
@@ -76,8 +76,8 @@ def test_other_columns_and_the_text_of_numbers_are_carried_along_in_any_order(tm
     with (tmp_path / "in.csv").open("w", newline="") as file:
         csv.writer(file).writerows([header, *lines])
     simulate_table(tmp_path / "in.csv", tmp_path / "out.csv", Model(), Tolerance())
-    found, rows = written(tmp_path / "out.csv")
-    assert found == [*header, "outcome", "cause", *COLUMNS]
+    header_written, rows = written(tmp_path / "out.csv")
+    assert header_written == [*header, "outcome", "cause", *COLUMNS]
     assert [row[:11] for row in rows] == lines
     assert [row[11] for row in rows] == simulate(X).outcome_name.tolist()
 
@@ -167,9 +167,9 @@ def test_what_passes_the_check_of_a_bearing_can_be_simulated() -> None:
 def test_probabilities_of_a_prediction_sum_to_one_and_are_the_classifiers(ran: Run, tmp_path: Path) -> None:
     X = ran.campaign.space.sobol(64, np.random.default_rng(3))
     source = save(tmp_path / "in.csv", X, ("x", "y"))
-    told: list[int] = []
+    progress: list[int] = []
     with one_thread():
-        outside = predict_table(ran.campaign, ran.classifier, source, tmp_path / "out.csv", lambda _: told.append)
+        outside = predict_table(ran.campaign, ran.classifier, source, tmp_path / "out.csv", lambda _: progress.append)
         probabilities = ran.classifier.probabilities(X)
         latent = ran.classifier.latents[0].moments(ran.campaign.features(X))
     header, rows = written(tmp_path / "out.csv")
@@ -179,7 +179,7 @@ def test_probabilities_of_a_prediction_sum_to_one_and_are_the_classifiers(ran: R
     assert answers[:, :2].min() >= 0.0
     assert answers.tobytes() == np.column_stack([probabilities, latent.mean, latent.sd]).tobytes()
     assert (answers[:, 3] > 0.0).all()
-    assert (outside, told) == (0, [64])
+    assert (outside, progress) == (0, [64])
 
 
 def test_a_prediction_does_not_depend_on_the_rows_beside_it(ran: Run, tmp_path: Path) -> None:

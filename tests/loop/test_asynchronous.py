@@ -36,9 +36,9 @@ INITIAL_SIZE, BUDGET, SIZE = 12, 30, 4
 
 
 def plan(
-    simulator: Simulator | None = None, budget: int = BUDGET, batch: int = SIZE, more: str = "", seed: int = 1
+    simulator: Simulator | None = None, budget: int = BUDGET, batch: int = SIZE, extra: str = "", seed: int = 1
 ) -> Campaign:
-    return disc(simulator, seed, initial=INITIAL_SIZE, budget=budget, batch=batch, asynchronous=True, more=more)
+    return disc(simulator, seed, initial=INITIAL_SIZE, budget=budget, batch=batch, asynchronous=True, extra=extra)
 
 
 class Arbitrary:
@@ -86,7 +86,7 @@ def bits(course: Course) -> tuple[int, bytes, dict[str, bytes]]:
     return course.iteration, course.flight.tobytes(), {name: array.tobytes() for name, array in state.items()}
 
 
-def again(campaign: Campaign, store: Store) -> Course:
+def replayed(campaign: Campaign, store: Store) -> Course:
     """Where a record stands, by the record alone."""
     bare = MemoryStore(campaign.schema)
     for batch in store.batches:
@@ -158,14 +158,14 @@ def test_what_is_in_flight_follows_from_the_record_also_beyond_a_budget(first: i
         take(campaign, store, first)
         assert sum(len(batch) for batch in store.batches) == first
         ended = resumed(campaign, store)
-        assert bits(ended) == bits(again(campaign, store))
+        assert bits(ended) == bits(replayed(campaign, store))
         assert len(ended.flight) == SIZE
         take(campaign, store, BUDGET)
         later = np.concatenate([batch.designs for batch in store.batches])[first:]
         # A larger budget begins with what was asked for already.
-        asked = {row.tobytes() for row in ended.flight}
-        assert asked <= {row.tobytes() for row in later}
-        assert bits(resumed(campaign, store)) == bits(again(campaign, store))
+        in_flight = {row.tobytes() for row in ended.flight}
+        assert in_flight <= {row.tobytes() for row in later}
+        assert bits(resumed(campaign, store)) == bits(replayed(campaign, store))
 
 
 def test_asked_to_stop_it_waits_for_what_is_in_flight_and_begins_nothing_more() -> None:
@@ -182,7 +182,7 @@ def test_asked_to_stop_it_waits_for_what_is_in_flight_and_begins_nothing_more() 
 def test_what_it_has_learned_is_what_reading_the_record_gives(uninterrupted: Store) -> None:
     campaign = plan()
     with one_thread():
-        course = again(campaign, uninterrupted)
+        course = replayed(campaign, uninterrupted)
         read = current_classifier(campaign, uninterrupted, write=False)
         assert course.classifier is not None
         assert bits(course)[2] == {name: array.tobytes() for name, array in classifier_state(read).items()}
@@ -191,14 +191,14 @@ def test_what_it_has_learned_is_what_reading_the_record_gives(uninterrupted: Sto
 
 
 def test_numerical_failures_leave_the_flight_too() -> None:
-    campaign = plan(Disc(blind=-1.0), more="limits.numerical_failures = 1.0")
+    campaign = plan(Disc(blind=-1.0), extra="limits.numerical_failures = 1.0")
     store = take(campaign)
     assert sum(map(len, store.batches)) == BUDGET
     assert any((batch.results.outcome == -1).any() for batch in store.batches)
 
 
 def test_a_design_that_failed_numerically_is_not_asked_for_again_nor_after_an_interruption() -> None:
-    campaign = plan(Brittle(), more="limits.numerical_failures = 1.0", seed=3)
+    campaign = plan(Brittle(), extra="limits.numerical_failures = 1.0", seed=3)
     store = take(campaign)
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET
@@ -228,7 +228,7 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
     assert len(np.unique(X, axis=0)) == 48
     assert sorted(map(tuple, X[origin == INITIAL])) == sorted(map(tuple, initial_designs(mended, 3)))
     with one_thread():
-        assert bits(resumed(mended, store)) == bits(again(mended, store))
+        assert bits(resumed(mended, store)) == bits(replayed(mended, store))
     for commits in range(len(failed) + 1, len(store.batches)):
         bare = MemoryStore(mended.schema)
         for batch in store.batches[:commits]:
@@ -251,7 +251,7 @@ def test_where_only_the_last_initial_design_is_answered_all_others_are_waited_fo
     with pytest.raises(SimulationError):
         take(plan(FOGGED), store)
     order = [tuple(row) for batch in store.batches for row in batch.designs.tolist()]
-    campaign = plan(Reticent(silent=tuple(order[:-1])), more="limits.numerical_failures = 1.0")
+    campaign = plan(Reticent(silent=tuple(order[:-1])), extra="limits.numerical_failures = 1.0")
     store = take(campaign)
     X = np.concatenate([batch.designs for batch in store.batches])
     origin = np.concatenate([batch.origin for batch in store.batches])
@@ -260,11 +260,11 @@ def test_where_only_the_last_initial_design_is_answered_all_others_are_waited_fo
     assert [tuple(row) for row in X[:INITIAL_SIZE].tolist()] == order
     assert len(np.unique(X, axis=0)) == BUDGET
     with one_thread():
-        assert bits(resumed(campaign, store)) == bits(again(campaign, store))
+        assert bits(resumed(campaign, store)) == bits(replayed(campaign, store))
 
 
 def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> None:
-    campaign = plan(budget=200, more="stop = { error = 0.2, confidence = 0.5, simulations = 20, every = 2 }")
+    campaign = plan(budget=200, extra="stop = { error = 0.2, confidence = 0.5, simulations = 20, every = 2 }")
     store = take(campaign, budget=200)
     assert INITIAL_SIZE <= sum(map(len, store.batches)) < 200
 
@@ -272,27 +272,27 @@ def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> N
 def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatch: pytest.MonkeyPatch) -> None:
     # Every look that is due is taken, and none of them ends it.
     monkeypatch.setattr("activefail.verification.error.could_show", lambda *_: True)
-    campaign = plan(more="stop = { error = 0.49, confidence = 0.999999, simulations = 10, every = 3 }")
+    campaign = plan(extra="stop = { error = 0.49, confidence = 0.999999, simulations = 10, every = 3 }")
 
     def looks(stopped: int | None) -> list[tuple[int, bool]]:
-        told: dict[int, bool] = {}
+        verified: dict[int, bool] = {}
 
         class Stop(Exception):  # noqa: N818  (at once, as a kill would)
             pass
 
         def note(progress: Progress) -> None:
-            told[progress.done] = progress.error is not None
-            if progress.done >= (stopped or BUDGET + 1) and progress.done != again:
+            verified[progress.done] = progress.error is not None
+            if progress.done >= (stopped or BUDGET + 1) and progress.done != resumed_at:
                 raise Stop
 
-        store, again = MemoryStore(campaign.schema), -1
+        store, resumed_at = MemoryStore(campaign.schema), -1
         try:
             take(campaign, store, observer=Observer(note))
         except Stop:
-            again = sum(len(batch) for batch in store.batches)
+            resumed_at = sum(len(batch) for batch in store.batches)
             stopped = None
             take(campaign, store, observer=Observer(note))
-        return sorted(told.items())
+        return sorted(verified.items())
 
     whole = looks(None)
     assert [looked for _, looked in whole].count(True) == 2
@@ -322,7 +322,7 @@ def test_real_workers_answer_in_the_order_of_their_coming_and_the_record_says_al
     store = MemoryStore(campaign.schema)
     with executor(3) as workers, one_thread():
         assert run(campaign, store, workers, BUDGET)
-        assert bits(resumed(campaign, store)) == bits(again(campaign, store))
+        assert bits(resumed(campaign, store)) == bits(replayed(campaign, store))
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET
 
@@ -387,18 +387,18 @@ def test_ctrl_c_says_what_becomes_of_the_simulations_in_flight(tmp_path: Path, s
         _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err
     assert "batch" not in err
-    asked, recorded = begun(), {row["x"] for row in record(folder)}
+    in_flight, recorded = begun(), {row["x"] for row in record(folder)}
     if signals == 1:
         assert err.splitlines()[-1].startswith("stopped with nothing in flight. Continue with: activefail resume")
-        assert recorded == asked
+        assert recorded == in_flight
     else:
         last = "stopped; recorded simulations are safe, those in flight will be simulated again. Continue with: "
         assert err.splitlines()[-1].startswith(last)
-        assert len(asked - recorded) == SIZE
+        assert len(in_flight - recorded) == SIZE
         (tmp_path / "open").touch()
-        said = activefail("resume", folder, "--code", tmp_path, "--budget", str(len(asked)))
-        assert said.code == 0, said.err
-        assert {row["x"] for row in record(folder)} == begun() == asked
+        result = activefail("resume", folder, "--code", tmp_path, "--budget", str(len(in_flight)))
+        assert result.code == 0, result.err
+        assert {row["x"] for row in record(folder)} == begun() == in_flight
 
 
 @pytest.mark.parametrize(

@@ -155,24 +155,24 @@ def test_a_campaign_that_sees_one_outcome_only_goes_on_and_expects_more_of_it(ou
 
 
 @pytest.fixture(scope="module", params=["entropy", "bald"])
-def found(request: pytest.FixtureRequest) -> list[tuple[Campaign, Store]]:
+def boundary_campaigns(request: pytest.FixtureRequest) -> list[tuple[Campaign, Store]]:
     """Four campaigns that differ in their seeds."""
     criterion = f'acquisition.criterion = "{request.param}"'
-    campaigns = [disc(seed=seed, initial=20, budget=60, batch=10, more=criterion) for seed in range(4)]
+    campaigns = [disc(seed=seed, initial=20, budget=60, batch=10, extra=criterion) for seed in range(4)]
     return [(campaign, take(campaign)) for campaign in campaigns]
 
 
-def test_the_chosen_designs_crowd_along_the_true_boundary(found: list[tuple[Campaign, Store]]) -> None:
-    for _, store in found:
+def test_the_chosen_designs_crowd_along_the_true_boundary(boundary_campaigns: list[tuple[Campaign, Store]]) -> None:
+    for _, store in boundary_campaigns:
         active, seed = (float(np.median(np.abs(distance(designs(store, o))))) for o in (ACTIVE, INITIAL))
         assert active < seed / 2.0
 
 
 def test_chosen_designs_teach_more_than_static_ones_and_more_than_the_seed_did(
-    found: list[tuple[Campaign, Store]],
+    boundary_campaigns: list[tuple[Campaign, Store]],
 ) -> None:
     errors = []
-    for campaign, store in found:
+    for campaign, store in boundary_campaigns:
         X = campaign.space.from_unit(np.random.default_rng(9).random((1000, 2)))
         outcome = Disc().run(X).outcome
         hypercube = campaign.space.latin_hypercube(60, stream(campaign.settings.seed, "static", 60))
@@ -195,7 +195,7 @@ FOGGY = Disc(blind=-1.0)
 
 def test_numerical_failures_are_recorded_and_counted_but_never_learned_from() -> None:
     seen: list[Progress] = []
-    campaign = disc(FOGGY, more="limits.numerical_failures = 1.0")
+    campaign = disc(FOGGY, extra="limits.numerical_failures = 1.0")
     store = take(campaign, observer=Observer(seen.append))
     outcome = np.concatenate([batch.results.outcome for batch in store.batches])
     failures = int((outcome == NUMERICAL_FAILURE).sum())
@@ -214,7 +214,7 @@ def test_numerical_failures_are_recorded_and_counted_but_never_learned_from() ->
 
 
 def test_a_campaign_with_numerical_failures_learns_what_it_would_without_those_rows() -> None:
-    campaign = disc(FOGGY, more="limits.numerical_failures = 1.0")
+    campaign = disc(FOGGY, extra="limits.numerical_failures = 1.0")
     foggy = take(campaign, budget=INITIAL_SIZE)
     X = initial_designs(campaign)
     X = X[X[:, 0] >= FOGGY.blind]
@@ -226,7 +226,7 @@ def test_a_campaign_with_numerical_failures_learns_what_it_would_without_those_r
 
 
 def test_a_design_that_failed_numerically_is_not_proposed_again_nor_after_an_interruption() -> None:
-    campaign = disc(Brittle(), seed=6, more="limits.numerical_failures = 1.0")
+    campaign = disc(Brittle(), seed=6, extra="limits.numerical_failures = 1.0")
     store = take(campaign)
     X = np.concatenate([batch.designs for batch in store.batches])
     assert len(np.unique(X, axis=0)) == BUDGET
@@ -275,8 +275,8 @@ def test_a_simulator_that_raises_stops_the_campaign_with_what_it_raised_and_wher
 @pytest.mark.faults
 @pytest.mark.parametrize("asynchronous", [False, True])
 def test_the_caller_receives_the_faults_of_all_simulations_of_a_call_and_of_no_earlier_one(asynchronous: bool) -> None:
-    more = "validation.size = 20\nlimits.numerical_failures = 0.9"
-    campaign = disc(Raising(), budget=BUDGET, asynchronous=asynchronous, more=more)
+    extra = "validation.size = 20\nlimits.numerical_failures = 0.9"
+    campaign = disc(Raising(), budget=BUDGET, asynchronous=asynchronous, extra=extra)
     store, observer, faults = MemoryStore(campaign.schema), Observer(), []
     with ThreadExecutor(2) as executor:
         for budget in (BUDGET - BATCH, BUDGET):
@@ -293,7 +293,7 @@ def test_the_caller_receives_the_faults_of_all_simulations_of_a_call_and_of_no_e
 
 
 def test_a_share_of_numerical_failures_up_to_the_limit_is_borne() -> None:
-    campaign = disc(FOGGY, initial=24, budget=24, more="limits.numerical_failures = 0.3")
+    campaign = disc(FOGGY, initial=24, budget=24, extra="limits.numerical_failures = 0.3")
     progress = standing(campaign, take(campaign).batches, 24)
     assert 0.05 * 24 < progress.numerical_failures <= 0.3 * 24
 
@@ -367,7 +367,7 @@ def test_a_budget_that_is_too_small_for_other_initial_designs_is_told(initial: i
         with pytest.raises(SimulationError, match=f"The first failed with cause `raised`.*{words}") as stopped:
             take(campaign, store, budget=budget)
         assert "the stiffness vanished" not in str(stopped.value)
-    take(disc(initial=initial, batch=2, more="limits.numerical_failures = 1.0"), store, budget=28)
+    take(disc(initial=initial, batch=2, extra="limits.numerical_failures = 1.0"), store, budget=28)
     assert sum(map(len, store.batches)) == 28
 
 
@@ -389,7 +389,7 @@ def test_progress_is_told_after_every_batch_and_ends_at_the_budget(uninterrupted
 
 def test_stages_are_named_in_the_order_of_the_algorithm() -> None:
     stages: list[str] = []
-    take(disc(initial=8, budget=12, more="validation.size = 10"), observer=Observer(stage=stages.append))
+    take(disc(initial=8, budget=12, extra="validation.size = 10"), observer=Observer(stage=stages.append))
     assert stages == [
         "simulating the validation set",
         "simulating the initial design",
@@ -403,7 +403,7 @@ def test_stages_are_named_in_the_order_of_the_algorithm() -> None:
 
 def test_the_validation_set_is_outside_the_budget_and_changes_no_choice(uninterrupted: Store) -> None:
     seen: list[Progress] = []
-    campaign = disc(more="validation.size = 200")
+    campaign = disc(extra="validation.size = 200")
     store = take(campaign, observer=Observer(seen.append))
     assert recorded(store) == recorded(uninterrupted)
     saved = store.read_set("validation-0")
@@ -421,7 +421,7 @@ def test_the_validation_set_is_outside_the_budget_and_changes_no_choice(uninterr
 
 def test_the_validation_set_is_simulated_once() -> None:
     simulator = Counting()
-    campaign = disc(simulator, more="validation.size = 50")
+    campaign = disc(simulator, extra="validation.size = 50")
     take(campaign, take(campaign, budget=16))
     assert simulator.rows == 50 + BUDGET
 
@@ -480,12 +480,12 @@ def test_with_inducing_points_too_a_resumed_campaign_is_the_uninterrupted_one_bi
 
 @pytest.mark.parametrize("criterion", ["entropy", "globalmi"])
 def test_shares_that_a_batch_cannot_hold_are_carried_over_an_interruption(criterion: str) -> None:
-    more = f'acquisition.criterion = "{criterion}"\nacquisition.exploration = 0.3'
+    extra = f'acquisition.criterion = "{criterion}"\nacquisition.exploration = 0.3'
     store = MemoryStore(disc().schema)
     for commits in range(INITIAL_COMMITS, COMMITS + 1):
-        campaign = disc(more=more)
+        campaign = disc(extra=extra)
         take(campaign, store, observer=stop_after(commits, store))
-    assert recorded(store) == recorded(take(disc(more=more)))
+    assert recorded(store) == recorded(take(disc(extra=extra)))
     # 30 % of 4, 8, 12 and 16 designs, rounded, are no choice of a classifier: they come first in their batch.
     for iteration, explored in enumerate([1, 1, 2, 1], start=1):
         rng = stream(campaign.settings.seed, "propose", iteration)
@@ -687,10 +687,10 @@ def test_a_bearing_campaign_killed_twice_and_resumed_is_the_uninterrupted_one_bi
     _kill_after(["resume", str(folder), "--workers", "1"], folder / "segments", 9, delays[1])
 
     campaign = Campaign.of(parse_settings(BEARING, "bearing"))
-    with open_campaign(folder, write=True) as (again, store):
+    with open_campaign(folder, write=True) as (reopened, store):
         assert len(store.batches) >= 9
         budget = max(120, 5 * len(store.batches) + 5)
         straight = take(campaign, budget=budget, workers=2)
-        take(again, store, budget=budget)
+        take(reopened, store, budget=budget)
         assert recorded(store) == recorded(straight)
         assert learned(store) == learned(straight)

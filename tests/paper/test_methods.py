@@ -451,9 +451,9 @@ def test_the_order_of_the_points_and_of_the_features_does_not_matter(method):
     F, y = points(50)
     order = np.random.default_rng(0).permutation(50)
     at = np.random.default_rng(1).standard_normal((20, 2))
-    fit, again = TRAINING[method](F, y), TRAINING[method](F[order][:, ::-1], y[order])
-    assert again.log_marginal_likelihood == pytest.approx(fit.log_marginal_likelihood, abs=1e-6)
-    assert_allclose(again.probability(at[:, ::-1]), fit.probability(at), atol=1e-3)
+    fit, repeated = TRAINING[method](F, y), TRAINING[method](F[order][:, ::-1], y[order])
+    assert repeated.log_marginal_likelihood == pytest.approx(fit.log_marginal_likelihood, abs=1e-6)
+    assert_allclose(repeated.probability(at[:, ::-1]), fit.probability(at), atol=1e-3)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -255,12 +255,12 @@ def test_the_command_writes_the_page_and_says_every_verdict(study, tmp_path, mon
 
 def test_the_page_is_whole_and_the_same_each_time(study, tmp_path):
     first = write_reproduction(study, tmp_path / "a")
-    again = write_reproduction(study, tmp_path / "b")
+    repeated = write_reproduction(study, tmp_path / "b")
     text = first.read_text()
-    assert text == again.read_text()
+    assert text == repeated.read_text()
     assert not re.search(r"\bnan\b", text)
     for picture in re.findall(r"\]\(([^)]+\.svg)\)", text):
-        assert (first.parent / picture).read_bytes() == (again.parent / picture).read_bytes()
+        assert (first.parent / picture).read_bytes() == (repeated.parent / picture).read_bytes()
         assert (first.parent / picture).with_suffix(".png").stat().st_size > 10_000
 
 

@@ -59,8 +59,8 @@ def new_run(tmp_path_factory):
     """A run folder of the present program, with merged segments, states, designs in flight and sets."""
     place = tmp_path_factory.mktemp("new")
     (place / "campaign.toml").write_text(CAMPAIGN)
-    said = activefail("run", place / "campaign.toml", "--out", place / "run", "--workers", "1")
-    assert said.code == 0, said.err
+    result = activefail("run", place / "campaign.toml", "--out", place / "run", "--workers", "1")
+    assert result.code == 0, result.err
     return place / "run"
 
 
@@ -107,8 +107,8 @@ def test_the_page_names_the_columns_and_causes_of_the_program(reader):
 
 def test_the_pages_reader_gets_the_designs_and_outcomes_that_export_writes(reader, run, tmp_path):
     schema, batches, chain = reader.read_record(run)
-    said = activefail("export", run, "--csv", tmp_path / "simulations.csv")
-    assert (said.code, said.err) == (0, "")
+    result = activefail("export", run, "--csv", tmp_path / "simulations.csv")
+    assert (result.code, result.err) == (0, "")
     with (tmp_path / "simulations.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
     column = {name: np.concatenate([one[name] for one in batches]) for name in COLUMNS}

@@ -742,16 +742,16 @@ def test_a_commit_killed_at_any_call_leaves_all_batches_before_it_and_at_most_it
             store.commit(batch(4, 2))
         store.close()
         assert len(read(folder)) in (2, 3)
-        with FolderStore.open(folder, SCHEMA, write=True) as again:
-            found = contents(again)
-            assert found[:2] == held
-            assert len(found) == (3 if "link" in calls.made[: number - 1] else 2)
-            assert again.warnings == ()
-            if len(found) == 2:
-                again.commit(batch(4, 2))
-            assert [len(one) for one in again.batches] == [2, 3, 4]
+        with FolderStore.open(folder, SCHEMA, write=True) as reopened:
+            kept_state = contents(reopened)
+            assert kept_state[:2] == held
+            assert len(kept_state) == (3 if "link" in calls.made[: number - 1] else 2)
+            assert reopened.warnings == ()
+            if len(kept_state) == 2:
+                reopened.commit(batch(4, 2))
+            assert [len(one) for one in reopened.batches] == [2, 3, 4]
         assert len(segments(folder)) == 3
-        seen.add(len(found))
+        seen.add(len(kept_state))
     store.close()
     assert seen == {2, 3}
     assert number > 8
@@ -776,12 +776,12 @@ def test_a_state_write_killed_at_any_call_leaves_the_state_before_or_the_new_one
             pass
         faults(None)
         store.close()
-        with FolderStore.open(folder, SCHEMA, write=True) as again:
-            state = again.latest_state()
+        with FolderStore.open(folder, SCHEMA, write=True) as reopened:
+            state = reopened.latest_state()
             assert state is not None
             assert state[0] == state[1]["i"]
             seen.append(state[0])
-            again.write_state(3, {"i": np.array(3)})
+            reopened.write_state(3, {"i": np.array(3)})
             assert len(os.listdir(folder / "state")) == 3
     store.close()
     assert seen == sorted(seen)
@@ -856,10 +856,10 @@ def test_after_a_failed_fsync_this_store_writes_nothing_more(
     assert contents(store) == held
     store.close()
     faults(None)
-    with FolderStore.open(folder, SCHEMA, write=True) as again:
+    with FolderStore.open(folder, SCHEMA, write=True) as reopened:
         # The first fsync is the file's, before the link; the second the folder's, after it.
-        assert contents(again)[:1] == held
-        assert len(again.batches) == which
+        assert contents(reopened)[:1] == held
+        assert len(reopened.batches) == which
         assert not [name for name in segments(folder) if name.startswith(".tmp-")]
 
 
@@ -977,8 +977,8 @@ def test_files_of_merged_files_still_say_which_program_wrote_what(
     FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA).close()
     for seed, version in enumerate("1122"):
         with FolderStore.open(tmp_path / "run", SCHEMA, write=True, provenance={"numpy": version}) as store:
-            told = [warning for warning in store.warnings if "bit-identical" in warning]
-            assert len(told) == (seed == 2), store.warnings
+            warned = [warning for warning in store.warnings if "bit-identical" in warning]
+            assert len(warned) == (seed == 2), store.warnings
             store.commit(batch(3, seed))
     with h5py.File(segment_file(tmp_path / "run", 0)) as file:
         assert len(file["size"]) == 4
@@ -1003,15 +1003,15 @@ def test_a_compaction_killed_at_any_call_loses_and_doubles_nothing(
         faults(None)
         store.close()
         assert read(folder) == held
-        with FolderStore.open(folder, SCHEMA, write=True) as again:
-            assert contents(again) == held
-            assert again.warnings == ()
+        with FolderStore.open(folder, SCHEMA, write=True) as reopened:
+            assert contents(reopened) == held
+            assert reopened.warnings == ()
             # Whatever the interrupted compaction left has gone, and only that.
             assert len(segments(folder)) == (1 if "link" in calls.made[: number - 1] else 4)
-            again.compact()
-            again.commit(batch(4, 9))
+            reopened.compact()
+            reopened.commit(batch(4, 9))
             assert len(segments(folder)) == 2
-            assert contents(again)[:4] == held
+            assert contents(reopened)[:4] == held
         assert read(folder)[:4] == held
     store.close()
     assert number > 12
@@ -1099,10 +1099,10 @@ def test_recovery_gives_the_longest_record_that_the_files_cover_or_names_the_gap
         with pytest.raises(StoreError, match=f"Designs {ends[whole]} to {ends[following] - 1} are missing"):
             recover(files, {}, start)
         return
-    found = recover(files, {"x": "is bad"}, start)
-    assert [one for segment in found.chain for one in segment.batches] == batches[:whole]
-    assert len(found.chain) + len(found.covered) == len(files)
-    assert found.damaged == {"x": "is bad"}
+    kept_state = recover(files, {"x": "is bad"}, start)
+    assert [one for segment in kept_state.chain for one in segment.batches] == batches[:whole]
+    assert len(kept_state.chain) + len(kept_state.covered) == len(files)
+    assert kept_state.damaged == {"x": "is bad"}
 
 
 # Foreign files

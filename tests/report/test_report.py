@@ -43,7 +43,7 @@ description = '''{description}'''
 seed = 3
 sampling = {{ initial = 20, budget = {budget}, batch = 5 }}
 classifier.features = "{features}"
-{more}
+{extra}
 """
 
 
@@ -60,10 +60,10 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        self.elements.append((tag, found))
+        parsed = dict(attrs)
+        self.elements.append((tag, parsed))
         if tag == "table":
-            self._rows = self.tables.setdefault(str(found.get("id")), [])
+            self._rows = self.tables.setdefault(str(parsed.get("id")), [])
         elif tag == "tr":
             self._rows.append([])
         elif tag in ("td", "th"):
@@ -94,8 +94,8 @@ def ran(folder: Path, campaign: Campaign, budget: int | None = None, batches: in
         run(campaign, store, executor, budget or campaign.settings.sampling.budget, Observer(stop=stop))
 
 
-def settings(features: str = "paper", budget: int = 30, description: str = SCRIPT, more: str = "") -> Campaign:
-    text = TINY.format(features=features, budget=budget, description=description, more=more)
+def settings(features: str = "paper", budget: int = 30, description: str = SCRIPT, extra: str = "") -> Campaign:
+    text = TINY.format(features=features, budget=budget, description=description, extra=extra)
     return Campaign.of(parse_settings(text, "tiny"))
 
 
@@ -103,7 +103,7 @@ def settings(features: str = "paper", budget: int = 30, description: str = SCRIP
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small campaign over the paper's variables, with a hostile name and a validation set."""
     where = tmp_path_factory.mktemp("report") / "run"
-    ran(where, settings(more="validation.size = 60"))
+    ran(where, settings(extra="validation.size = 60"))
     return where
 
 
@@ -115,14 +115,14 @@ def html(folder: Path) -> str:
 
 def self_contained(text: str, without: tuple[str, ...] = ()) -> Page:
     """Assert that a page needs nothing but itself, is well made and lacks these sections alone; the page."""
-    found = Page(text)
+    parsed = Page(text)
     assert len(text.encode()) < 2_000_000
     links = re.findall(r"https?://[^\s\"'<>]*", text)
     assert set(links) <= {"http://www.w3.org/2000/svg"}
-    assert not {"script", "iframe", "object", "embed", "audio", "video"} & {tag for tag, _ in found.elements}
-    ids = [attributes["id"] for _, attributes in found.elements if "id" in attributes]
+    assert not {"script", "iframe", "object", "embed", "audio", "video"} & {tag for tag, _ in parsed.elements}
+    ids = [attributes["id"] for _, attributes in parsed.elements if "id" in attributes]
     assert len(ids) == len(set(ids))
-    for tag, attributes in found.elements:
+    for tag, attributes in parsed.elements:
         assert not [name for name in attributes if name.startswith("on")]
         for name in ("src", "href", "xlink:href"):
             target = attributes.get(name) or "#"
@@ -133,27 +133,27 @@ def self_contained(text: str, without: tuple[str, ...] = ()) -> Page:
         assert target[0] == "#"
         assert target[1:] in ids
     assert [section for section in SECTIONS if section not in ids] == list(without)
-    figures = [tag for tag, _ in found.elements if tag in ("figure", "figcaption")]
+    figures = [tag for tag, _ in parsed.elements if tag in ("figure", "figcaption")]
     assert figures[::2] == ["figure"] * (len(figures) // 2)
     assert figures[1::2] == ["figcaption"] * (len(figures) // 2)
-    return found
+    return parsed
 
 
 # --- the page ----------------------------------------------------------------------------------------------------
 
 
 def test_the_page_is_whole_small_and_refers_to_nothing_outside(html):
-    found = self_contained(html)
-    assert ("html", {"lang": "en"}) in found.elements
-    policies = [a["content"] for tag, a in found.elements if a.get("http-equiv") == "Content-Security-Policy"]
+    parsed = self_contained(html)
+    assert ("html", {"lang": "en"}) in parsed.elements
+    policies = [a["content"] for tag, a in parsed.elements if a.get("http-equiv") == "Content-Security-Policy"]
     assert policies == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
     assert html.count("<figure") == html.count("<figcaption") >= 10
 
 
 def test_a_campaign_named_script_shows_as_text(html):
-    found = Page(html)
+    parsed = Page(html)
     assert "<script" not in html
-    heading = found.text[found.text.index("Results of an activefail campaign") - 200 :]
+    heading = parsed.text[parsed.text.index("Results of an activefail campaign") - 200 :]
     assert SCRIPT in heading
 
 
@@ -169,10 +169,10 @@ def test_the_counts_in_the_page_are_the_record_s(html, folder):
 
 
 def test_without_a_comparison_the_curve_is_of_the_validation_set_and_the_page_says_what_adds_the_other(html, folder):
-    found = Page(html)
-    assert f"activefail compare {folder} adds" in found.text
-    assert f"activefail verify {folder} estimates" in found.text
-    scores = found.tables["scores"][1:]
+    parsed = Page(html)
+    assert f"activefail compare {folder} adds" in parsed.text
+    assert f"activefail verify {folder} estimates" in parsed.text
+    scores = parsed.tables["scores"][1:]
     assert [row[0] for row in scores][-1] == "30"
     assert {row[1] for row in scores} == {"active"}
 
@@ -180,13 +180,13 @@ def test_without_a_comparison_the_curve_is_of_the_validation_set_and_the_page_sa
 def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
-    given = [
+    written = [
         Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41, 400),
         Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21, 400),
         Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125, 400),
     ]
     with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
-        write([[*score.row(), 0] for score in given])
+        write([[*score.row(), 0] for score in written])
     with open_campaign(copy, write=False) as (campaign, store):
         text = made(campaign, copy, store)
     rows = Page(text).tables["scores"][1:]
@@ -205,22 +205,22 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
     (copy / "compare").mkdir()
     outcomes = ("no_impact", "impact", "failure")
     active, static = (
-        {"no_impact": Recall(1800, 1800), "impact": Recall(134, 134), "failure": Recall(found, 66)} for found in (64, 2)
+        {"no_impact": Recall(1800, 1800), "impact": Recall(134, 134), "failure": Recall(hits, 66)} for hits in (64, 2)
     )
-    given = [
+    written = [
         Score("active", 30, 0.9995, 0.9972, 0.9999, 0.999, -0.01, 2000, active),
         Score("static", 30, 0.968, 0.96, 0.975, 0.968, -0.1, 2000, static),
     ]
     with writing(copy / "compare" / "scores.csv", [*Score.columns(), *Score.recall_columns(outcomes)]) as write:
-        write([score.row() for score in given])
+        write([score.row() for score in written])
     with open_campaign(copy, write=False) as (campaign, store):
-        found = Page(made(campaign, copy, store))
-    assert "99.95 % of 2000 fresh designs (99.72 to 99.99 % with 95 % confidence)" in found.text
-    after = found.text.partition("recall of failure")[2]
+        parsed = Page(made(campaign, copy, store))
+    assert "99.95 % of 2000 fresh designs (99.72 to 99.99 % with 95 % confidence)" in parsed.text
+    after = parsed.text.partition("recall of failure")[2]
     assert after.startswith("97.0 % (64 of 66; 89.5 to 99.6 %)")
-    after = found.text.partition("recall of failure, static design")[2]
+    after = parsed.text.partition("recall of failure, static design")[2]
     assert after.startswith("3.0 % (2 of 66; 0.4 to 10.5 %)")
-    assert found.tables["scores"][2][-1] == "3.0 % (2 of 66; 0.4 to 10.5 %)"
+    assert parsed.tables["scores"][2][-1] == "3.0 % (2 of 66; 0.4 to 10.5 %)"
 
 
 @pytest.mark.parametrize(
@@ -276,49 +276,49 @@ def test_other_features_of_the_bearing_have_a_page_too(features, tmp_path):
     campaign = settings(features, budget=20, description="other features")
     ran(tmp_path / "run", campaign)
     with open_campaign(tmp_path / "run", write=False) as (campaign, store):
-        found = self_contained(made(campaign, tmp_path / "run", store))
-    assert "There are no active designs yet" in found.text
-    assert "each design left out of the training in turn" in found.text
-    assert "no validation set" in found.text
+        parsed = self_contained(made(campaign, tmp_path / "run", store))
+    assert "There are no active designs yet" in parsed.text
+    assert "each design left out of the training in turn" in parsed.text
+    assert "no validation set" in parsed.text
 
 
 def test_a_part_of_the_seed_is_enough_for_a_page_that_says_how_to_go_on(tmp_path):
     ran(tmp_path / "run", settings(description=""), batches=1)
     with open_campaign(tmp_path / "run", write=False) as (campaign, store):
-        found = self_contained(made(campaign, tmp_path / "run", store))
-    assert "25 of the planned simulations are left" in found.text
-    assert f"activefail resume {tmp_path / 'run'} continues" in found.text
+        parsed = self_contained(made(campaign, tmp_path / "run", store))
+    assert "25 of the planned simulations are left" in parsed.text
+    assert f"activefail resume {tmp_path / 'run'} continues" in parsed.text
 
 
 def test_the_page_says_when_running_it_again_is_not_the_same(tmp_path):
     ran(tmp_path / "run", settings(budget=23))
     with open_campaign(tmp_path / "run", write=True) as (campaign, store), ThreadExecutor(2) as executor:
         run(campaign, store, executor, 32)
-        found = self_contained(made(campaign, tmp_path / "run", store))
-    assert "32, beyond the 23 planned" in found.text
-    assert "12 in 3 batches of 5" in found.text
-    assert "earlier end left a batch of fewer than 5" in found.text
+        parsed = self_contained(made(campaign, tmp_path / "run", store))
+    assert "32, beyond the 23 planned" in parsed.text
+    assert "12 in 3 batches of 5" in parsed.text
+    assert "earlier end left a batch of fewer than 5" in parsed.text
 
 
 def test_the_page_of_a_campaign_without_batches_promises_no_second_of_its_kind(tmp_path):
-    text = TINY.format(features="paper", budget=30, description="", more="")
+    text = TINY.format(features="paper", budget=30, description="", extra="")
     campaign = Campaign.of(parse_settings(text.replace("batch = 5", "batch = 5, asynchronous = true"), "tiny"))
     ran(tmp_path / "run", campaign)
     with open_campaign(tmp_path / "run", write=False) as (campaign, store):
-        found = self_contained(made(campaign, tmp_path / "run", store))
-    assert "10, asynchronous, up to 5 in flight" in found.text
-    assert "Another run proposes other designs" in found.text
+        parsed = self_contained(made(campaign, tmp_path / "run", store))
+    assert "10, asynchronous, up to 5 in flight" in parsed.text
+    assert "Another run proposes other designs" in parsed.text
 
 
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_another_simulator_has_a_page_without_bearings(dimension, tmp_path):
-    more = "validation.size = 40" if dimension == 2 else ""
-    campaign = disc(more=more) if dimension == 2 else other(dimension)
+    extra = "validation.size = 40" if dimension == 2 else ""
+    campaign = disc(extra=extra) if dimension == 2 else other(dimension)
     ran(tmp_path / "run", campaign)
     with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as store:
-        found = self_contained(made(campaign, tmp_path / "run", store), without=("gallery",))
-    assert "Bearings at the boundary" not in found.text
-    labels = [a["aria-label"] for tag, a in found.elements if tag == "svg"]
+        parsed = self_contained(made(campaign, tmp_path / "run", store), without=("gallery",))
+    assert "Bearings at the boundary" not in parsed.text
+    labels = [a["aria-label"] for tag, a in parsed.elements if tag == "svg"]
     assert (
         len([label for label in labels if label.startswith("Probabilities in the plane")])
         == {1: 0, 2: 1, 3: 3}[dimension]
@@ -351,10 +351,10 @@ def other(dimension: int) -> Campaign:
 def test_designs_with_given_features_have_them_and_lie_in_the_space():
     X = TABLE_1.latin_hypercube(200, np.random.default_rng(0))
     F = paper_features(X)
-    found, there = outcome_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
+    designs, there = outcome_planes.designs_with(F, TABLE_1.low, TABLE_1.high)
     assert there.mean() > 0.97  # each has at least the design it came from; projections close in slowly at corners
-    assert TABLE_1.contains(found[there]).all()
-    np.testing.assert_allclose(paper_features(found[there]), F[there], rtol=0.05)
+    assert TABLE_1.contains(designs[there]).all()
+    np.testing.assert_allclose(paper_features(designs[there]), F[there], rtol=0.05)
 
 
 def test_features_that_no_design_has_are_told_apart():
@@ -410,13 +410,13 @@ def test_powers_in_units_are_raised():
 def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
-    given = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4, 388) for n in (20, 30) for name in ("active", "static")]
+    written = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4, 388) for n in (20, 30) for name in ("active", "static")]
     with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
-        write([[*score.row(), 12] for score in given])
+        write([[*score.row(), 12] for score in written])
     with open_campaign(copy, write=False) as (campaign, store):
-        found = Page(made(campaign, copy, store))
+        parsed = Page(made(campaign, copy, store))
     run = f"activefail run campaign.toml --out {copy}"
-    assert f"{run}\nactivefail compare {copy} --budgets 20,30 --test 400\nactivefail report {copy}\n" in found.text
+    assert f"{run}\nactivefail compare {copy} --budgets 20,30 --test 400\nactivefail report {copy}\n" in parsed.text
 
 
 def test_numbers_are_written_as_people_read_them():
@@ -492,17 +492,17 @@ def test_the_outcomes_colours_are_told_apart_by_every_eye(outcomes, vision):
     ],
 )
 def test_a_name_of_one_s_own_is_a_symbol_where_it_is_a_letter_and_has_no_meaning(name, symbol, text):
-    told = quantities.custom_quantity(name, "s")
-    assert (told.symbol, told.text, told.unit, told.meaning) == (symbol, text, "s", "")
+    named = quantities.custom_quantity(name, "s")
+    assert (named.symbol, named.text, named.unit, named.meaning) == (symbol, text, "s", "")
 
 
 def test_what_a_letter_means_is_known_of_the_bearing_s_variables_alone():
     bearing = settings()
-    assert [told.meaning for told in quantities.variables(bearing)][1] == "friction coefficient"
-    more = 'classifier.features.expressions = { D_ratio = "sin(T_p)" }'
-    text = TINY.format(features="paper", budget=30, description="", more="").replace(
-        'classifier.features = "paper"', more
+    assert [named.meaning for named in quantities.variables(bearing)][1] == "friction coefficient"
+    extra = 'classifier.features.expressions = { D_ratio = "sin(T_p)" }'
+    text = TINY.format(features="paper", budget=30, description="", extra="").replace(
+        'classifier.features = "paper"', extra
     )
     own = Campaign.of(parse_settings(text, "tiny"))
-    told = {quantity.name: quantity.meaning for quantity in quantities.features(own)}
-    assert (told["mu"], told["D_ratio"]) == ("friction coefficient", "")
+    named = {quantity.name: quantity.meaning for quantity in quantities.features(own)}
+    assert (named["mu"], named["D_ratio"]) == ("friction coefficient", "")

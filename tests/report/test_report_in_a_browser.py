@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report") / "run"
-    ran(folder, settings(more="validation.size = 60"))
+    ran(folder, settings(extra="validation.size = 60"))
     with open_campaign(folder, write=False) as (campaign, store):
         path = folder / "report.html"
         path.write_text(made(campaign, folder, store), encoding="utf-8")

@@ -60,14 +60,14 @@ def python(folder: Path, function: str = "run", source: str = MODEL) -> PythonSi
 def program(folder: Path, source: str, **other: object) -> CommandSimulator:
     """A Python program in a folder, over SPACE; it receives the drift, with all digits and with two, and its folder."""
     (folder / "model.py").write_text(f"import json, os, sys, time\n{source}")
-    given = {
+    options = {
         "command": f"{sys.executable} {{here}}/model.py {{drift}} {{T:.2f}} 'a b' {{out}}",
         "here": folder,
         "work": folder / "work",
         "outcomes": ("safe", "failure"),
         "margins": ("gap",),
     }
-    return CommandSimulator(SPACE, **(given | other))
+    return CommandSimulator(SPACE, **(options | other))
 
 
 def ended(pid: str) -> bool:
@@ -80,12 +80,12 @@ def ended(pid: str) -> bool:
 
 def started_by(pid: int) -> list[str]:
     """Command lines of the processes that a process has started."""
-    found = []
+    actual = []
     for task in Path(f"/proc/{pid}/task").iterdir():
         for child in (task / "children").read_text().split():
             with suppress(OSError):
-                found.append(Path(f"/proc/{child}/cmdline").read_text())
-    return found
+                actual.append(Path(f"/proc/{child}/cmdline").read_text())
+    return actual
 
 
 def until(true: Callable[[], bool]) -> None:
@@ -147,14 +147,14 @@ UNUSABLE = {
 
 
 @pytest.mark.faults
-@pytest.mark.parametrize("said", UNUSABLE)
-def test_what_is_no_answer_is_a_numerical_failure_that_says_why(tmp_path: Path, said: str) -> None:
-    (tmp_path / "said").write_text(said)
+@pytest.mark.parametrize("result", UNUSABLE)
+def test_what_is_no_answer_is_a_numerical_failure_that_says_why(tmp_path: Path, result: str) -> None:
+    (tmp_path / "said").write_text(result)
     results = answer(python(tmp_path, "broken"), X[:1])
     fault = results.faults[0]
     assert (results.outcome.tolist(), results.cause.tolist()) == ([-1], [UNUSABLE_ANSWER])
     assert fault.startswith("design [0.333")
-    assert re.search(UNUSABLE[said], fault), fault
+    assert re.search(UNUSABLE[result], fault), fault
 
 
 @pytest.mark.faults
@@ -254,14 +254,14 @@ def run(design):
 """
 
 
-def with_helpers(folder: Path, damage: float = 1.0, failure: float = 3.0, more: int = 0) -> PythonSimulator:
+def with_helpers(folder: Path, damage: float = 1.0, failure: float = 3.0, extra: int = 0) -> PythonSimulator:
     """A function that reads its limits from modules in its folder: a module, one in a package, and one at run time."""
     (folder / "parts").mkdir(parents=True, exist_ok=True)
     (folder / "limits.py").write_text(f"DAMAGE = {damage!r}\n")
     (folder / "parts" / "__init__.py").write_text("")
     (folder / "parts" / "walls.py").write_text("from . import bricks\n\nFAILURE = bricks.FAILURE\n")
     (folder / "parts" / "bricks.py").write_text(f"FAILURE = {failure!r}\n")
-    (folder / "late.py").write_text(f"MORE = {more!r}\n")
+    (folder / "late.py").write_text(f"MORE = {extra!r}\n")
     simulator = python(folder, source=WITH_HELPERS)
     return replace(simulator, source=simulator.load())
 
@@ -293,7 +293,7 @@ def test_functions_of_two_folders_each_have_their_own_of_two_modules_of_one_name
 
 
 def test_an_import_as_a_function_runs_finds_its_own_folder_s_module_after_another_s(tmp_path: Path) -> None:
-    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", more=True)
+    one, other = with_helpers(tmp_path / "one"), with_helpers(tmp_path / "other", extra=True)
     for simulator, outcome in ((one, [0, 1, 2]), (other, [1, 2]), (one, [0, 1, 2])):
         simulator.prepare()
         assert answer(simulator, X[: len(outcome)]).outcome.tolist() == outcome
@@ -315,7 +315,7 @@ def test_modules_of_a_folder_that_the_program_itself_has_imported_stay_as_they_a
     assert "limits" not in sys.modules or Path(sys.modules["limits"].__file__).parent == tmp_path / "other"
 
 
-@pytest.mark.parametrize("changed", [{"damage": 0.25}, {"failure": 2.25}, {"more": True}])
+@pytest.mark.parametrize("changed", [{"damage": 0.25}, {"failure": 2.25}, {"extra": True}])
 def test_a_module_that_a_function_imports_is_part_of_its_source(tmp_path: Path, changed: dict[str, float]) -> None:
     first = with_helpers(tmp_path)
     assert with_helpers(tmp_path) == first
@@ -323,7 +323,7 @@ def test_a_module_that_a_function_imports_is_part_of_its_source(tmp_path: Path, 
     answer(first, X)
     second = with_helpers(tmp_path, **changed)
     assert second.source != first.source
-    expected = {"damage": [1, 1, 2], "failure": [0, 2, 2], "more": [1, 2]}[next(iter(changed))]
+    expected = {"damage": [1, 1, 2], "failure": [0, 2, 2], "extra": [1, 2]}[next(iter(changed))]
     assert answer(second, X[: len(expected)]).outcome.tolist() == expected
     with pytest.raises(InputError, match=r"or one that it imports from its folder, differs from the one where"):
         answer(replace(first, source="0" * 64), X)
@@ -429,8 +429,8 @@ def test_a_campaign_says_how_many_simulations_one_process_may_run(
     (mine / "model.py").write_text(PROCESSES)
     (mine / "mine.toml").write_text(TOML.replace('python = "model:run"\n', f'python = "model:run"\n{renew}'))
     # One outcome only: what is learned is not looked at.
-    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run", "--budget", "16", "--workers", "1")
-    assert said.code == 0, said.err
+    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run", "--budget", "16", "--workers", "1")
+    assert result.code == 0, result.err
     pids = (mine / "model.py.pids").read_text().split()
     assert len(pids) == 16
     assert len(set(pids)) == processes
@@ -439,15 +439,15 @@ def test_a_campaign_says_how_many_simulations_one_process_may_run(
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("options", "says"),
     [
         ('python = "model:run", renew = 0', "simulator.renew: must be greater than or equal to 1, got 0"),
         ('python = "model:run", renew = 1.5', "simulator.renew: must be a valid integer, got 1.5"),
         ('command = "m {out}", renew = 3', "simulator.renew: belongs to `python`"),
     ],
 )
-def test_a_number_of_simulations_that_no_process_can_run_is_refused(tmp_path: Path, given: str, says: str) -> None:
-    (tmp_path / "mine.toml").write_text(f"simulator = {{ {given} }}\nspace.x = {{ low = 0.0, high = 1.0 }}\n")
+def test_a_number_of_simulations_that_no_process_can_run_is_refused(tmp_path: Path, options: str, says: str) -> None:
+    (tmp_path / "mine.toml").write_text(f"simulator = {{ {options} }}\nspace.x = {{ low = 0.0, high = 1.0 }}\n")
     refused(activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "run"), "mine.toml", says)
 
 
@@ -462,9 +462,9 @@ def test_a_program_is_run_once_a_design_in_a_folder_of_its_own(tmp_path: Path) -
     assert results.margins[:, 0].tolist() == X[:, 0].tolist()  # every digit was told
     folders = list((tmp_path / "work").iterdir())
     assert len(folders) == 3
-    told = {json.loads((folder / "design.json").read_text())["drift"]: folder for folder in folders}
-    assert sorted(told) == sorted(X[:, 0].tolist())
-    folder = told[2.5]
+    folder_of = {json.loads((folder / "design.json").read_text())["drift"]: folder for folder in folders}
+    assert sorted(folder_of) == sorted(X[:, 0].tolist())
+    folder = folder_of[2.5]
     assert (folder / "stdout.txt").read_text() == "a b 2.00\n"
     assert json.loads((folder / "design.json").read_text()) == {"drift": 2.5, "T": 2.0, "storeys": 3.0}
 
@@ -655,8 +655,8 @@ def mine(tmp_path: Path) -> Path:
 
 def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    said = activefail("run", mine / "mine.toml", "--out", run, "--budget", "20")
-    assert (said.code, said.err) == (0, "")
+    result = activefail("run", mine / "mine.toml", "--out", run, "--budget", "20")
+    assert (result.code, result.err) == (0, "")
     assert "simulator  model:run, 2 variables" in activefail("status", run).out
     # What needs none of the campaign's own code does without it.
     assert activefail("export", run, "--csv", tmp_path / "all.csv").code == 0
@@ -666,13 +666,13 @@ def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
         drift = float(row["drift"])
         assert row["outcome"] == ("safe", "damage", "failure")[(drift > 1.0) + (drift > 3.0)]
         assert float(row["gap"]) == 3.0 - drift
-    again = activefail("resume", run, "--budget", "24")
-    assert again.code == 2
-    assert "simulator.python: model:run is custom code" in again.err
-    assert "--code FOLDER" in again.err
-    assert "Traceback" not in again.err
-    said = activefail("resume", run, "--budget", "24", "--code", mine)
-    assert said.code == 0, said.err
+    repeated = activefail("resume", run, "--budget", "24")
+    assert repeated.code == 2
+    assert "simulator.python: model:run is custom code" in repeated.err
+    assert "--code FOLDER" in repeated.err
+    assert "Traceback" not in repeated.err
+    result = activefail("resume", run, "--budget", "24", "--code", mine)
+    assert result.code == 0, result.err
     whole = activefail("run", mine / "mine.toml", "--out", tmp_path / "whole", "--workers", "1")
     assert whole.code == 0
     assert record(run) == record(tmp_path / "whole")
@@ -697,10 +697,10 @@ def test_status_needs_no_code_before_anything_is_recorded_either(mine: Path, tmp
     (mine / "mine.toml").write_text(f'classifier.features = {{ python = "model:physics" }}{TOML}')
     (mine / "model.py").write_text(f"{MODEL}\ndef physics(X, space):\n    return X[:, :1] ** 2\n")
     with create_folder(tmp_path / "run", read_campaign(mine / "mine.toml", code=mine)):
-        said = activefail("status", tmp_path / "run")
-    assert said.code == 0, said.err
-    assert "0 of 24 simulations" in said.out
-    assert said.out.splitlines()[-1] == f"continue   activefail resume {tmp_path / 'run'} --code FOLDER"
+        result = activefail("status", tmp_path / "run")
+    assert result.code == 0, result.err
+    assert "0 of 24 simulations" in result.out
+    assert result.out.splitlines()[-1] == f"continue   activefail resume {tmp_path / 'run'} --code FOLDER"
 
 
 OPENING = {
@@ -761,9 +761,9 @@ def test_a_function_in_a_run_folder_is_not_run_whatever_the_current_folder(
         monkeypatch.setattr(sys, "path", ["", *sys.path])
     for command, words in OPENING.items():
         code = () if named is None else ("--code", tmp_path / named)
-        said = activefail(command, received, *words, *code)
+        result = activefail(command, received, *words, *code)
         assert not (tmp_path / "ran").exists()
-        refused(said, "classifier.features.python" if named is None else "simulator.python", module)
+        refused(result, "classifier.features.python" if named is None else "simulator.python", module)
     activefail("status", received)
     assert not (tmp_path / "ran").exists()
 
@@ -773,14 +773,14 @@ def test_a_function_in_a_run_folder_is_not_run_where_a_folder_around_it_is_named
     received: Path, tmp_path: Path, named: str, module: str
 ) -> None:
     names(received, module)
-    said = activefail("resume", received, "--budget", "20", "--code", tmp_path / named)
-    refused(said, f"simulator.python: {module} is {received / 'model.py'}, in the run folder", "--code FOLDER")
+    result = activefail("resume", received, "--budget", "20", "--code", tmp_path / named)
+    refused(result, f"simulator.python: {module} is {received / 'model.py'}, in the run folder", "--code FOLDER")
     assert not (tmp_path / "ran").exists()
 
 
 def test_a_function_in_a_run_folder_is_run_where_that_very_folder_is_named(received: Path, tmp_path: Path) -> None:
-    said = activefail("resume", received, "--budget", "20", "--code", received)
-    assert said.code == 0, said.err
+    result = activefail("resume", received, "--budget", "20", "--code", received)
+    assert result.code == 0, result.err
     assert (tmp_path / "ran").exists()
 
 
@@ -835,10 +835,10 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     run = tmp_path / "run"
     assert activefail("run", mine / "mine.toml", "--out", run, "--budget", "16").code == 0
     (mine / "model.py").write_text(MODEL + "# other\n")
-    said = activefail("resume", run, "--budget", "20", "--code", mine)
-    assert said.code == 0
+    result = activefail("resume", run, "--budget", "20", "--code", mine)
+    assert result.code == 0
     digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, f"{MODEL}# other\n")]
-    assert said.err == (
+    assert result.err == (
         "warning: Your code has changed since the last batch, model:run (simulator.python) or a module "
         f"that it imports: {digests[0]} -> {digests[1]}. New simulations use the current code.\n"
     )
@@ -851,17 +851,17 @@ def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on
     file, run = mine / "mine.toml", tmp_path / "run"
     file.write_text(f'classifier.features = {{ python = "seen:by" }}{TOML}')
     (mine / "seen.py").write_text("import limits\n\ndef by(X, space):\n    return X[:, :1] > limits.DAMAGE\n")
-    said = activefail("run", file, "--out", run, "--budget", "16")
-    assert said.code == 0, said.err
-    assert said.out.splitlines()[-2].endswith(" 0 numerical failures")
-    said = activefail("resume", run, "--budget", "20", "--code", mine)
-    assert (said.code, said.err) == (0, "")
+    result = activefail("run", file, "--out", run, "--budget", "16")
+    assert result.code == 0, result.err
+    assert result.out.splitlines()[-2].endswith(" 0 numerical failures")
+    result = activefail("resume", run, "--budget", "20", "--code", mine)
+    assert (result.code, result.err) == (0, "")
     with_helpers(mine, damage=1.125)
-    said = activefail("resume", run, "--budget", "24", "--code", mine)
-    assert said.code == 0, said.err
-    assert "model:run (simulator.python)" in said.err
-    assert "seen:by (classifier.features.python)" in said.err
-    assert "machine" not in said.err
+    result = activefail("resume", run, "--budget", "24", "--code", mine)
+    assert result.code == 0, result.err
+    assert "model:run (simulator.python)" in result.err
+    assert "seen:by (classifier.features.python)" in result.err
+    assert "machine" not in result.err
 
 
 MISTAKES = {
@@ -891,8 +891,8 @@ def test_a_mistake_in_a_campaign_of_one_s_own_is_named_before_anything_is_made(
 @pytest.mark.faults
 def test_a_module_that_ends_the_process_is_told_and_does_not(mine: Path, tmp_path: Path) -> None:
     (mine / "model.py").write_text(f"import sys\n{MODEL}\nsys.exit(0)\n")
-    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
-    refused(said, "simulator.python: model cannot be imported: SystemExit: 0")
+    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    refused(result, "simulator.python: model cannot be imported: SystemExit: 0")
     assert not (tmp_path / "run").exists()
 
 
@@ -900,11 +900,11 @@ def test_a_module_that_ends_the_process_is_told_and_does_not(mine: Path, tmp_pat
 def test_a_function_that_always_raises_stops_the_campaign_with_what_it_raised(mine: Path, tmp_path: Path) -> None:
     (mine / "model.py").write_text("def run(design):\n    return design['drifd']\n")
     (mine / "mine.toml").write_text(TOML.replace("initial = 16", "initial = 22"))
-    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
-    assert said.code == 1
-    assert f"`activefail resume {tmp_path / 'run'} --code {mine} --numerical-failures SHARE` allows more" in said.err
-    assert "KeyError: 'drifd'" in said.err
-    assert "model.py:2" in said.err
+    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert result.code == 1
+    assert f"`activefail resume {tmp_path / 'run'} --code {mine} --numerical-failures SHARE` allows more" in result.err
+    assert "KeyError: 'drifd'" in result.err
+    assert "model.py:2" in result.err
 
 
 @pytest.mark.faults
@@ -914,11 +914,11 @@ def test_what_a_simulation_raised_is_told_of_a_campaign_that_went_on(mine: Path,
     )
     (mine / "model.py").write_text(source)
     (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
-    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
-    assert said.code == 0
+    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert result.code == 0
     assert "raised" in {row["cause"] for row in record(tmp_path / "run")}
-    assert "warning: simulations were abandoned; the first failed with: design" in said.err
-    assert "ValueError: diverged" in said.err
+    assert "warning: simulations were abandoned; the first failed with: design" in result.err
+    assert "ValueError: diverged" in result.err
 
 
 @pytest.mark.faults
@@ -927,11 +927,11 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
 ) -> None:
     run, designs = tmp_path / "run", tmp_path / "in.csv"
     (mine / "model.py").write_text("def run(design):\n    return design['drifd']\n")
-    said = activefail("run", mine / "mine.toml", "--out", run, "--budget", "40")
-    assert said.code == 1
-    assert "None of the 16 simulations gave an outcome" in said.err
-    assert f"`activefail resume {run} --code {mine}` continues" in said.err
-    assert "The first failed with cause `raised`." in said.err
+    result = activefail("run", mine / "mine.toml", "--out", run, "--budget", "40")
+    assert result.code == 1
+    assert "None of the 16 simulations gave an outcome" in result.err
+    assert f"`activefail resume {run} --code {mine}` continues" in result.err
+    assert "The first failed with cause `raised`." in result.err
     assert {row["cause"] for row in record(run)} == {"raised"}
     designs.write_text("drift,T\n1.0,2.0\n")
     predict = ("predict", run, "--csv", designs, "--out", tmp_path / "out.csv")
@@ -943,12 +943,12 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
     (mine / "model.py").write_text(MODEL)
     assert activefail("resume", run, "--code", mine, "--budget", "20").code == 0
     refused(activefail("verify", run, "--code", mine), "has not finished its initial design")
-    said = activefail("resume", run, "--code", mine, "--budget", "40")
-    assert said.code == 0, said.err
+    result = activefail("resume", run, "--code", mine, "--budget", "40")
+    assert result.code == 0, result.err
     assert [row["origin"] for row in record(run)] == ["seed"] * 32 + ["active"] * 8
     for command in (predict, ("compare", run, "--code", mine, "--test", "40"), ("report", run)):
-        said = activefail(*command)
-        assert said.code == 0, said.err
+        result = activefail(*command)
+        assert result.code == 0, result.err
     assert {row["simulations"] for row in table(run / "compare" / "scores.csv")} == {"32", "34", "35", "37", "38", "40"}
 
 
@@ -971,8 +971,8 @@ def test_the_folder_of_a_program_may_be_named_relative_to_the_current_one(
     campaign_on_a_program(tmp_path / "mine", ANSWERS)
     monkeypatch.chdir(tmp_path)
     assert activefail("run", "mine/mine.toml", "--out", "run", "--budget", "16").code == 0
-    said = activefail("resume", "run", "--budget", "20", "--code", "mine")
-    assert said.code == 0, said.err
+    result = activefail("resume", "run", "--budget", "20", "--code", "mine")
+    assert result.code == 0, result.err
     assert len(record(tmp_path / "run")) == 20
     assert "numerical_failure" not in {row["outcome"] for row in record(tmp_path / "run")}
 
@@ -984,9 +984,9 @@ def test_verifications_of_a_simulator_that_never_answers_are_told_and_not_kept(t
     program(tmp_path, "sys.exit('no licence')")
     refused(activefail(*verify), "None of the 10 simulations for verification", "no licence", code=1)
     program(tmp_path, ANSWERS)
-    said = activefail(*verify)
-    assert said.code == 0, said.err
-    assert "10 fresh simulations" in said.out
+    result = activefail(*verify)
+    assert result.code == 0, result.err
+    assert "10 fresh simulations" in result.out
 
 
 @pytest.mark.faults
@@ -1052,8 +1052,8 @@ if os.path.exists({str(slow)!r}):
     stopped = activefail("resume", run)
     assert stopped.code == 2
     assert "simulator.command" in stopped.err
-    said = activefail("resume", run, "--code", tmp_path)
-    assert said.code == 0, said.err
+    result = activefail("resume", run, "--code", tmp_path)
+    assert result.code == 0, result.err
     assert len(list((run / "simulations").iterdir())) == 24
 
 
@@ -1079,12 +1079,12 @@ def test_an_error_of_activefail_s_own_in_a_custom_simulator_costs_that_simulatio
     )
     (mine / "model.py").write_text(MODEL.replace("    severity", f"{raises}    severity"))
     (mine / "mine.toml").write_text(f"limits.numerical_failures = 1.0\n{TOML}")
-    said = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
-    assert said.code == 0
+    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    assert result.code == 0
     rows = record(tmp_path / "run")
     assert {row["cause"] for row in rows if float(row["drift"]) > 3.8} == {"raised"}
     assert all(row["cause"] == "" for row in rows if float(row["drift"]) <= 3.8)
-    assert "InputError: `mu > 0` must hold, got -1.0." in said.err
+    assert "InputError: `mu > 0` must hold, got -1.0." in result.err
 
 
 @pytest.mark.faults

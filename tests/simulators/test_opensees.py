@@ -29,8 +29,8 @@ DESIGN = {"--t-b": 4.0, "--mu": 0.06, "--d-tot": 0.6, "--t-p": 1.0, "--a-p": 0.3
 @cache
 def _missing() -> str:
     """Why OpenSees cannot be run here; nothing if it can."""
-    asked = [INTERPRETER, "-c", "import numpy, openseespy.opensees"]
-    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    command = [INTERPRETER, "-c", "import numpy, openseespy.opensees"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     last = done.stderr.strip().splitlines()
     return f"{INTERPRETER} has no openseespy: {last[-1] if last else done.returncode}" if done.returncode else ""
 
@@ -43,15 +43,15 @@ def opensees() -> str:
     return INTERPRETER
 
 
-def program(interpreter: str, *more: str | Path, **changed: float) -> subprocess.CompletedProcess[str]:
+def program(interpreter: str, *extra: str | Path, **changed: float) -> subprocess.CompletedProcess[str]:
     """The program on DESIGN with these options changed."""
     design = DESIGN | {f"--{name.replace('_', '-')}": value for name, value in changed.items()}
     words = [word for name, value in design.items() for word in (name, repr(value))]
-    return subprocess.run([interpreter, PROGRAM, *words, *more], capture_output=True, text=True, check=False)
+    return subprocess.run([interpreter, PROGRAM, *words, *extra], capture_output=True, text=True, check=False)
 
 
-def said(interpreter: str, *more: str | Path, **changed: float) -> dict[str, object]:
-    done = program(interpreter, *more, **changed)
+def answer_of(interpreter: str, *extra: str | Path, **changed: float) -> dict[str, object]:
+    done = program(interpreter, *extra, **changed)
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert isinstance(answer, dict)
@@ -77,7 +77,7 @@ def test_the_answer_is_written_to_the_file_and_nothing_else_to_stdout(opensees: 
     done = program(opensees, "--out", tmp_path / "answer.json", "--history", tmp_path / "motion.csv")
     assert (done.returncode, done.stdout) == (0, "")
     answer = json.loads((tmp_path / "answer.json").read_text())
-    assert answer == said(opensees)
+    assert answer == answer_of(opensees)
     motion = np.loadtxt(tmp_path / "motion.csv", delimiter=",", skiprows=1)
     assert motion[0].tolist() == [-1.5, 0.0, 0.0]
     assert motion[-1, 0] >= 1.5 + 2.5 * 4.0
@@ -92,7 +92,7 @@ def test_the_mass_moves_once_the_pulse_exceeds_friction(opensees: str, share: fl
     half = math.asin(0.15 / radius)
     length = 2.0 * radius * math.cos(half) - height
     friction = math.tan(math.asin(2.0 * radius * math.sin(math.atan(0.06)) / (length * math.cos(half))))
-    margins = said(opensees, a_p=share * friction)["margins"]
+    margins = answer_of(opensees, a_p=share * friction)["margins"]
     assert isinstance(margins, dict)
     assert (margins["peak_displacement_ratio"] > 1e-4) == moves
     # Nothing slides: the shear is the ground's acceleration.
@@ -100,13 +100,13 @@ def test_the_mass_moves_once_the_pulse_exceeds_friction(opensees: str, share: fl
 
 
 def test_impact_is_a_displacement_that_reaches_the_rim(opensees: str) -> None:
-    free = said(opensees)
+    free = answer_of(opensees)
     assert free["outcome"] == "safe"
     ratio = free["margins"]["peak_displacement_ratio"]  # type: ignore[index]
     assert 0.1 < ratio < 1.0
     # The capacity is nearly in proportion to D_tot.
     for share, outcome in ((1.05, "safe"), (0.95, "impact")):
-        answer = said(opensees, d_tot=0.6 * ratio * share)
+        answer = answer_of(opensees, d_tot=0.6 * ratio * share)
         assert answer["outcome"] == outcome
         assert set(answer["margins"]) - {"peak_displacement_ratio", "peak_shear_ratio"} == {  # type: ignore[call-overload]
             "residual_displacement" if outcome == "safe" else "touch_velocity"
@@ -135,9 +135,9 @@ def test_a_design_that_cannot_be_built_is_refused(
 
 
 def test_the_campaign_names_the_margins_that_the_program_tells(opensees: str) -> None:
-    told = {name for d_tot in (0.1, 0.8) for name in said(opensees, d_tot=d_tot)["margins"]}  # type: ignore[attr-defined]
+    names = {name for d_tot in (0.1, 0.8) for name in answer_of(opensees, d_tot=d_tot)["margins"]}  # type: ignore[attr-defined]
     named = read_settings(CAMPAIGNS / "opensees.toml").simulator
-    assert told == set(named.margins)  # type: ignore[union-attr]
+    assert names == set(named.margins)  # type: ignore[union-attr]
 
 
 def test_the_campaign_runs_is_resumed_and_its_failures_are_told(opensees: str, tmp_path: Path) -> None:
@@ -196,11 +196,11 @@ def of_bearing(row: Array, model: Model, stiffness: float) -> tuple[Array, Array
     return response.t, response.q[:, 3]
 
 
-def of_opensees(interpreter: str, row: Array, folder: Path, *more: str) -> tuple[Array, Array]:
+def of_opensees(interpreter: str, row: Array, folder: Path, *extra: str) -> tuple[Array, Array]:
     T_b, mu, D_tot, h_sl_ratio, _, _, _, T_p, A_p = row.tolist()
     file = folder / "motion.csv"
     design = {"t_b": T_b, "mu": mu, "d_tot": D_tot, "h_sl_ratio": h_sl_ratio, "t_p": T_p, "a_p": A_p}
-    done = program(interpreter, "--history", file, *more, **design)
+    done = program(interpreter, "--history", file, *extra, **design)
     assert done.returncode == 0, done.stderr
     t, x, _ = np.loadtxt(file, delimiter=",", skiprows=1).T
     return t, x

@@ -72,8 +72,8 @@ def test_smooth_boundaries_are_learned(trained, fresh):
 
 def test_the_order_of_the_training_points_does_not_matter(trained, fresh):
     X = SPACE.latin_hypercube(150, np.random.default_rng(0))[::-1].copy()
-    again = train(X, outcome_of(X), OUTCOMES, feature_map("design", SPACE), "rbf")
-    assert again.probabilities(fresh) == pytest.approx(trained.probabilities(fresh), abs=5e-3)
+    repeated = train(X, outcome_of(X), OUTCOMES, feature_map("design", SPACE), "rbf")
+    assert repeated.probabilities(fresh) == pytest.approx(trained.probabilities(fresh), abs=5e-3)
 
 
 def test_the_uncertainty_is_the_priors_far_away_and_smaller_at_the_points(trained):

@@ -54,18 +54,18 @@ def test_the_chosen_points_explain_what_dense_algebra_says(kernel):
     assert torch.allclose(prior.whitened.T @ prior.whitened, explained, atol=1e-5)
     assert torch.allclose(prior.rest, (K - explained).diagonal() + fitting.JITTER, atol=1e-5)
     assert float(precision @ prior.rest) <= inducing.LEFT
-    again = inducing.project(F, rows, kernel, h)
-    assert torch.allclose(again.whitened, prior.whitened, atol=1e-6)
+    repeated = inducing.project(F, rows, kernel, h)
+    assert torch.allclose(repeated.whitened, prior.whitened, atol=1e-6)
 
 
 def test_points_are_added_beside_those_that_are_kept():
     F, y = points(300)
     h = hyperparameters()
     few, _ = inducing.choose(F, torch.full_like(y, 0.3), "matern52", h, most=40)
-    more, prior = inducing.choose(F, torch.full_like(y, 0.3), "matern52", h, few)
-    assert more[: len(few)].tolist() == few.tolist()
-    assert len(more) > len(few)
-    assert torch.allclose(prior.rest, inducing.project(F, more, "matern52", h).rest, atol=1e-8)
+    extra, prior = inducing.choose(F, torch.full_like(y, 0.3), "matern52", h, few)
+    assert extra[: len(few)].tolist() == few.tolist()
+    assert len(extra) > len(few)
+    assert torch.allclose(prior.rest, inducing.project(F, extra, "matern52", h).rest, atol=1e-8)
 
 
 def test_with_every_point_an_inducing_one_nothing_is_lost():
@@ -146,8 +146,8 @@ def test_hyperparameters_learned_with_inducing_points_are_as_good_as_those_learn
 
 def test_points_that_come_later_are_learned_without_choosing_everything_anew(many):
     _, trained = many
-    more, labels = points(10, seed=11)
-    F, y = torch.cat([trained.features, more]), torch.cat([trained.labels, labels])
+    extra, labels = points(10, seed=11)
+    F, y = torch.cat([trained.features, extra]), torch.cat([trained.labels, labels])
     warm = fitting.fit(F, y, "matern52", replace(trained, learned_on=1500))
     cold = fitting.condition(F, y, "matern52", trained.hyperparameters, warm.sites)
     assert warm.evaluations == 0
@@ -165,13 +165,13 @@ def test_scales_that_a_part_of_the_points_calls_for_are_not_taken_where_they_are
     before = replace(trained, learned_on=1000)
     poor = replace(trained, hyperparameters=hyperparameters(lengthscale=0.2), learned_on=1500)
     monkeypatch.setattr(fitting, "_learned", lambda *_: poor)
-    again = fitting.fit(trained.features, trained.labels, "matern52", before)
-    assert again.hyperparameters is trained.hyperparameters
-    assert again.learned_on == 1500
+    repeated = fitting.fit(trained.features, trained.labels, "matern52", before)
+    assert repeated.hyperparameters is trained.hyperparameters
+    assert repeated.learned_on == 1500
     monkeypatch.setattr(fitting, "_learned", lambda *_: before)
     better = fitting.fit(trained.features, trained.labels, "matern52", replace(poor, learned_on=1000))
     assert better.hyperparameters is trained.hyperparameters
-    assert better.elbo == pytest.approx(again.elbo, abs=0.5)
+    assert better.elbo == pytest.approx(repeated.elbo, abs=0.5)
 
 
 def test_a_point_left_out_is_as_if_its_site_were_not_there():

@@ -52,10 +52,10 @@ def test_the_posterior_of_censored_margins_is_that_of_sampling() -> None:
     mean, S = np.array([0.4, -0.2, 0.1]), np.array([[1.0, 0.6, 0.2], [0.6, 1.5, 0.5], [0.2, 0.5, 0.8]])
     sites = m._censored(mean, S, m.Sites(np.full(3, -0.1), np.full(3, 0.1))).sites
     V = np.linalg.inv(np.linalg.inv(S) + np.diag(sites.precision))
-    found = V @ (np.linalg.solve(S, mean) + sites.linear)
+    actual = V @ (np.linalg.solve(S, mean) + sites.linear)
     f = np.random.default_rng(3).multivariate_normal(mean, S, size=400_000)
     f = f[(f <= 0.0).all(axis=1)]
-    np.testing.assert_allclose(found, f.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(actual, f.mean(axis=0), atol=0.02)
     np.testing.assert_allclose(np.sqrt(V.diagonal()), f.std(axis=0), rtol=0.05)
 
 

@@ -119,9 +119,9 @@ def test_verifying_again_simulates_nothing_and_says_the_same():
     with ThreadExecutor(2) as executor, one_thread():
         first = verify(campaign, store, executor, classifier, 2, 60, 0.9)
         assert counting.rows - before == 60
-        again = verify(campaign, store, executor, classifier, 2, 60, 0.9)
+        repeated = verify(campaign, store, executor, classifier, 2, 60, 0.9)
     assert counting.rows - before == 60
-    assert (first.low, first.high, first.wrong) == (again.low, again.high, again.wrong)
+    assert (first.low, first.high, first.wrong) == (repeated.low, repeated.high, repeated.wrong)
 
 
 class Pockets(Disc):
@@ -161,7 +161,7 @@ STOP = "stop = { error = 0.05, simulations = 100, every = 1 }"
 
 
 def test_a_campaign_that_is_good_enough_ends_before_its_budget_and_stays_ended():
-    campaign, seen = disc(initial=20, budget=200, batch=10, more=STOP), []
+    campaign, seen = disc(initial=20, budget=200, batch=10, extra=STOP), []
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor:
         assert run(campaign, store, executor, 200, Observer(progress=seen.append))
@@ -180,7 +180,7 @@ def test_a_campaign_that_is_good_enough_ends_before_its_budget_and_stays_ended()
 
 
 def test_a_rule_counts_its_own_looks_and_none_that_a_user_asked_for():
-    campaign = disc(initial=20, budget=200, batch=10, more="stop = { error = 0.08, simulations = 100, every = 1 }")
+    campaign = disc(initial=20, budget=200, batch=10, extra="stop = { error = 0.08, simulations = 100, every = 1 }")
 
     def until_it_ends(verified_between):
         store, looks = MemoryStore(campaign.schema), []
@@ -197,14 +197,14 @@ def test_a_rule_counts_its_own_looks_and_none_that_a_user_asked_for():
     done, looks, store = until_it_ends(False)
     assert done < 200
     assert looks >= 1
-    again, same, verified = until_it_ends(True)
-    assert (again, same) == (done, looks)
+    repeated, same, verified = until_it_ends(True)
+    assert (repeated, same) == (done, looks)
     assert {name for name in verified.set_names() if name.startswith("look")} == set(store.set_names())
 
 
 def test_what_a_user_has_verified_is_not_simulated_again_by_a_rule_nor_the_other_way_round():
     counting = Counting()
-    campaign = disc(counting, initial=20, budget=20, batch=10, more=STOP)
+    campaign = disc(counting, initial=20, budget=20, batch=10, extra=STOP)
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(2) as executor, one_thread():
         run(campaign, store, executor, 20, use_stop_rule=False)
@@ -224,7 +224,7 @@ def test_what_a_user_has_verified_is_not_simulated_again_by_a_rule_nor_the_other
 
 
 def test_the_faults_of_a_look_reach_the_caller():
-    campaign = disc(Raising(), initial=20, budget=20, batch=10, more=f"limits.numerical_failures = 0.9\n{STOP}")
+    campaign = disc(Raising(), initial=20, budget=20, batch=10, extra=f"limits.numerical_failures = 0.9\n{STOP}")
     store, observer = MemoryStore(campaign.schema), Observer()
     with ThreadExecutor(2) as executor:
         run(campaign, store, executor, 20, use_stop_rule=False)
@@ -248,7 +248,7 @@ def test_a_look_that_could_hardly_show_the_error_is_not_taken(trained):
 
 def test_an_error_out_of_reach_is_not_verified_again_and_again():
     counting = Counting()
-    campaign = disc(counting, initial=20, budget=40, batch=10, more=STOP.replace("0.05", "0.0001"))
+    campaign = disc(counting, initial=20, budget=40, batch=10, extra=STOP.replace("0.05", "0.0001"))
     with ThreadExecutor(2) as executor:
         run(campaign, MemoryStore(campaign.schema), executor, 40)
     assert counting.rows == 40

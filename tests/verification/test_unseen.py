@@ -39,13 +39,13 @@ class NeverFails(FourBranch):
         return Results(*(np.zeros(len(X), dtype=np.int8) for _ in range(2)), np.empty((len(X), 0)), np.zeros(len(X)))
 
 
-def campaign_on(simulator, criterion="eavc", budget=60, more="", seed=0):
+def campaign_on(simulator, criterion="eavc", budget=60, extra="", seed=0):
     text = f"""
         seed = {seed}
         sampling = {{ initial = 30, budget = {budget}, batch = 5 }}
         classifier.features = "design"
         acquisition = {{ criterion = "{criterion}", boundary = "failure" }}
-        {more}
+        {extra}
         space.x = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
         space.y = {{ low = -6, high = 6, distribution = "truncated_normal", mean = 0, sd = 1 }}
         """
@@ -76,9 +76,9 @@ def test_a_criterion_that_would_stay_among_the_safe_designs_is_set_aside_until_a
 
 @pytest.mark.parametrize("asynchronous", [False, True])
 def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
-    more = "stop = { error = 0.05, simulations = 100, every = 1 }\n"
-    more += "sampling.asynchronous = true" if asynchronous else ""
-    campaign = campaign_on(NeverFails(), budget=40, more=more.replace("sampling.asynchronous = true", ""))
+    extra = "stop = { error = 0.05, simulations = 100, every = 1 }\n"
+    extra += "sampling.asynchronous = true" if asynchronous else ""
+    campaign = campaign_on(NeverFails(), budget=40, extra=extra.replace("sampling.asynchronous = true", ""))
     if asynchronous:
         campaign = Campaign.of(campaign.settings.changed({"sampling.asynchronous": True}), simulator=NeverFails())
     store, seen = taken(campaign)
@@ -141,14 +141,14 @@ def gentle(tmp_path_factory):
 
 
 def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_what_follows(gentle, tmp_path):
-    folder, said = gentle
-    assert said.code == 0
-    assert "stop rule  met" not in said.out
-    assert "searching for impact and failure (not seen yet)" in said.out
+    folder, result = gentle
+    assert result.code == 0
+    assert "stop rule  met" not in result.out
+    assert "searching for impact and failure (not seen yet)" in result.out
     warning = "None of the campaign's 40 simulations ended in impact or failure. The probability of each over"
     page = tmp_path / "report.html"
     for one in (
-        said,
+        result,
         activefail("status", folder),
         activefail("verify", folder, "--simulations", "20"),
     ):
@@ -174,10 +174,10 @@ def test_the_warning_comes_before_the_initial_design_is_done_too(gentle, tmp_pat
 def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is_simulated(gentle, tmp_path):
     file = tmp_path / "small.toml"
     file.write_text("sampling = { initial = 4, budget = 4 }\nstop = { error = 0.005, simulations = 100 }\n")
-    said = activefail("run", file, "--out", tmp_path / "run")
-    assert said.code == 0
-    assert "stop.simulations: 100 can show an error of at most 3.0 % at the first look" in said.err
-    assert "needs at least 598" in said.err
+    result = activefail("run", file, "--out", tmp_path / "run")
+    assert result.code == 0
+    assert "stop.simulations: 100 can show an error of at most 3.0 % at the first look" in result.err
+    assert "needs at least 598" in result.err
 
 
 def test_nobody_reads_a_share_that_was_rounded_to_all_or_nothing():
