@@ -42,13 +42,28 @@ def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, .
             raise UnusableAnswerError(
                 f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
             )
-    values = [margin_values.get(name, np.nan) for name in margins]
-    for name, value in zip(margins, values, strict=True):
-        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-            raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
+    values = [_number(name, margin_values.get(name, np.nan)) for name in margins]
     return Results(
         np.array([outcomes.index(outcome_name)], dtype=np.int8),
         np.zeros(1, dtype=np.int8),
         np.array([values], dtype=np.float64).reshape(1, len(margins)),
         np.array([seconds]),
     )
+
+
+def _number(name: str, value: object) -> float:
+    """A margin as float64. NaN and infinity are values; a finite number must not become one.
+
+    Raises:
+        UnusableAnswerError: if it is not a real number, or too large.
+    """
+    # NumPy counts differences of times among the integers.
+    if isinstance(value, bool | np.timedelta64) or not isinstance(value, int | float | np.integer | np.floating):
+        raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
+    try:
+        number = float(value)
+    except OverflowError:  # an integer
+        number = np.inf
+    if np.isinf(number) and value not in (np.inf, -np.inf):
+        raise UnusableAnswerError(f"margins.{name}: must fit a float64, at most 1.8e308 in size, got a larger number")
+    return number

@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from commandline import activefail, record, refused, started, table, wait_for
@@ -143,6 +144,9 @@ UNUSABLE = {
     "{'outcome': 'safe', 'margins': {'gap': 'wide'}}": "margins.gap: must be a number, got 'wide'",
     "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be a number, got None",
     "{'outcome': 'safe', 'margins': {'gap': True}}": "margins.gap: must be a number, got True",
+    "{'outcome': 'safe', 'margins': {'gap': __import__('numpy').timedelta64(5, 's')}}": "margins.gap: must be a number",
+    "{'outcome': 'safe', 'margins': {'gap': __import__('numpy').longdouble('1e4000')}}": "margins.gap: must fit",
+    "{'outcome': 'safe', 'margins': {'gap': -(10**400)}}": "margins.gap: must fit",
 }
 
 
@@ -194,6 +198,15 @@ def test_an_error_whose_message_cannot_be_read_is_a_simulation_that_raised(tmp_p
     assert results.cause.tolist() == [RAISED]
     assert "Mute, whose message cannot be read (" in results.faults[0]
     assert f"{tmp_path / 'model.py'}:8" in results.faults[0]
+
+
+@pytest.mark.faults
+def test_a_message_that_raises_a_keyboard_interrupt_costs_that_simulation_alone(tmp_path: Path) -> None:
+    simulator = python(tmp_path, source=MUTE.format(kind="ValueError", how="raise KeyboardInterrupt"))
+    with ProcessExecutor(1) as executor:
+        results = executor.run(simulator, X[:1])
+    assert results.cause.tolist() == [RAISED]
+    assert "Mute, whose message cannot be read (KeyboardInterrupt)" in results.faults[0]
 
 
 @pytest.mark.faults
@@ -842,6 +855,66 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
         "warning: Your code has changed since the last batch, model:run (simulator.python) or a module "
         f"that it imports: {digests[0]} -> {digests[1]}. New simulations use the current code.\n"
     )
+
+
+def outcomes_of_sets(run: Path) -> dict[str, list[int]]:
+    """The outcomes in each set of a run folder."""
+    outcomes = {}
+    for path in sorted((run / "sets").iterdir()):
+        with h5py.File(path) as file:
+            outcomes[path.stem] = file["outcome"][()].tolist()
+    return outcomes
+
+
+@pytest.mark.faults
+def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    (mine / "mine.toml").write_text(f"validation.size = 20\n{TOML}")
+    assert activefail("run", mine / "mine.toml", "--out", run).code == 0
+    compare = ["compare", run, "--code", mine, "--test", "30", "--budgets", "12,24"]
+    verify = ["verify", run, "--code", mine, "--simulations", "20"]
+    for words in (compare, verify):
+        said = activefail(*words)
+        assert said.code == 0, said
+        assert "warning" not in said.err
+    before = outcomes_of_sets(run)
+    assert {name.split("-")[0] for name in before} >= {"validation", "test", "static", "verification"}
+    # No design is beyond this limit, so that none is a failure.
+    (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
+    digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, (mine / "model.py").read_text())]
+    changed = f"was simulated with other code (simulator.python {digests[0]} -> {digests[1]}); it is not used."
+    # Without the code, the program cannot know that it has changed; with it, a reader does not use the sets.
+    unverified = "the classifier's error is not verified"
+    assert unverified not in activefail("report", run, "--out", tmp_path / "1.html").out
+    assert unverified in activefail("report", run, "--code", mine, "--out", tmp_path / "2.html").out
+    assert outcomes_of_sets(run) == before
+    for words, names in (
+        (["resume", run, "--code", mine, "--budget", "28"], ["validation-0"]),
+        (compare, [name for name in before if name.startswith(("test", "static"))]),
+        (verify, []),
+    ):
+        said = activefail(*words)
+        assert said.code == 0, said.err
+        if words[0] == "resume":
+            assert f"sets/validation-0.h5 {changed} Its designs are simulated again" in said.err, said.err
+        after = outcomes_of_sets(run)
+        assert all(before[name] != after[name] and 2 not in after[name] for name in names)
+
+
+@pytest.mark.faults
+def test_a_verification_by_an_earlier_version_of_the_code_is_simulated_again(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert activefail("run", mine / "mine.toml", "--out", run).code == 0
+    verify = ["verify", run, "--code", mine, "--simulations", "20"]
+    assert activefail(*verify).code == 0
+    before = outcomes_of_sets(run)
+    (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
+    said = activefail(*verify)
+    assert said.code == 0, said.err
+    (name,) = before
+    assert f"sets/{name}.h5 was simulated with other code (simulator.python " in said.err
+    assert outcomes_of_sets(run) != before
+    assert activefail(*verify).err.count("other code") == 0
 
 
 def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on_resume(
