@@ -100,7 +100,9 @@ class CustomFeatures:
         """
         try:
             returned = self.function(X.copy(), space)
-        except Exception as error:
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a cancelled task and a panic of Rust code are no Exception
             raise InputError(
                 visible(f"classifier.features: {self.name} raised {description_of(error)}{place_of(error)}.")
             ) from error
@@ -156,7 +158,7 @@ def feature_map(
 
     Raises:
         InputError: if "paper", "sliding" or "collision" is requested for a space without the paper's nine variables, or
-            if a feature is not finite, or constant, over the space.
+            if a feature is not finite over the space, or constant, or varies too little or too much to be scaled.
     """
     if features in ("paper", "sliding", "collision"):
         for name in TABLE_1.names:
@@ -297,4 +299,14 @@ def _scaled(
             raise InputError(
                 f"classifier.features: {visible(name)} must vary over the space, got {F[0, column]} everywhere."
             )
-    return FeatureMap(names, raw, mask, F.mean(axis=0), F.std(axis=0), formula)
+    with np.errstate(all="ignore"):  # reported below
+        center, spread = F.mean(axis=0), F.std(axis=0)
+        scaled = (F - center) / spread
+    for column, name in enumerate(names):
+        # Squares of tiny differences underflow, and those of huge ones overflow.
+        if not (np.finfo(np.float64).tiny <= spread[column] < np.inf and np.isfinite(scaled[:, column]).all()):
+            raise InputError(
+                f"classifier.features: {visible(name)} must vary over the space by a standard deviation that a float64 "
+                f"holds, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
+            )
+    return FeatureMap(names, raw, mask, center, spread, formula)

@@ -4,7 +4,7 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -145,8 +145,14 @@ def end_of(path: Path, most: int) -> bytes:
         return file.read(most)
 
 
-def publish(path: Path, data: bytes) -> None:
+def publish(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -> None:
     """Write a new file durably; os.link makes it appear as a whole.
+
+    Args:
+        path: path of the file.
+        data: its content.
+        check: called between the writing and the link; may raise StoreError. If it checks that the folder is still the
+            right one, no file appears in another folder: there the temporary file does not exist.
 
     Raises:
         SyncError: if fsync failed.
@@ -154,6 +160,7 @@ def publish(path: Path, data: bytes) -> None:
     """
     temporary = _write_temporary(path, data)
     try:
+        check()
         # Unlike a rename, a link fails if the name exists: it stops a second writer even without the lock.
         os.link(temporary, path)
     except FileExistsError:
@@ -167,8 +174,11 @@ def publish(path: Path, data: bytes) -> None:
     sync_folder(path.parent)
 
 
-def replace(path: Path, data: bytes) -> None:
+def replace(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -> None:
     """Write a file durably in place of an older one, for content that can be rebuilt.
+
+    Args:
+        path, data, check: as for `publish`.
 
     Raises:
         SyncError: if fsync failed.
@@ -176,11 +186,14 @@ def replace(path: Path, data: bytes) -> None:
     """
     temporary = _write_temporary(path, data)
     try:
+        check()
         os.replace(temporary, path)
-    except OSError as error:
+    except (OSError, StoreError) as error:
         with suppress(OSError):
             os.unlink(temporary)
-        raise StoreError(_refused(path, error)) from error
+        if isinstance(error, OSError):
+            raise StoreError(_refused(path, error)) from error
+        raise
     sync_folder(path.parent)
 
 

@@ -262,6 +262,17 @@ class Run:
         return self._classifier
 
     @property
+    def learned_from(self) -> list[str]:
+        """What each boundary is learned from, and why; empty without a choice, or before the initial design is done."""
+        from activefail.findings.choices import choices_in_words
+        from activefail.loop.learning import margins_of
+
+        history, sampling = self.history, self.settings.sampling
+        if sampling.asynchronous or len(history) < sampling.initial or margins_of(self.campaign, history) is None:
+            return []
+        return choices_in_words(self.campaign, history, self.classifier) if len(history.training) else []
+
+    @property
     def findings(self) -> "Findings":
         """The findings of the campaign so far."""
         from activefail.findings.results import findings_of

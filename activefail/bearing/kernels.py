@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -50,30 +51,70 @@ def compiler_options() -> str:
 
 @contextmanager
 def kept_kernels(package: Path = _PACKAGE) -> Iterator[None]:
-    """Keep kernels that are defined meanwhile in a folder of these sources and compiler options.
+    """Keep kernels that are defined meanwhile in a folder of these sources and compiler options, and nowhere else.
 
     By itself, numba checks only a kernel's own file: it would continue to use a kernel after a change in a function
-    that the kernel calls, or after a change of the compiler options. Kernels of earlier sources beside the package are
-    deleted; their folders stay, because a process that began before the change may still save there.
+    that the kernel calls, or after a change of the compiler options. Numba would also turn to its other folders, which
+    have the same fault, if it cannot use this one, or if `NUMBA_CACHE_LOCATOR_CLASSES` names them. Therefore numba gets
+    this folder alone. If it cannot be written, kernels are compiled for this process and not kept.
+
+    Kernels of earlier sources beside the package are deleted; their folders stay, because a process that began before
+    the change may still save there.
     """
-    from numba.core import config
+    from numba.core import config, dispatcher
+    from numba.core.caching import UserProvidedCacheLocator
     from numba.misc.appdirs import AppDirs
 
-    before = config.CACHE_DIR
+    kernel_type: Any = dispatcher.Dispatcher
+    before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, kernel_type.enable_caching
     beside = package / "__pycache__"
     writable = os.access(package, os.W_OK)
-    base = Path(before or (beside if writable else AppDirs("numba", False).user_cache_dir))
+    base = Path(config.CACHE_DIR or (beside if writable else AppDirs("numba", False).user_cache_dir))
     sources = f"kernels-{sources_digest(package)[:16]}"
     options = hashlib.sha256(compiler_options().encode()).hexdigest()[:8]
     with suppress(OSError):
         for kernel in beside.glob("kernels-*/**/*.nb[ic]"):
             if sources not in kernel.parts:
                 kernel.unlink(missing_ok=True)
-    config.CACHE_DIR = str(base / sources / options)
+    # Absolute, because the current folder may change before a kernel is compiled.
+    folder = base.absolute() / sources / options
+    config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), UserProvidedCacheLocator.__name__
+    place = folder / UserProvidedCacheLocator.get_suitable_cache_subpath(str(package / "kernels.py"))
+    kernel_type.enable_caching = _keep if _is_writable(place) else _do_not_keep
     try:
         yield
     finally:
-        config.CACHE_DIR = before
+        config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, kernel_type.enable_caching = before
+
+
+def _is_writable(folder: Path) -> bool:
+    """Whether files can be created in a folder, which is created too."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except (OSError, ValueError):  # ValueError: the name contains a NUL
+        return False
+    return True
+
+
+def _keep(kernel: Any) -> None:
+    """Let numba keep a kernel; if the disk is full, it is compiled but not kept."""
+    from numba.core.caching import FunctionCache
+
+    class Cache(FunctionCache):
+        def save_overload(self, sig: Any, data: Any) -> None:
+            with suppress(OSError):
+                super().save_overload(sig, data)
+
+    kernel._cache = Cache(kernel.py_func)
+
+
+def _do_not_keep(kernel: Any) -> None:
+    """Let numba compile a kernel for this process only.
+
+    A temporary folder would gain nothing: the process has the kernel in memory. Worker processes end without clean-up
+    and would leave their folders behind.
+    """
 
 
 def check_compiled() -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from activefail.campaign import sections
+from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
 from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, FeatureSet, feature_map
@@ -89,6 +90,20 @@ class Campaign:
         """Time limit of one simulation [s]; None for the bearing, and if no limit is set."""
         simulator = self.settings.simulator
         return None if isinstance(simulator, str) else simulator.time_limit
+
+    @property
+    def decisive(self) -> tuple[str, ...]:
+        """The entries of the provenance that decide the result of a simulation; none for a program.
+
+        Features and libraries do not: they change proposals, or the last bits of a result.
+        """
+        match self.settings.simulator:
+            case sections.PythonSimulatorSettings():
+                return (SIMULATOR_KEY,)
+            case sections.CommandSimulatorSettings():
+                return ()
+            case _:
+                return (BEARING_SOURCES,)
 
     @property
     def schema(self) -> Schema:

@@ -47,7 +47,11 @@ def create_folder(folder: Path, campaign: Campaign) -> FolderStore:
         BusyError, StoreError: as `FolderStore.create` does.
     """
     return FolderStore.create(
-        folder, campaign.settings.text(), campaign.schema, provenance=provenance() | campaign.sources
+        folder,
+        campaign.settings.text(),
+        campaign.schema,
+        provenance=provenance() | campaign.sources,
+        decisive=campaign.decisive,
     )
 
 
@@ -72,7 +76,14 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
     if path.stat().st_size > LARGEST_SETTINGS:
         raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
     campaign = read_campaign(path, code=code, run=folder, features=features, frozen=True)
-    return campaign, FolderStore.open(folder, campaign.schema, write=write, provenance=provenance() | campaign.sources)
+    store = FolderStore.open(
+        folder,
+        campaign.schema,
+        write=write,
+        provenance=provenance() | campaign.sources,
+        decisive=campaign.decisive,
+    )
+    return campaign, store
 
 
 @contextmanager

@@ -8,6 +8,9 @@ from activefail import __version__
 from activefail.bearing.kernels import compiler_options, sources_digest
 from activefail.visible import visible
 
+BEARING_SOURCES = "bearing_sources"
+"""The entry for the digest of the bearing's sources."""
+
 _PACKAGES = ("numpy", "scipy", "torch", "gpytorch", "botorch", "numba", "h5py")
 
 _LIBRARY_OPTIONS = (
@@ -30,7 +33,7 @@ def simulation_versions() -> dict[str, str]:
         "activefail": __version__,
         "python": platform.python_version(),
         **{name: version(name) or "unknown" for name in ("numpy", "numba")},
-        "bearing_sources": sources_digest(),
+        BEARING_SOURCES: sources_digest(),
         "numba_options": compiler_options(),
     }
 
@@ -42,7 +45,7 @@ def provenance() -> dict[str, str]:
     record |= {name: version(name) or "unknown" for name in _PACKAGES}
     import llvmlite.binding as llvm
 
-    record["bearing_sources"] = sources_digest()
+    record[BEARING_SOURCES] = sources_digest()
     record["processor"] = llvm.get_host_cpu_name()
     # Numba compiles for these features; two machines of the same name can differ in them.
     record["processor_features"] = ",".join(

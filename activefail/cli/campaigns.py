@@ -99,6 +99,8 @@ def _take(
     if not taken.finished:
         print(f"stopped {stops.orderly}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
+    for sentence in run.learned_from:
+        print(f"learned    {visible(sentence)}")
     if taken.stop_rule:
         print(f"stop rule  {visible(taken.stop_rule)}")
     show_unseen(run.summary)

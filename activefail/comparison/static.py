@@ -15,6 +15,7 @@ from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
 from activefail.loop.history import History
+from activefail.loop.learning import learn_from
 from activefail.loop.proposing import initial_sets
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
@@ -178,8 +179,7 @@ def compare(
         scores = []
         for n in budgets:
             stage(f"learning from {n} active simulations")
-            known = history[:n].training
-            classifier = train(known.designs, known.outcome, outcomes, features, kernel)
+            classifier = learn_from(campaign, history[:n])
             scores.append(score("active", classifier, severity, n, X_test, outcome_test))
         for n in budgets:
             stage(f"simulating and learning from {n} static simulations")

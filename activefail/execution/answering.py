@@ -1,5 +1,7 @@
 """A simulator's results for a few designs, checked for the record; a failure affects its own design only."""
 
+import signal
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -30,13 +32,26 @@ def answer(simulator: Simulator, X: Array) -> Results:
     """
     try:
         return _usable(simulator, X, simulator.run(X))
-    except ActivefailError:
+    except (ActivefailError, SystemExit):
+        # A simulator that calls sys.exit ends its process.
         raise
-    except Exception as error:
+    except BaseException as error:
+        # Some libraries raise errors that are no Exception: a cancelled task, a panic of Rust code.
+        if _is_ctrl_c(error):
+            raise
         if len(X) == 1:
             return unanswered(simulator, 1, _cause(error), _description_of(X[0], error))
     # One row at a time: a bad design must not fail the others.
     return Results.concatenate([answer(simulator, X[row : row + 1]) for row in range(len(X))])
+
+
+def _is_ctrl_c(error: BaseException) -> bool:
+    """Whether an error may come from Ctrl-C: Python handles it in the main thread only, and workers ignore it."""
+    return (
+        isinstance(error, KeyboardInterrupt)
+        and threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+    )
 
 
 def _usable(simulator: Simulator, X: Array, results: Results) -> Results:
@@ -78,7 +93,7 @@ def with_shown_faults(results: Results) -> Results:
     return replace(results, faults={row: visible(fault[:LONGEST_MESSAGE]) for row, fault in results.faults.items()})
 
 
-def _cause(error: Exception) -> int:
+def _cause(error: BaseException) -> int:
     match error:
         case MemoryError():
             return OUT_OF_MEMORY
@@ -88,7 +103,13 @@ def _cause(error: Exception) -> int:
             return RAISED
 
 
-def _description_of(design: Array, error: Exception) -> str:
+def _description_of(design: Array, error: BaseException) -> str:
     if isinstance(error, UnusableAnswerError):
         return f"design {design.tolist()}: {error}"
-    return f"design {design.tolist()}: {description_of(error)}{place_of(error)}"
+    try:
+        description = description_of(error)
+    except KeyboardInterrupt as message_error:
+        if _is_ctrl_c(message_error):
+            raise
+        description = f"{type(error).__name__}, whose message cannot be read (KeyboardInterrupt)"
+    return f"design {design.tolist()}: {description}{place_of(error)}"

@@ -64,8 +64,9 @@ def serve(descriptor: int) -> None:
                 reply(FrameKind.ANSWERED, pack_answer(results))
         except ActivefailError as error:
             reply(FrameKind.REFUSED, pack_error(error))
-        except Exception as error:
-            if kind != QuestionKind.SIMULATOR:
+        except BaseException as error:
+            # sys.exit ends the process, also while a module is imported.
+            if kind != QuestionKind.SIMULATOR or isinstance(error, SystemExit):
                 raise
             reply(FrameKind.UNLOADABLE, pack_text(description_of(error)))
 

@@ -19,7 +19,16 @@ from activefail.surrogate.state import classifier_from_state, classifier_state
 
 def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier | None) -> Classifier:
     """The classifier of an iteration, trained on the initial design and the first `iteration` active batches."""
-    known = history.through(iteration).training
+    return learn_from(campaign, history.through(iteration), warm)
+
+
+def learn_from(campaign: Campaign, history: History, warm: Classifier | None = None) -> Classifier:
+    """A classifier of all simulations of a history, as the campaign's own settings train it.
+
+    Raises:
+        InputError: if none of them has an outcome.
+    """
+    known = history.training
     return train(
         known.designs,
         known.outcome,

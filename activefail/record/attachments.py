@@ -36,14 +36,15 @@ def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> dict[
         return {unquote(name): _state_array(image, name) for name in image.names}
 
 
-def encode_set(X: Array, results: Results, schema: Schema, campaign: str) -> bytes:
+def encode_set(X: Array, results: Results, schema: Schema, campaign: str, provenance: Mapping[str, str]) -> bytes:
     """The bytes of a set's file; `campaign` is the digest at the start of the campaign's chain."""
     content: dict[str, NDArray[Any] | str] = {"designs": X, **answers_of(results), "schema": schema.text}
-    return encode(content, {"schema_version": str(SCHEMA_VERSION), "campaign": campaign})
+    attributes = {"schema_version": str(SCHEMA_VERSION), "campaign": campaign}
+    return encode(content, attributes | {f"provenance.{name}": text for name, text in provenance.items()})
 
 
-def decode_set(data: bytes, settings: str) -> tuple[Array, Results]:
-    """Designs and results of a set of the campaign with these settings.
+def decode_set(data: bytes, settings: str) -> tuple[Array, Results, dict[str, str]]:
+    """Designs, results and provenance of a set of the campaign with these settings; early sets have no provenance.
 
     Raises:
         DamagedError: if the file is damaged or belongs to another campaign.
@@ -58,7 +59,7 @@ def decode_set(data: bytes, settings: str) -> tuple[Array, Results]:
         columns = read_columns(image, [key for key in COLUMNS if key != "origin"], shape[0], schema)
         X, results = columns["designs"], results_of(columns)
         schema.check(X, results)
-        return X, results
+        return X, results, image.attributes("provenance.")
 
 
 def _dataset_name(name: str) -> str:

@@ -55,6 +55,20 @@ class FolderLock:
             self.release()
             raise
 
+    def is_in(self, folder: Path) -> bool:
+        """Whether the file that this object opened is still the lock of a folder, with or without locks.
+
+        It is not if the folder was moved or removed, even if another run folder now has its name.
+
+        Raises:
+            OSError: if the system cannot tell.
+        """
+        try:
+            named = os.stat(folder / LOCK, follow_symlinks=False)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        return os.path.samestat(named, os.fstat(self._descriptor))
+
     def release(self) -> None:
         """Release the lock; a second call does nothing."""
         descriptor, self._descriptor = self._descriptor, -1

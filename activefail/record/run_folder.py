@@ -13,7 +13,7 @@ altered or from another campaign is detected. Merging segments does not change t
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
@@ -70,6 +70,10 @@ def _short(entry: str) -> str:
     return entry[:8] if re.fullmatch("[0-9a-f]{64}", entry) else entry
 
 
+class _MovedError(StoreError):
+    """The folder is no longer under the path that was opened."""
+
+
 def check_empty(folder: Path, what: str, instead: str) -> None:
     """Check that a folder is empty or missing, except for remains of an interrupted creation.
 
@@ -100,12 +104,19 @@ class FolderStore:
     """
 
     def __init__(
-        self, folder: Path, settings: str, schema: Schema | None, lock: FolderLock | None, provenance: Mapping[str, str]
+        self,
+        folder: Path,
+        settings: str,
+        schema: Schema | None,
+        lock: FolderLock | None,
+        provenance: Mapping[str, str],
+        decisive: Collection[str],
     ) -> None:
         self.folder = folder
         self.settings = settings
         self.schema = schema
         self._provenance = {"activefail": __version__, **provenance}
+        self._decisive = frozenset(decisive)
         self._lock = lock
         self._warnings: list[str] = []
         self._shown = 0
@@ -128,6 +139,7 @@ class FolderStore:
         schema: Schema,
         *,
         provenance: Mapping[str, str] | None = None,
+        decisive: Collection[str] = (),
     ) -> Self:
         """A new run folder with the frozen settings, open for writing.
 
@@ -137,7 +149,9 @@ class FolderStore:
             folder: a missing or empty folder.
             settings: the text of campaign.toml.
             schema: the meaning of the columns.
-            provenance: versions and digests to record with every batch, by name.
+            provenance: versions and digests to record with every batch and set, by name.
+            decisive: names in `provenance` of what decides the results of a simulation. A set that recorded another
+                value is not used.
 
         Raises:
             BusyError: if another process is creating the folder.
@@ -155,9 +169,9 @@ class FolderStore:
             raise InputError(f"{folder}: cannot be a run folder: {error.strerror}.") from None
         except OSError as error:
             raise StoreError(f"Cannot create {folder}: {error.strerror or error}.") from error
-        store = cls(folder, settings, schema, FolderLock(folder), provenance or {})
+        store = cls(folder, settings, schema, FolderLock(folder), provenance or {}, decisive)
         try:
-            publish(folder / SETTINGS, settings.encode())
+            publish(folder / SETTINGS, settings.encode(), store._check_place)
             store._load()
         except BaseException:
             store.close()
@@ -172,6 +186,7 @@ class FolderStore:
         *,
         write: bool,
         provenance: Mapping[str, str] | None = None,
+        decisive: Collection[str] = (),
     ) -> Self:
         """The record in a run folder. A writer takes the lock and cleans up after a crash; a reader changes nothing.
 
@@ -180,6 +195,7 @@ class FolderStore:
             schema: the meaning of the columns; None takes the schema of the batches.
             write: whether to open for writing.
             provenance: current versions and digests; a warning names those that differ from the last batch's.
+            decisive: as for `create`; names that `provenance` lacks are not compared.
 
         Raises:
             BusyError: if another process is writing to the folder.
@@ -203,7 +219,7 @@ class FolderStore:
             raise StoreError(f"{path} is no longer UTF-8 text. Restore the frozen copy.") from None
         except ValueError as error:
             raise StoreError(f"{path} {error}. Restore the frozen copy.") from None
-        store = cls(folder, settings, schema, FolderLock(folder) if write else None, provenance or {})
+        store = cls(folder, settings, schema, FolderLock(folder) if write else None, provenance or {}, decisive)
         try:
             store._load()
         except BaseException:
@@ -261,6 +277,7 @@ class FolderStore:
     def _tidy(self, recovery: Recovery) -> None:
         """Create missing folders, quarantine damaged files, and remove temporary files and inputs of compactions."""
         folder = self.folder / SEGMENTS
+        self._check_place()
         try:
             for name in FOLDERS:
                 with suppress(FileExistsError):
@@ -322,14 +339,43 @@ class FolderStore:
         """Guard one change of the folder. If it may be incomplete, this object refuses every later change."""
         self._refusal = f"Writing to {self.folder} was interrupted. Open it again: acknowledged data is intact."
         try:
+            # Before anything is written; `publish` and `replace` check again before a file gets its name.
+            self._check_place()
             yield
+        except _MovedError as error:
+            self._refusal = str(error)
+            raise
         except SyncError as error:
             self._refusal = str(error)
+            self._check_place()
             raise
         except StoreError:
             self._refusal = ""
+            # Another folder may be the reason.
+            self._check_place()
             raise
         self._refusal = ""
+
+    def _check_place(self) -> None:
+        """Check that the folder is still the one that this object opened for writing.
+
+        All paths are absolute: after a move they would lead into a folder that someone creates under the old name.
+
+        Raises:
+            _MovedError: if it is not; this object then refuses every later change.
+            StoreError: if the system cannot tell.
+        """
+        try:
+            if self._lock is None or self._lock.is_in(self.folder):
+                return
+        except OSError as error:
+            raise StoreError(f"Cannot write to {self.folder}: {error.strerror or error}.") from error
+        self._refusal = (
+            f"{self.folder} was moved, removed or replaced while this process was writing to it: its {LOCK} is not the "
+            f"file that this process opened. Nothing more is written. Acknowledged data is where the folder went; "
+            f"resume it there."
+        )
+        raise _MovedError(self._refusal)
 
     def commit(self, batch: Batch) -> None:
         """Append a batch (see Store); merge segments if there are many small ones."""
@@ -355,7 +401,7 @@ class FolderStore:
         reason = f"another writer was faster. Open {self.folder} again."
         if rival := self._rival(segment):
             raise StoreError(f"Cannot write {path}: {rival} already holds its designs; {reason}")
-        publish(path, data)
+        publish(path, data, self._check_place)
         # The link protects one name only. Of two overlapping names, the later writer sees the other one here.
         if rival := self._rival(segment):
             with suppress(StoreError):
@@ -385,10 +431,12 @@ class FolderStore:
                 raise StoreError(f"Batches of {self.folder} changed in memory; open it again.")
             data = encode_segment(merged)
             with self._writing():
-                publish(folder / merged.name, data)
+                publish(folder / merged.name, data, self._check_place)
                 at = self._segments.index(run[0])
                 self._segments[at : at + len(run)] = [merged]
                 for segment in run:
+                    # Another campaign may have files of these names.
+                    self._check_place()
                     # A remaining input is harmless; the next writer removes it.
                     with suppress(OSError):
                         os.unlink(folder / segment.name)
@@ -399,10 +447,11 @@ class FolderStore:
         self._writable()
         data = encode_state(iteration, checked_state(iteration, arrays), self._digest)
         with self._writing():
-            replace(state_file(self.folder, iteration), data)
+            replace(state_file(self.folder, iteration), data, self._check_place)
             self._rejected.discard(iteration)
             older = [path for i, path in self._states() if i < iteration]
             for path in older[: 1 - STATES_KEPT] + [path for i, path in self._states() if i > iteration]:
+                self._check_place()
                 with suppress(OSError):
                     os.unlink(path)
 
@@ -436,9 +485,9 @@ class FolderStore:
         """Keep a set (see Store)."""
         schema = self._writable()
         check_set(name, X, results, schema)
-        data = encode_set(X, results, schema, self._start)
+        data = encode_set(X, results, schema, self._start, self._provenance)
         with self._writing():
-            replace(set_file(self.folder, name), data)
+            replace(set_file(self.folder, name), data, self._check_place)
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
         """The set, or None (see Store); a damaged or foreign set is quarantined."""
@@ -447,13 +496,25 @@ class FolderStore:
             return None
         try:
             with reading(path):
-                return decode_set(path.read_bytes(), self.settings)
+                X, results, provenance = decode_set(path.read_bytes(), self.settings)
         except DamagedError as error:
             if self._refusal:
                 self._warn(f"sets/{path.name} {error}; it is ignored.")
             else:
+                # A folder of this name may belong to another campaign.
+                self._check_place()
                 self._warn(set_aside(path, str(error)))
-        return None
+            return None
+        changed = [
+            f"{entry} {_short(provenance[entry])} -> {_short(self._provenance[entry])}"
+            for entry in sorted(self._decisive & self._provenance.keys() & provenance.keys())
+            if provenance[entry] != self._provenance[entry]
+        ]
+        if changed:
+            again = "" if self._refusal else " Its designs are simulated again when they are needed."
+            self._warn(f"sets/{path.name} was simulated with other code ({'; '.join(changed)}); it is not used.{again}")
+            return None
+        return X, results
 
     def set_names(self) -> list[str]:
         """Names of the sets (see Store)."""

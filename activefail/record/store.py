@@ -102,7 +102,13 @@ class Store(Protocol):
         ...
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
-        """The set, or None without an intact set of this campaign."""
+        """The set, or None without an intact set of this campaign.
+
+        None too if other code simulated the set than the present one; a warning then says so.
+
+        Raises:
+            StoreError: if it cannot be read, or is damaged and cannot be put aside.
+        """
         ...
 
     def set_names(self) -> list[str]:

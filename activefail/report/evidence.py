@@ -16,11 +16,12 @@ from activefail.comparison.static import Recall, Score, default_budgets, score
 from activefail.errors import InputError
 from activefail.files import read_regular
 from activefail.loop.history import History
+from activefail.loop.learning import learn_from
 from activefail.loop.proposing import initial_sets
 from activefail.record.layout import COMPARISON, SCORES
 from activefail.record.store import Store
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, train
+from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import ErrorEstimate, verified
 from activefail.verification.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
 from activefail.visible import visible
@@ -156,12 +157,11 @@ def _curve(
     for n in (
         budgets if len(budgets) < _BUDGETS else [budgets[round(i)] for i in np.linspace(0, len(budgets) - 1, _BUDGETS)]
     ):
-        known = history[:n].training
-        if len(known) < 2:
+        known = history[:n]
+        if len(known.training) < 2:
             continue
         stage(f"learning from the first {n} simulations")
-        kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
-        classifier = train(known.designs, known.outcome, outcomes, campaign.features, kernel, classifier)
+        classifier = learn_from(campaign, known, classifier)
         scores.append(score("active", classifier, campaign.severity, n, *validation))
     return (Curve(scores, len(validation[0]), "validation") if scores else None), note
 

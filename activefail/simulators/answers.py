@@ -21,6 +21,8 @@ def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, .
     """
     if isinstance(answer, str):
         answer = {"outcome": answer}
+    elif len(outcomes) == 2 and len(margins) == 1 and not isinstance(answer, Mapping):
+        answer = _of_limit_state(answer, outcomes, margins[0])
     if not isinstance(answer, Mapping):
         raise UnusableAnswerError(f"the answer must be an outcome or a table with one, got {answer!r}")
     unknown = set(answer) - {"outcome", "margins"}
@@ -42,13 +44,42 @@ def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, .
             raise UnusableAnswerError(
                 f"margins: {name!r} is not declared in simulator.margins, which names {', '.join(margins) or 'none'}"
             )
-    values = [margin_values.get(name, np.nan) for name in margins]
-    for name, value in zip(margins, values, strict=True):
-        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-            raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
+    values = [_number(name, margin_values.get(name, np.nan)) for name in margins]
     return Results(
         np.array([outcomes.index(outcome_name)], dtype=np.int8),
         np.zeros(1, dtype=np.int8),
         np.array([values], dtype=np.float64).reshape(1, len(margins)),
         np.array([seconds]),
     )
+
+
+def _of_limit_state(answer: object, outcomes: tuple[str, ...], margin: str) -> object:
+    """The outcome and the margin of an answer that is the margin alone, at most 0 at failure; otherwise the answer.
+
+    Raises:
+        UnusableAnswerError: if it is not a number (NaN).
+    """
+    if isinstance(answer, bool) or not isinstance(answer, int | float | np.integer | np.floating):
+        return answer
+    value = _number(margin, answer)
+    if np.isnan(value):
+        raise UnusableAnswerError(f"the margin {margin} is NaN; without an outcome it must tell the side")
+    return {"outcome": outcomes[1] if value <= 0.0 else outcomes[0], "margins": {margin: value}}
+
+
+def _number(name: str, value: object) -> float:
+    """A margin as float64. NaN and infinity are values; a finite number must not become one.
+
+    Raises:
+        UnusableAnswerError: if it is not a real number, or too large.
+    """
+    # NumPy counts differences of times among the integers.
+    if isinstance(value, bool | np.timedelta64) or not isinstance(value, int | float | np.integer | np.floating):
+        raise UnusableAnswerError(f"margins.{name}: must be a number, got {value!r}")
+    try:
+        number = float(value)
+    except OverflowError:  # an integer
+        number = np.inf
+    if np.isinf(number) and value not in (np.inf, -np.inf):
+        raise UnusableAnswerError(f"margins.{name}: must fit a float64, at most 1.8e308 in size, got a larger number")
+    return number

@@ -1,11 +1,15 @@
 import os
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from numba import njit
 from numba.core import config
 
+import activefail
 from activefail.bearing.kernels import compiler_options, kept_kernels, sources_digest
 
 
@@ -91,6 +95,91 @@ def test_without_compilation_the_bearing_is_refused_with_the_reason() -> None:
     )
     assert done.returncode == 2, done.stderr
     assert "NUMBA_DISABLE_JIT is set, but the kernels of the bearing run only compiled" in done.stderr
+
+
+ON_A_COPY = """
+from numba import njit
+from activefail.bearing.kernels import KERNEL, kept_kernels
+
+with kept_kernels():
+    # `pulse` is compiled into a kernel of another file.
+    from activefail.bearing.pulse import ground_acceleration
+
+    @njit(cache=True, **KERNEL)
+    def twice(t):
+        return 2.0 * ground_acceleration(t, 1.0, 1.0)
+
+print(twice(0.1), sum(twice.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def on_a_copy(tmp_path: Path) -> Callable[..., tuple[float, int]]:
+    """Computes with a copy of the package: a kernel's result, and whether it was compiled before (1) or now (0)."""
+    package = Path(activefail.__file__).parent
+    shutil.copytree(package, tmp_path / "activefail", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "probe.py").write_text(ON_A_COPY)
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+
+    def computed(**environment: str) -> tuple[float, int]:
+        done = subprocess.run(
+            [sys.executable, "-m", "probe"],
+            cwd=tmp_path,
+            env=clean | {"PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"} | environment,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        assert done.stderr == ""
+        result, hits = done.stdout.split()
+        return float(result), int(hits)
+
+    return computed
+
+
+UNUSUAL = {
+    "a folder that cannot exist": {"NUMBA_CACHE_DIR": "/proc/nowhere"},
+    "a file": {"NUMBA_CACHE_DIR": "/dev/null"},
+    "another locator": {"NUMBA_CACHE_LOCATOR_CLASSES": "InTreeCacheLocator"},
+    "several locators": {"NUMBA_CACHE_LOCATOR_CLASSES": "UserWideCacheLocator,InTreeCacheLocator"},
+}
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("environment", UNUSUAL.values(), ids=UNUSUAL.keys())
+def test_wherever_numba_would_keep_kernels_none_of_other_sources_or_options_runs(
+    environment: dict[str, str],
+    on_a_copy: Callable[..., tuple[float, int]],
+    tmp_path: Path,
+    survived: Callable[..., None],
+) -> None:
+    before, _ = on_a_copy(**environment)
+    assert on_a_copy(**environment, NUMBA_OPT="1")[1] == 0
+    pulse = tmp_path / "activefail" / "bearing" / "pulse.py"
+    pulse.write_text(pulse.read_text().replace("_PEAK = 1.38\n", "_PEAK = 2.76\n"))
+    assert on_a_copy(**environment) == (before / 2.0, 0)
+    # None lies where numba looks by itself.
+    assert not list(tmp_path.glob("**/__pycache__/*.nbi"))
+    survived(3)
+
+
+def test_kernels_are_kept_under_another_locator_too(on_a_copy: Callable[..., tuple[float, int]]) -> None:
+    result, _ = on_a_copy()
+    assert on_a_copy(NUMBA_CACHE_LOCATOR_CLASSES="InTreeCacheLocator") == (result, 1)
+
+
+@pytest.mark.faults
+def test_a_kernel_that_cannot_be_saved_is_compiled_and_runs(tmp_path: Path) -> None:
+    (tmp_path / "contact.py").write_text("x")
+    with kept_kernels(tmp_path):
+
+        @njit(cache=True)
+        def square(x):  # type: ignore[no-untyped-def]
+            return x * x
+
+    # Stands for a disk that is full by now.
+    shutil.rmtree(tmp_path / "__pycache__")
+    assert square(3.0) == 9.0
 
 
 ANSWERS = """

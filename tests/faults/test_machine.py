@@ -1,18 +1,22 @@
 """A machine that fails: full disks, limits, folders that cannot be written, clocks that jump, and a second process."""
 
+import errno
 import os
 import re
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from commandline import activefail, record
 from faults.harness import Course, Victim, Victims, few, finished
 from faults.test_kills import assert_nothing_lost, begun
-from faults.victim import COMMITS, COMPACT_AT
+from faults.victim import COMMITS, COMPACT_AT, opened
 
+from activefail.errors import StoreError
 from activefail.record.run_folder import FolderStore
 
 Survived = Callable[[], None]
@@ -212,6 +216,88 @@ def check_writers(both: list[Victim], folder: Path, uninterrupted: Course, fault
     assert len(batches) == len(set(batches))
     for victim in both:
         assert_nothing_lost(victim, folder, uninterrupted, alone=fault is None)
+
+
+def changes(store: FolderStore) -> dict[str, Callable[[], object]]:
+    """Every way in which the program changes a run folder that is open."""
+    one, kept = store.batches[-1], store.read_set("validation-0")
+    assert kept is not None
+    return {
+        "commit": lambda: store.commit(one),
+        "state": lambda: store.write_state(9, {"a": np.zeros(2)}),
+        "set": lambda: store.write_set("validation-0", *kept),
+        "quarantine": lambda: store.read_set("foreign"),
+    }
+
+
+@pytest.mark.parametrize("change", ["commit", "state", "set", "quarantine"])
+@pytest.mark.parametrize("fate", ["moved", "moved and replaced", "removed and replaced"])
+@pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
+def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name(
+    change: str,
+    fate: str,
+    locks: bool,
+    uninterrupted: Course,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    survived: Survived,
+) -> None:
+    if not locks:
+        monkeypatch.setattr("fcntl.flock", without_flock)
+    folder, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    with opened(begun(folder, 2)) as store:
+        changed = changes(store)
+        folder.rename(elsewhere) if "moved" in fate else shutil.rmtree(folder)
+        if "replaced" in fate:
+            begun(folder, 1)
+            (folder / "sets" / "foreign.h5").write_bytes(b"of the other campaign")
+        before = tree(tmp_path)
+        if change != "quarantine" or "replaced" in fate:
+            with pytest.raises(StoreError, match=r"was moved, removed or replaced while .* Nothing more is written"):
+                changed[change]()
+        # Not even if the folder comes back.
+        for later in ("commit", "state", "set"):
+            with pytest.raises(StoreError, match=r"Acknowledged data is where the folder went; resume it there"):
+                changed[later]()
+        assert tree(tmp_path) == before
+    for left in (folder, elsewhere):
+        if left.exists():
+            assert finished(left) == uninterrupted
+    survived()
+
+
+def without_flock(*arguments: object) -> None:
+    raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+
+@pytest.mark.parametrize("change", ["commit", "state", "set"])
+@pytest.mark.parametrize("call", ["os.open", "os.fsync", "os.link", "os.replace"])
+def test_a_folder_that_is_replaced_during_a_write_gets_no_file_of_another_campaign(
+    call: str, change: str, uninterrupted: Course, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, survived: Survived
+) -> None:
+    folder, elsewhere, other = tmp_path / "run", tmp_path / "elsewhere", begun(tmp_path / "other", 1)
+    before = {str(Path(name).relative_to(other)): kept for name, kept in tree(other).items()}
+    function = eval(call)
+
+    def replaced(*arguments: Any, **options: Any) -> Any:
+        if ".tmp-" in str(arguments[0]) or call == "os.fsync":
+            monkeypatch.undo()
+            folder.rename(elsewhere)
+            other.rename(folder)
+        return function(*arguments, **options)
+
+    with opened(begun(folder, 2)) as store:
+        changed = changes(store)
+        monkeypatch.setattr(call, replaced)
+        if (call == "os.link") == (change == "commit") or call not in ("os.link", "os.replace"):
+            with pytest.raises(StoreError, match="was moved, removed or replaced"):
+                changed[change]()
+            after = {str(Path(name).relative_to(folder)): kept for name, kept in tree(folder).items()}
+            assert {name: kept[1] for name, kept in after.items()} == {name: kept[1] for name, kept in before.items()}
+            survived()
+        monkeypatch.undo()
+    if elsewhere.exists():
+        assert finished(elsewhere) == finished(folder) == uninterrupted
 
 
 def test_a_state_or_a_set_of_another_version_is_refused_by_its_name(

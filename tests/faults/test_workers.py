@@ -1,18 +1,20 @@
 """Simulations that go wrong: a worker's death costs nothing, a simulation's own fault costs that simulation."""
 
+import asyncio
 import errno
 import os
 import socket
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from campaign.stub import Disc
 from commandline import activefail, record, table
-from contracts.test_executor import Exhausted, Hanging, Killed, bits, designs, given_up, wait_until, within
+from contracts.test_executor import Acting, Exhausted, Hanging, Killed, bits, designs, given_up, wait_until, within
 from contracts.test_executor import Leaving as Exiting
 from faults.harness import Course
 from faults.simulators import Failing, Leaving, Meddling, OnceAt, Remembering, Unusual
@@ -22,7 +24,8 @@ from activefail.campaign.assembly import Campaign
 from activefail.errors import SimulationError
 from activefail.execution import frames
 from activefail.execution import processes as workers
-from activefail.execution.local import ProcessExecutor
+from activefail.execution.executor import Executor
+from activefail.execution.local import ProcessExecutor, ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.progress import Observer, standing
 from activefail.record.run_folder import FolderStore
@@ -52,6 +55,57 @@ def test_workers_that_die_or_hang_now_and_then_change_no_bit_of_the_campaign(
     injected = len(list(tmp_path.glob("at-*")))
     assert injected > 2
     survived(injected)
+
+
+@dataclass(frozen=True)
+class Base(Acting):
+    """Raises an error that is no Exception."""
+
+    error: type[BaseException] = BaseException
+
+    def act(self) -> None:
+        raise self.error("stopped")
+
+
+class Panic(BaseException):
+    """As Rust code raises it in Python."""
+
+
+@pytest.mark.parametrize("error", [asyncio.CancelledError, GeneratorExit, KeyboardInterrupt, Panic])
+@pytest.mark.parametrize("make", [lambda: ProcessExecutor(2), lambda: ThreadExecutor(2)], ids=["processes", "threads"])
+def test_an_error_that_is_no_exception_is_a_simulation_that_raised(
+    make: Callable[[], Executor],
+    error: type[BaseException],
+    capfd: pytest.CaptureFixture[str],
+    survived: Callable[[int], None],
+) -> None:
+    X = at([3], 6)
+    with within(600), make() as executor:
+        results = executor.run(Base(error=error), X)
+        given_up(results, X, [3], "raised")
+        assert f"{error.__name__}: stopped" in results.faults[3]
+    assert capfd.readouterr() == ("", "")
+    survived(1)
+
+
+@dataclass(frozen=True)
+class Unprepared(Disc):
+    """Cannot be prepared in a worker, because of an error that is no Exception."""
+
+    def prepare(self) -> None:
+        raise asyncio.CancelledError("no licence")
+
+
+def test_a_simulator_that_cannot_be_loaded_for_an_error_that_is_no_exception_says_so(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    with (
+        within(600),
+        ProcessExecutor(1) as executor,
+        pytest.raises(SimulationError, match="could not load the simulator: CancelledError: no licence"),
+    ):
+        executor.run(Unprepared(), designs(2))
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from activefail.record import compaction, recovery
 from activefail.record import hdf5 as image
 from activefail.record import run_folder as store_module
 from activefail.record import segment as segment_module
+from activefail.record.attachments import encode_set
 from activefail.record.batch import Batch, Schema, columns_of
 from activefail.record.recovery import recover
 from activefail.record.run_folder import FolderStore
@@ -155,6 +156,9 @@ def unlocked(monkeypatch: pytest.MonkeyPatch) -> None:
 
     class Nothing:
         held = True
+
+        def is_in(self, folder: Path) -> bool:
+            return True
 
         def release(self) -> None: ...
 
@@ -629,6 +633,44 @@ def test_a_damaged_set_and_a_set_of_another_campaign_are_quarantined_and_read_as
     path.write_bytes(whole)
     with FolderStore.open(tmp_path / "run", SCHEMA, write=False) as store:
         assert store.read_set("test") is not None
+
+
+@pytest.mark.parametrize("write", [True, False])
+def test_a_set_that_other_code_simulated_is_not_used_and_the_difference_is_named(tmp_path: Path, write: bool) -> None:
+    def opened(write: bool, **provenance: str) -> FolderStore:
+        return FolderStore.open(
+            tmp_path / "run", SCHEMA, write=write, provenance=provenance, decisive=("model", "other")
+        )
+
+    first = {"provenance": {"model": "a" * 64, "numpy": "1"}, "decisive": ("model", "other")}
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA, **first) as store:  # type: ignore[arg-type]
+        store.write_set("test", np.ones((3, 2)), batch(3).results)
+        assert store.read_set("test") is not None
+    # Only what decides the results is compared, and only if it is known now.
+    for provenance in ({"model": "a" * 64, "numpy": "2"}, {"numpy": "1", "other": "1"}):
+        with opened(write, **provenance) as store:
+            assert store.read_set("test") is not None
+            assert store.warnings == ()
+    kept = snapshot(tmp_path / "run" / "sets")
+    with opened(write, model="b" * 64) as store:
+        assert store.read_set("test") is None
+        (warning,) = store.warnings
+        says = "sets/test.h5 was simulated with other code (model aaaaaaaa -> bbbbbbbb); it is not used."
+        assert warning == says + (" Its designs are simulated again when they are needed." if write else "")
+        assert snapshot(tmp_path / "run" / "sets") == kept
+        if write:
+            store.write_set("test", np.ones((3, 2)), batch(3).results)
+            assert store.read_set("test") is not None
+
+
+def test_a_set_without_provenance_is_used(tmp_path: Path) -> None:
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as store:
+        data = encode_set(np.ones((3, 2)), batch(3).results, SCHEMA, store._start, {})
+        (tmp_path / "run" / "sets" / "test.h5").write_bytes(data)
+    now = {"provenance": {"model": "b"}, "decisive": ("model",)}
+    with FolderStore.open(tmp_path / "run", SCHEMA, write=True, **now) as store:  # type: ignore[arg-type]
+        assert store.read_set("test") is not None
+        assert store.warnings == ()
 
 
 # Writers

@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from commandline import activefail, record, refused, started, table, wait_for
@@ -27,9 +28,10 @@ from activefail.errors import InputError, place_of
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
 from activefail.parameter import Parameter
+from activefail.simulators.answers import read_answer
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
-from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER
+from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER, UnusableAnswerError
 from activefail.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("drift", 0.0, 4.0, "m"), Parameter("T", 1.0, 3.0)), {"storeys": 3.0})
@@ -143,6 +145,9 @@ UNUSABLE = {
     "{'outcome': 'safe', 'margins': {'gap': 'wide'}}": "margins.gap: must be a number, got 'wide'",
     "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be a number, got None",
     "{'outcome': 'safe', 'margins': {'gap': True}}": "margins.gap: must be a number, got True",
+    "{'outcome': 'safe', 'margins': {'gap': __import__('numpy').timedelta64(5, 's')}}": "margins.gap: must be a number",
+    "{'outcome': 'safe', 'margins': {'gap': __import__('numpy').longdouble('1e4000')}}": "margins.gap: must fit",
+    "{'outcome': 'safe', 'margins': {'gap': -(10**400)}}": "margins.gap: must fit",
 }
 
 
@@ -194,6 +199,15 @@ def test_an_error_whose_message_cannot_be_read_is_a_simulation_that_raised(tmp_p
     assert results.cause.tolist() == [RAISED]
     assert "Mute, whose message cannot be read (" in results.faults[0]
     assert f"{tmp_path / 'model.py'}:8" in results.faults[0]
+
+
+@pytest.mark.faults
+def test_a_message_that_raises_a_keyboard_interrupt_costs_that_simulation_alone(tmp_path: Path) -> None:
+    simulator = python(tmp_path, source=MUTE.format(kind="ValueError", how="raise KeyboardInterrupt"))
+    with ProcessExecutor(1) as executor:
+        results = executor.run(simulator, X[:1])
+    assert results.cause.tolist() == [RAISED]
+    assert "Mute, whose message cannot be read (KeyboardInterrupt)" in results.faults[0]
 
 
 @pytest.mark.faults
@@ -844,6 +858,66 @@ def test_a_function_that_was_changed_is_told_on_resume(mine: Path, tmp_path: Pat
     )
 
 
+def outcomes_of_sets(run: Path) -> dict[str, list[int]]:
+    """The outcomes in each set of a run folder."""
+    outcomes = {}
+    for path in sorted((run / "sets").iterdir()):
+        with h5py.File(path) as file:
+            outcomes[path.stem] = file["outcome"][()].tolist()
+    return outcomes
+
+
+@pytest.mark.faults
+def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    (mine / "mine.toml").write_text(f"validation.size = 20\n{TOML}")
+    assert activefail("run", mine / "mine.toml", "--out", run).code == 0
+    compare = ["compare", run, "--code", mine, "--test", "30", "--budgets", "12,24"]
+    verify = ["verify", run, "--code", mine, "--simulations", "20"]
+    for words in (compare, verify):
+        said = activefail(*words)
+        assert said.code == 0, said
+        assert "warning" not in said.err
+    before = outcomes_of_sets(run)
+    assert {name.split("-")[0] for name in before} >= {"validation", "test", "static", "verification"}
+    # No design is beyond this limit, so that none is a failure.
+    (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
+    digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, (mine / "model.py").read_text())]
+    changed = f"was simulated with other code (simulator.python {digests[0]} -> {digests[1]}); it is not used."
+    # Without the code, the program cannot know that it has changed; with it, a reader does not use the sets.
+    unverified = "the classifier's error is not verified"
+    assert unverified not in activefail("report", run, "--out", tmp_path / "1.html").out
+    assert unverified in activefail("report", run, "--code", mine, "--out", tmp_path / "2.html").out
+    assert outcomes_of_sets(run) == before
+    for words, names in (
+        (["resume", run, "--code", mine, "--budget", "28"], ["validation-0"]),
+        (compare, [name for name in before if name.startswith(("test", "static"))]),
+        (verify, []),
+    ):
+        said = activefail(*words)
+        assert said.code == 0, said.err
+        if words[0] == "resume":
+            assert f"sets/validation-0.h5 {changed} Its designs are simulated again" in said.err, said.err
+        after = outcomes_of_sets(run)
+        assert all(before[name] != after[name] and 2 not in after[name] for name in names)
+
+
+@pytest.mark.faults
+def test_a_verification_by_an_earlier_version_of_the_code_is_simulated_again(mine: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert activefail("run", mine / "mine.toml", "--out", run).code == 0
+    verify = ["verify", run, "--code", mine, "--simulations", "20"]
+    assert activefail(*verify).code == 0
+    before = outcomes_of_sets(run)
+    (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
+    said = activefail(*verify)
+    assert said.code == 0, said.err
+    (name,) = before
+    assert f"sets/{name}.h5 was simulated with other code (simulator.python " in said.err
+    assert outcomes_of_sets(run) != before
+    assert activefail(*verify).err.count("other code") == 0
+
+
 def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on_resume(
     mine: Path, tmp_path: Path
 ) -> None:
@@ -853,7 +927,7 @@ def test_a_campaign_s_function_has_modules_beside_it_and_their_change_is_told_on
     (mine / "seen.py").write_text("import limits\n\ndef by(X, space):\n    return X[:, :1] > limits.DAMAGE\n")
     result = activefail("run", file, "--out", run, "--budget", "16")
     assert result.code == 0, result.err
-    assert result.out.splitlines()[-2].endswith(" 0 numerical failures")
+    assert " 0 numerical failures" in result.out
     result = activefail("resume", run, "--budget", "20", "--code", mine)
     assert (result.code, result.err) == (0, "")
     with_helpers(mine, damage=1.125)
@@ -1102,3 +1176,23 @@ def test_a_simulation_that_prints_to_a_reader_that_has_gone_is_not_recorded_as_f
     assert activefail("resume", tmp_path / "cut", "--code", mine, "--workers", "1").code == 0
     cut, whole = ([{**row, "seconds": ""} for row in record(tmp_path / name)] for name in ("cut", "whole"))
     assert cut == whole
+
+
+@pytest.mark.parametrize(("value", "outcome"), [(0.5, 0), (0, 1), (-0.0, 1), (np.float64(-2.0), 1)])
+def test_a_limit_state_returns_its_margin_alone(value: float, outcome: int) -> None:
+    results = read_answer(value, ("safe", "failure"), ("g",), 0.0)
+    assert (results.outcome.tolist(), results.margins.tolist()) == ([outcome], [[float(value)]])
+
+
+def test_a_margin_alone_must_tell_the_side_and_be_the_only_one() -> None:
+    with pytest.raises(UnusableAnswerError, match="the margin g is NaN; without an outcome it must tell the side"):
+        read_answer(float("nan"), ("safe", "failure"), ("g",), 0.0)
+    for outcomes, margins in (
+        (("safe", "failure"), ()),
+        (("safe", "hit", "failure"), ("g",)),
+        (("a", "b"), ("g", "h")),
+    ):
+        with pytest.raises(UnusableAnswerError, match="must be an outcome or a table with one"):
+            read_answer(0.5, outcomes, margins, 0.0)
+    with pytest.raises(UnusableAnswerError, match="must be an outcome or a table with one, got True"):
+        read_answer(True, ("safe", "failure"), ("g",), 0.0)

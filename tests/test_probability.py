@@ -1,0 +1,107 @@
+"""Failure probabilities as a user asks for them: a limit state, a campaign, a number with its interval."""
+
+import json
+from pathlib import Path
+
+import pytest
+from commandline import activefail, refused
+from scipy.special import ndtr
+
+CAMPAIGN = """
+simulator = {{ python = "limit:{name}", margins = ["g"] }}
+stop = {{ probability = "failure" }}
+[space]
+x = {{ distribution = "normal", mean = 0, sd = 1 }}
+y = {{ distribution = "normal", mean = 0, sd = 1 }}
+[sampling]
+budget = {budget}
+"""
+
+LIMITS = """
+def plane(design):
+    return 3.0 - design["x"] + 0.1 * design["y"]
+
+def reversed_sign(design):
+    g = 1.5 - design["x"]
+    return {"outcome": "failure" if g <= 0 else "safe", "margins": {"g": -g}}
+
+def never(design):
+    return 20.0 + design["x"]
+"""
+
+TRUE = float(ndtr(-3.0 / 1.01**0.5))
+
+
+def begun(folder: Path, name: str, budget: int = 60) -> Path:
+    (folder / "limit.py").write_text(LIMITS)
+    (folder / "made.toml").write_text(CAMPAIGN.format(name=name, budget=budget))
+    return folder / "made.toml"
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plane")
+    result = activefail("run", begun(folder, "plane"), "--out", folder / "run")
+    assert result.code == 0, result.err
+    assert "learned    failure from the margin g" in result.out
+    assert "stop rule  met after" in result.out
+    return folder
+
+
+def test_the_command_tells_the_probability_with_its_interval_and_the_bound_without_a_model(ended: Path) -> None:
+    result = activefail("probability", ended / "run", "--code", ended, "--simulations", "20")
+    assert result.code == 0, result.err
+    assert "probability of failure: 0.00" in result.out
+    assert "with 90 % confidence" in result.out
+    assert "bound      0.17 without a model, one-sided at 90 %, from the 12 simulations" in result.out
+    assert "The interval assumes that no failure is hidden" in result.out
+
+
+def test_its_json_has_the_same_numbers_each_time(ended: Path) -> None:
+    command = ("probability", ended / "run", "--code", ended, "--simulations", "20", "--confidence", "0.95", "--json")
+    one, other = (json.loads(activefail(*command).out) for _ in range(2))
+    assert one == other
+    found = one["outcomes"]["failure"]
+    assert found["low"] <= found["probability"] <= found["high"]
+    assert found["low"] <= TRUE <= found["high"]
+    assert found["probability"] == pytest.approx(TRUE, rel=0.1)
+    assert (found["confidence"], found["simulations"], found["learned_from"]) == (0.95, 20, "g")
+    assert found["failures_seen"] >= 1
+    assert found["bound_without_model"]["one_sided"] is True
+    assert activefail("export", ended / "run", "--csv", ended / "all.csv").code == 0
+    origins = {line.split(",")[2] for line in (ended / "all.csv").read_text().splitlines()[1:]}
+    assert origins == {"seed", "active", "check"}
+
+
+def test_an_outcome_without_a_boundary_is_refused(ended: Path) -> None:
+    for outcome in ("safe", "collapse"):
+        result = activefail("probability", ended / "run", "--code", ended, "--outcome", outcome)
+        refused(result)
+        assert f"outcome: must be one of failure, got '{outcome}'" in result.err
+
+
+def test_a_margin_of_the_wrong_sign_is_not_learned_from_and_the_reason_is_told(tmp_path: Path) -> None:
+    result = activefail("run", begun(tmp_path, "reversed_sign", 16), "--out", tmp_path / "run")
+    assert result.code == 0, result.err
+    assert "learned    failure from the outcomes; the margin g is not used: its sign contradicts" in result.out
+
+
+def test_where_no_failure_was_seen_the_estimate_says_so_and_the_bound_is_wide(tmp_path: Path) -> None:
+    result = activefail("run", begun(tmp_path, "never", 16), "--out", tmp_path / "run")
+    assert result.code == 0, result.err
+    assert "stop rule" not in result.out
+    result = activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "10")
+    assert result.code == 0, result.err
+    assert "No simulation ended in failure: the estimate is the classifier's extrapolation" in result.out
+    assert "None of the campaign's 16 simulations ended in failure" in result.err
+
+
+def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Path) -> None:
+    file = begun(tmp_path, "plane")
+    file.write_text(file.read_text().replace("budget = 60", "initial = 30\nbudget = 30"))
+    assert activefail("run", file, "--out", tmp_path / "run", "--budget", "30").code == 0
+    for segment in sorted((tmp_path / "run" / "segments").iterdir())[20:]:
+        segment.unlink()
+    result = activefail("probability", tmp_path / "run", "--code", tmp_path)
+    assert "has not finished its initial design; there is nothing to estimate yet" in result.err
+    assert result.code == 2
