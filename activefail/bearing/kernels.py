@@ -98,10 +98,15 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _keep(kernel: Any) -> None:
-    """Let numba keep a kernel; if the disk is full, it is compiled but not kept."""
+    """Let numba keep a kernel; if the folder fails, as on a full disk, it is compiled but not kept."""
     from numba.core.caching import FunctionCache
 
     class Cache(FunctionCache):
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            with suppress(OSError):
+                return super().load_overload(sig, target_context)
+            return None
+
         def save_overload(self, sig: Any, data: Any) -> None:
             with suppress(OSError):
                 super().save_overload(sig, data)

@@ -179,6 +179,7 @@ def test_a_kernel_that_cannot_be_saved_is_compiled_and_runs(tmp_path: Path) -> N
 
     # Stands for a disk that is full by now.
     shutil.rmtree(tmp_path / "__pycache__")
+    (tmp_path / "__pycache__").write_text("not a folder")
     assert square(3.0) == 9.0
 
 
