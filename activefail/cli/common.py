@@ -49,6 +49,7 @@ def opened_run(folder: Path, *, write: bool = False, code: Path | None = None) -
     with open_run(folder, write=write, code=code) as run:
         show_warnings(run.store.new_warnings())
         yield run
+        show_warnings(run.store.new_warnings())
 
 
 def make_executor(
