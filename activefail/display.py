@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from activefail.screen import terminal
-from activefail.shares import interval_percent, percent
+from activefail.shares import interval_percent, lognormal_interval, percent
 from activefail.visible import visible
 
 if TYPE_CHECKING:
@@ -107,9 +107,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
 
 def probability_text(looks: "Looks") -> str:
     """A probability under the classifier, with the interval of its posterior."""
-    from activefail.loop.stopping import interval
-
-    low, high = interval(looks)
+    low, high = lognormal_interval(looks.probability, looks.sd)
     return f"probability {looks.probability:.3g} ({low:.2g} to {high:.2g} under the classifier)"
 
 

@@ -138,16 +138,26 @@ class Run:
         return command
 
     @property
+    def learns_from_margins(self) -> bool:
+        """Whether boundaries may be learned from margins."""
+        return self.settings.classifier.learns != "outcomes" and bool(self.campaign.simulator.margins)
+
+    @property
     def stop_messages(self) -> StopMessages:
         """The messages about a stop of the campaign."""
         return _ASYNCHRONOUS if self.settings.sampling.asynchronous else _IN_BATCHES
 
     @property
     def stop_rule_warning(self) -> str:
-        """Why the stop rule has too few simulations to be met at its first look; empty if it has enough."""
+        """Why the stop rule cannot be met, or not at its first look; empty if it can."""
         from activefail.verification.error import confidence_of_look, least_simulations
         from activefail.verification.stratified import largest_unseen_share
 
+        if self.settings.probability_rule is not None and not self.learns_from_margins:
+            return (
+                "stop.probability: a boundary that is learned from outcomes alone never meets this rule; the campaign "
+                "ends at its budget. Let the simulator tell a margin (docs/probability.md)"
+            )
         rule = self.settings.error_rule
         if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
             return ""
@@ -265,10 +275,9 @@ class Run:
     def learned_from(self) -> list[str]:
         """What each boundary is learned from, and why; empty without a choice, or before the initial design is done."""
         from activefail.findings.choices import choices_in_words
-        from activefail.loop.learning import margins_of
 
         history, sampling = self.history, self.settings.sampling
-        if sampling.asynchronous or len(history) < sampling.initial or margins_of(self.campaign, history) is None:
+        if sampling.asynchronous or len(history) < sampling.initial or not self.learns_from_margins:
             return []
         return choices_in_words(self.campaign, history, self.classifier) if len(history.training) else []
 

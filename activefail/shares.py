@@ -1,5 +1,7 @@
 """Shares as text; a share near 0 or 1 is never rounded to it."""
 
+import math
+
 
 def percent(share: float, digits: int = 1) -> str:
     """A share in per cent, like "97.3 %", with more digits where it would otherwise round to 0 or 100 %.
@@ -17,6 +19,14 @@ def percent(share: float, digits: int = 1) -> str:
         if float(text) not in (0.0, 100.0):
             return f"{text} %"
     return "< 0.000001 %" if share < 0.5 else "> 99.999999 %"
+
+
+def lognormal_interval(mean: float, sd: float) -> tuple[float, float]:
+    """Central 95 % interval of a probability with a mean and a standard deviation, as if lognormal; at most 1."""
+    if not mean > 0.0:
+        return 0.0, 1.0
+    spread = 1.96 * math.sqrt(math.log1p((sd / mean) ** 2))
+    return mean * math.exp(-spread), min(1.0, mean * math.exp(spread))
 
 
 def interval_percent(low: float, high: float, digits: int = 2) -> str:

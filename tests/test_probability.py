@@ -105,3 +105,20 @@ def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Pa
     result = activefail("probability", tmp_path / "run", "--code", tmp_path)
     assert "has not finished its initial design; there is nothing to estimate yet" in result.err
     assert result.code == 2
+
+
+def test_status_tells_what_was_learned_from_and_the_probability(ended: Path) -> None:
+    result = activefail("status", ended / "run")
+    assert result.code == 0, result.err
+    assert "learned    failure from the margin g (mean log probability of a left-out side:" in result.out
+    assert "stop rule  met; `activefail resume` with --ignore-stop continues" in result.out
+    assert "estimate   probability 0.00" in result.out
+
+
+def test_a_campaign_without_margins_is_told_that_its_rule_is_never_met(tmp_path: Path) -> None:
+    file = begun(tmp_path, "plane", 14)
+    file.write_text(file.read_text() + '[classifier]\nlearns = "outcomes"\n')
+    (tmp_path / "limit.py").write_text(LIMITS.replace("return 3.0", "return 1.0"))
+    result = activefail("run", file, "--out", tmp_path / "run")
+    assert result.code == 0, result.err
+    assert "a boundary that is learned from outcomes alone never meets this rule" in result.err

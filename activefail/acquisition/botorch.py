@@ -65,6 +65,11 @@ class DesignAcquisition(AcquisitionFunction):
     def __init__(
         self, latent: Latent, features: FeatureMap, space: DesignSpace, X_pending: Tensor | None = None
     ) -> None:
+        if not isinstance(latent, Latent):
+            raise TypeError(
+                "BoTorch's model exists only for a boundary that is learned from outcomes: set classifier.learns to "
+                "'outcomes'."
+            )
         super().__init__(latent.model)
         self._latent = latent
         self._torch_features = TorchFeatures(features, space)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder, open_campaign
@@ -27,18 +26,18 @@ from activefail.execution.pool import ProcessPool, stopping
 from activefail.files import replacing
 from activefail.loop.batches import run
 from activefail.loop.history import History
+from activefail.loop.learning import learn_from
 from activefail.loop.progress import Observer
 from activefail.record.layout import SETTINGS, refuse_links
 from activefail.record.run_folder import check_empty
-from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
-from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
 from activefail.verification.stored_sets import (
     name_of_neighbours,
     name_of_static_set,
     name_of_test_set,
-    simulated_outcomes,
+    simulated_results,
 )
 
 STATIC = "static"
@@ -179,12 +178,12 @@ class _Job:
     checkpoints: tuple[int, ...]
     folder: Path
     test: FreshSet
-    static: tuple[Array, NDArray[np.int8]] | None
+    static: History | None
     code: Path | None
 
 
-def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, NDArray[np.int8]]]:
-    """Run an arm's campaign to its budget; yields size, designs and outcomes at each checkpoint. Nothing if stopped."""
+def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, History]]:
+    """Run an arm's campaign to its budget; yields size and simulations at each checkpoint. Nothing if stopped."""
     folder = job.folder / _RUNS / job.arm.name
     if not (folder / SETTINGS).exists():
         create_folder(folder, campaign).close()
@@ -196,8 +195,7 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, Array, 
             return
         history = History.of(store.batches)
         for n in job.checkpoints:
-            known = history[:n].training
-            yield n, known.designs, known.outcome
+            yield n, history[:n]
 
 
 def _score_arm(job: _Job) -> list[ArmScore] | None:
@@ -207,14 +205,12 @@ def _score_arm(job: _Job) -> list[ArmScore] | None:
         if job.static is None:
             rows = _campaign_rows(job, campaign)
         else:
-            rows = iter([(job.arm.size, *job.static)])
+            rows = iter([(job.arm.size, job.static)])
         scores = []
-        for n, X, outcome in rows:
+        for n, known in rows:
             if stopping():
                 return None
-            classifier = train(
-                X, outcome, campaign.simulator.outcomes, campaign.features, campaign.settings.classifier.kernel
-            )
+            classifier = learn_from(campaign, known)
             scores.append(ArmScore(job.arm, n, measures(classifier, campaign.severity, job.test)))
     return scores or None
 
@@ -281,16 +277,16 @@ def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None])
         local_executor(campaign.simulator, time_limit=campaign.time_limit) as executor,
     ):
 
-        def outcomes(name: str, X: Array) -> NDArray[np.int8]:
-            outcome = simulated_outcomes(campaign, store, executor, name, X)
-            assert outcome is not None  # no stop was requested
-            return outcome
+        def simulated(name: str, X: Array) -> Results:
+            results = simulated_results(campaign, store, executor, name, X)
+            assert results is not None  # no stop was requested
+            return results
 
         stage(f"simulating {plan.test} test designs and {NEIGHBOURS} designs around each")
         X = space.from_unit(stream(first, "test").random((plan.test, space.dimension)))
-        outcome = outcomes(name_of_test_set(plan.test), X)
+        outcome = simulated(name_of_test_set(plan.test), X).outcome
         neighbours = displaced(X, space, stream(first, "test", 1))
-        around = outcomes(name_of_neighbours(plan.test), neighbours).reshape(len(X), -1)
+        around = simulated(name_of_neighbours(plan.test), neighbours).outcome.reshape(len(X), -1)
         answered = outcome != NUMERICAL_FAILURE
         test = FreshSet(X[answered], outcome[answered], around[answered])
         static = {}
@@ -298,9 +294,8 @@ def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None])
             for size in plan.static:
                 stage(f"simulating a static design of {size}, seed {seed}")
                 hypercube = space.latin_hypercube(size, stream(seed, "static", size))
-                outcome = outcomes(name_of_static_set(size, seed), hypercube)
-                answered = outcome != NUMERICAL_FAILURE
-                static[seed, size] = hypercube[answered], outcome[answered]
+                results = simulated(name_of_static_set(size, seed), hypercube)
+                static[seed, size] = History.of_sample(hypercube, results)
     arms = [arm for arm in plan.arms() if arm.sampling == STATIC]
     return test, {arm: static[arm.seed, arm.size] for arm in arms}
 

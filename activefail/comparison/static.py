@@ -20,9 +20,9 @@ from activefail.loop.proposing import initial_sets
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, train
+from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.threads import one_thread
-from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_set
+from activefail.verification.stored_sets import name_of_static_set, name_of_test_set, simulated_results, simulated_set
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,7 @@ def compare(
     for n in budgets:
         if not 2 <= n <= done:
             raise InputError(f"budgets: must be between 2 and the {done} recorded simulations, got {n}.")
-    kernel, severity = campaign.settings.classifier.kernel, campaign.severity
-    outcomes, features = campaign.simulator.outcomes, campaign.features
+    severity = campaign.severity
 
     with one_thread():
         stage(f"simulating {test_size} test designs")
@@ -184,8 +183,9 @@ def compare(
         for n in budgets:
             stage(f"simulating and learning from {n} static simulations")
             hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
-            X, outcome = _simulated(campaign, store, executor, name_of_static_set(n), hypercube)
-            classifier = train(X, outcome, outcomes, features, kernel)
+            results = simulated_results(campaign, store, executor, name_of_static_set(n), hypercube)
+            assert results is not None  # no stop was requested
+            classifier = learn_from(campaign, History.of_sample(hypercube, results))
             scores.append(score("static", classifier, severity, n, X_test, outcome_test))
     return scores
 

@@ -1,39 +1,59 @@
 """What each boundary of a campaign is learned from, and why."""
 
-import numpy as np
+import math
+from typing import TYPE_CHECKING
 
-from activefail.campaign.assembly import Campaign
-from activefail.findings.quantities import words
-from activefail.loop.history import History
-from activefail.surrogate.choice import OUTCOMES, usable
-from activefail.surrogate.classifier import Classifier
+from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.campaign.assembly import Campaign
+    from activefail.loop.history import History
+    from activefail.surrogate.classifier import Classifier
 
 
-def choices_in_words(campaign: Campaign, history: History, classifier: Classifier) -> list[str]:
+def words(name: str) -> str:
+    """An outcome's name as words."""
+    return visible(name.replace("_", " "))
+
+
+def sentence(outcome: str, margin: str, margin_score: float, outcome_score: float) -> str:
+    """What a boundary is learned from, with the evidence if there is any; empty if there was no choice.
+
+    Args:
+        outcome: name of the boundary's outcome.
+        margin: name of the margin; empty if the boundary is learned from the outcomes.
+        margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
+    """
+    compared = not (math.isnan(margin_score) or math.isnan(outcome_score))
+    if not margin and not compared:
+        return ""
+    evidence = (
+        f" (mean log probability of a left-out side: {margin_score:.3f} from the margin, {outcome_score:.3f} from "
+        "outcomes)"
+    )
+    source = f"the margin {visible(margin)}" if margin else "the outcomes"
+    return f"{words(outcome)} from {source}{evidence if compared else ''}"
+
+
+def choices_in_words(campaign: "Campaign", history: "History", classifier: "Classifier") -> list[str]:
     """A sentence for each boundary that is learned from a margin, or not although there is one.
 
     A simulator with several margins, of which none tells the side of a boundary, needs no sentence.
     """
+    from activefail.surrogate.choice import OUTCOMES, usable
+
     known, names = history.training, campaign.simulator.margins
     learns = campaign.settings.classifier.learns
     sentences = []
     for severity, choice in enumerate(classifier.choices, start=1):
-        outcome = words(campaign.simulator.outcomes[severity])
-        compared = (
-            ""
-            if np.isnan(choice.outcome_score) or np.isnan(choice.margin_score)
-            else f" (log probability of a left-out side: {choice.margin_score:.3f} from the margin, "
-            f"{choice.outcome_score:.3f} from outcomes)"
-        )
-        if choice.margin != OUTCOMES:
-            sentences.append(f"{outcome} from the margin {names[choice.margin]}{compared}")
-            continue
-        if learns == "auto" and compared:
-            sentences.append(f"{outcome} from the outcomes{compared}")
-            continue
-        tried = [learns] if learns != "auto" else names[:1] if len(names) == 1 else []
-        reasons = [(name, usable(known.margins[:, names.index(name)], known.outcome >= severity)) for name in tried]
-        because = "".join(f"; the margin {name} is not used: {reason}" for name, reason in reasons if reason)
-        if because:
-            sentences.append(f"{outcome} from the outcomes{because}")
+        outcome = campaign.simulator.outcomes[severity]
+        margin = "" if choice.margin == OUTCOMES else names[choice.margin]
+        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score)
+        candidate = names[0] if learns == "auto" and len(names) == 1 else "" if learns == "auto" else learns
+        if not text and candidate:
+            reason = usable(known.margins[:, names.index(candidate)], known.outcome >= severity)
+            if reason:
+                text = f"{words(outcome)} from the outcomes; the margin {candidate} is not used: {reason}"
+        if text:
+            sentences.append(text)
     return sentences

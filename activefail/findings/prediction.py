@@ -8,6 +8,7 @@ from scipy.special import ndtr
 from activefail.campaign.assembly import Campaign
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Moments
+from activefail.surrogate.moments import MarginMoments
 
 CONFIDENCE = 0.95
 """Confidence of the intervals of probabilities in the report and the explorer."""
@@ -37,8 +38,13 @@ class Prediction:
 def interval(moments: Moments) -> tuple[Array, Array]:
     """95 % interval of the probability Φ(f) from the uncertainty of the latent f, (n,) each.
 
-    It is widened to contain the reported probability, the mean of Φ(f), which can fall outside near 0 and 1.
+    It is widened to contain the reported probability, the mean of Φ(f), which can fall outside near 0 and 1. Where the
+    boundary is learned from a margin, the outcome is certain but for the side: the interval is 0, 1 or both.
     """
+    if isinstance(moments, MarginMoments):
+        ends = (moments.mean + sign * _Z * moments.sd > 0.0 for sign in (-1.0, 1.0))
+        low, high = (end.astype(np.float64) for end in ends)
+        return np.minimum(low, moments.probability), np.maximum(high, moments.probability)
     low, high = (np.asarray(ndtr(moments.mean + sign * _Z * moments.sd)) for sign in (-1.0, 1.0))
     return np.minimum(low, moments.probability), np.maximum(high, moments.probability)
 

@@ -3,8 +3,17 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from activefail.errors import DamagedError, StoreError
+from activefail.files import read_regular
+from activefail.findings.choices import sentence
 from activefail.findings.summary import Summary, is_verified, read_summary
+from activefail.record.attachments import decode_state
+from activefail.record.layout import state_file
+from activefail.shares import lognormal_interval
 from activefail.visible import quoted, visible
+
+_LARGEST_STATE = 100_000_000
+"""Largest state that is read [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +33,37 @@ class Status:
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts, the campaign's description first."""
-        return [("campaign", visible(self.summary.settings.description or self.folder.name)), *self.summary.lines]
+        title = visible(self.summary.settings.description or self.folder.name)
+        return [("campaign", title), *self.summary.lines, *self.learned]
+
+    @property
+    def learned(self) -> list[tuple[str, str]]:
+        """Titles and texts of what is learned from margins, from the state of the last iteration; empty without it."""
+        summary, lines = self.summary, []
+        path = state_file(self.folder, summary.iteration)
+        try:
+            state = decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {summary.digest})
+            for outcome in summary.outcomes[1:]:
+                margin, _, *scores, _ = state[f"{outcome}/choice"].tolist()
+                name = "" if margin < 0 else summary.margins[int(margin)]
+                if text := sentence(outcome, name, *scores):
+                    lines.append(("learned", text))
+            if "stop/looks" in state:
+                _, probability, sd = state["stop/looks"][-1].tolist()
+                low, high = lognormal_interval(probability, sd)
+                if int(state["stop/known"]):
+                    lines.append(("stop rule", "met; `activefail resume` with --ignore-stop continues"))
+                lines.append(
+                    (
+                        "estimate",
+                        f"probability {probability:.3g} ({low:.2g} to {high:.2g} under the classifier); "
+                        "`activefail probability` estimates it from fresh simulations",
+                    )
+                )
+        except (OSError, LookupError, ValueError, TypeError, StoreError, DamagedError):
+            # No state yet, without choices, or not this record's: the next writer will make one.
+            return []
+        return lines
 
     @property
     def continuation(self) -> list[tuple[str, str]]:

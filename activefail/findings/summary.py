@@ -133,6 +133,8 @@ class Summary:
         iteration: active batches so far.
         initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and active ones, by
             outcome, numerical failures last.
+        margins: names of the margins, if they were read.
+        digest: the record's digest after its last batch, if it was read.
     """
 
     settings: SettingsInBrief
@@ -140,6 +142,8 @@ class Summary:
     iteration: int
     initial: NDArray[np.int64]
     chosen: NDArray[np.int64]
+    margins: tuple[str, ...] = ()
+    digest: str = ""
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -233,7 +237,8 @@ def read_summary(folder: Path) -> Summary | None:
     for outline in outlines:
         initial = initial + _counts(outline.outcome[outline.origin == INITIAL], n)
         chosen = chosen + _counts(outline.outcome[outline.origin != INITIAL], n)
-    return Summary(brief, _shown(outcomes), int(outlines[-1].iterations[-1]), initial, chosen)
+    last, margins = outlines[-1], outlines[0].schema.margins
+    return Summary(brief, _shown(outcomes), int(last.iterations[-1]), initial, chosen, margins, last.after)
 
 
 def _shown(names: Sequence[str]) -> tuple[str, ...]:

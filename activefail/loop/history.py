@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.record.batch import INITIAL, Batch
-from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 
 
@@ -43,6 +43,13 @@ class History:
             np.concatenate([batch.origin for batch in batches]),
             np.concatenate([batch.results.margins for batch in batches]),
         )
+
+    @classmethod
+    def of_sample(cls, X: Array, results: Results) -> Self:
+        """The history of designs, (n, d), that were simulated together, like an initial design."""
+        n = len(X)
+        origin = np.full(n, INITIAL, dtype=np.int8)
+        return cls(X, results.outcome, np.zeros(n, dtype=np.int64), origin, results.margins)
 
     def __len__(self) -> int:
         return len(self.outcome)

@@ -127,11 +127,3 @@ def check_designs(campaign: Campaign, history: History, looks: Looks, iteration:
     rng = stream(campaign.settings.seed, "propose", iteration)
     count = 4 + 2 * campaign.space.dimension
     return hidden_places(campaign.space, history.designs, looks.probability, count, rng)
-
-
-def interval(looks: Looks) -> tuple[float, float]:
-    """Central 95 % interval of the probability under the classifier's posterior, lognormal."""
-    if not looks.probability > 0.0:
-        return 0.0, 1.0
-    spread = 1.96 * np.sqrt(np.log1p((looks.sd / looks.probability) ** 2))
-    return looks.probability * float(np.exp(-spread)), min(1.0, looks.probability * float(np.exp(spread)))

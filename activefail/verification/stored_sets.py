@@ -121,7 +121,21 @@ def simulated_outcomes(
     stop: Callable[[], bool] = lambda: False,
     twin: str = "",
 ) -> NDArray[np.int8] | None:
-    """Outcomes, (n,), of the designs of a set, (n, d); -1 for a numerical failure. None if stopped.
+    """Outcomes, (n,), of a set's designs; -1 for a numerical failure. None if stopped (see `simulated_results`)."""
+    results = simulated_results(campaign, store, executor, name, X, stop, twin)
+    return None if results is None else results.outcome
+
+
+def simulated_results(
+    campaign: "Campaign",
+    store: Store,
+    executor: "Executor",
+    name: str,
+    X: Array,
+    stop: Callable[[], bool] = lambda: False,
+    twin: str = "",
+) -> Results | None:
+    """Results of the designs of a set, (n, d); None if stopped.
 
     Stored parts are read; the others are simulated and stored.
 
@@ -138,7 +152,7 @@ def simulated_outcomes(
         SimulationError: if every simulation of a part fails, which is a fault of the simulator. That part is not
             stored, so that it is simulated again once the simulator is fixed.
     """
-    outcomes = [np.empty(0, dtype=np.int8)]
+    parts = []
     for part, rows in enumerate(_parts(X)):
         key = f"{name}-{part}"
         saved = _same(store.read_set(key), rows)
@@ -155,8 +169,8 @@ def simulated_outcomes(
                 )
             saved = (rows, results)
             store.write_set(key, *saved)
-        outcomes.append(saved[1].outcome)
-    return np.concatenate(outcomes)
+        parts.append(saved[1])
+    return Results.concatenate(parts)
 
 
 def first_fault_text(faults: Iterable[str]) -> str:

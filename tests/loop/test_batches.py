@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -505,7 +506,8 @@ class Struck:
     def run(self, X: Array) -> Results:
         left, self.left = self.left, self.left - len(X)
         if 0 <= left < len(X):
-            raise KeyboardInterrupt
+            # An exception of this name that a simulator raises is its own fault, not Ctrl-C.
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
         return Disc().run(X)
 
 
