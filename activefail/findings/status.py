@@ -1,5 +1,6 @@
 """What `activefail status` shows: the summary of a run folder and the command that continues it."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,8 +50,8 @@ class Status:
                 if text := sentence(outcome, name, *scores):
                     lines.append(("learned", text))
             if "stop/looks" in state:
-                _, probability, sd = state["stop/looks"][-1].tolist()
-                low, high = lognormal_interval(probability, sd)
+                _, probability, sd, error = state["stop/looks"][-1].tolist()
+                low, high = lognormal_interval(probability, math.hypot(sd, error))
                 if int(state["stop/known"]):
                     lines.append(("stop rule", "met; `activefail resume` with --ignore-stop continues"))
                 lines.append(

@@ -130,8 +130,8 @@ def _looks(state: Mapping[str, NDArray[Any]]) -> Looks:
     if _LOOKS not in state:
         return Looks()
     table, known = state[_LOOKS], state[_KNOWN]
-    if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 3 or not np.isfinite(table).all():
-        raise DamagedError("holds looks of the stop rule that are not rows of three finite numbers")
+    if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
+        raise DamagedError("holds looks of the stop rule that are not rows of four finite numbers")
     if known.dtype != np.int64 or known.shape != () or int(known) not in (0, 1):
         raise DamagedError("holds a stop rule that is neither met nor not met")
     return Looks(table, bool(known))

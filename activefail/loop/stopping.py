@@ -37,11 +37,12 @@ class Looks:
     """What a campaign with a stop rule for a probability knows of it.
 
     Attributes:
-        table: (k, 3) simulations, probability and posterior standard deviation at each look, since the last check.
+        table: (k, 4) simulations, probability, its posterior standard deviation, and the standard error of its
+            integration, at each look since the last check.
         is_known: whether the last batch was a check that contradicted nothing.
     """
 
-    table: Array = field(default_factory=lambda: np.empty((0, 3)))
+    table: Array = field(default_factory=lambda: np.empty((0, 4)))
     is_known: bool = False
 
     @property
@@ -51,8 +52,8 @@ class Looks:
 
     @property
     def sd(self) -> float:
-        """Standard deviation of the probability under the classifier's posterior at the last look."""
-        return float(self.table[-1, 2])
+        """Standard deviation of the probability at the last look, by the posterior and the integration."""
+        return float(np.hypot(*self.table[-1, 2:]))
 
     def is_narrow(self, cov: float) -> bool:
         """Whether the last look and one at least four simulations before it found a narrow posterior."""
@@ -87,8 +88,7 @@ def looked(
         # The looks of a classifier of outcomes are too sure of themselves to end a campaign.
         return Looks()
     rng = stream(campaign.settings.seed, "probability", iteration)
-    probability, sd = model_probability(latent, campaign.features, campaign.space, SIZE, rng)
-    row = np.array([[len(known), probability, sd]])
+    row = np.array([[len(known), *model_probability(latent, campaign.features, campaign.space, SIZE, rng)]])
     return replace(looks, table=np.concatenate([looks.table, row]))
 
 

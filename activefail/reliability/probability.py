@@ -1,5 +1,7 @@
 """The probability beyond a boundary under a latent, and how well the latent knows it."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import ndtr
 
@@ -12,10 +14,24 @@ _PATHS = 200
 """Joint paths of the latent that give the standard deviation of the probability."""
 
 
+class ModelProbability(NamedTuple):
+    """The probability beyond a boundary under a latent.
+
+    Attributes:
+        mean: under the latent's posterior.
+        sd: standard deviation under the posterior.
+        error: standard error of the integration.
+    """
+
+    mean: float
+    sd: float
+    error: float
+
+
 def model_probability(
     latent: MarginLatent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
-) -> tuple[float, float]:
-    """The probability beyond a boundary under a latent: its mean, and its standard deviation under the posterior.
+) -> ModelProbability:
+    """The probability beyond a boundary under a latent, integrated by a population.
 
     Args:
         latent: of the boundary.
@@ -25,8 +41,9 @@ def model_probability(
         rng: generator of the population and the paths.
     """
     drawn, F, standardised = doubtful_population(latent, features, space, n, rng)
-    mean = float(np.mean(drawn.weight * ndtr(standardised)))
-    return mean, posterior_sd(latent, F, standardised, drawn.weight, rng)
+    parts = drawn.weight * ndtr(standardised)
+    error = float(parts.std()) / np.sqrt(n)
+    return ModelProbability(float(parts.mean()), posterior_sd(latent, F, standardised, drawn.weight, rng), float(error))
 
 
 def posterior_sd(latent: MarginLatent, F: Array, standardised: Array, weight: Array, rng: np.random.Generator) -> float:

@@ -148,12 +148,14 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
 
 
 def test_two_narrow_looks_four_simulations_apart_are_needed() -> None:
-    rows = [[20, 1e-3, 4e-5], [22, 1e-3, 4e-5], [24, 1e-3, 4e-5]]
-    assert Looks(np.array(rows, dtype=float)).is_narrow(0.1)
-    assert not Looks(np.array(rows[:2], dtype=float)).is_narrow(0.1)
-    wide = [[20, 1e-3, 9e-5], *rows[1:]]
-    assert not Looks(np.array(wide, dtype=float)).is_narrow(0.1)
-    assert not Looks(np.array([*rows[:2], [24, 1e-3, 6e-5]], dtype=float)).is_narrow(0.1)
+    rows = [[20, 1e-3, 4e-5, 1e-4], [22, 1e-3, 4e-5, 1e-4], [24, 1e-3, 4e-5, 1e-4]]
+    assert Looks(np.array(rows)).is_narrow(0.1)
+    # What a user sees includes the error of the integration; the rule asks the posterior alone.
+    assert Looks(np.array(rows)).sd == pytest.approx(np.hypot(4e-5, 1e-4))
+    assert not Looks(np.array(rows[:2])).is_narrow(0.1)
+    wide = [[20, 1e-3, 9e-5, 1e-4], *rows[1:]]
+    assert not Looks(np.array(wide)).is_narrow(0.1)
+    assert not Looks(np.array([*rows[:2], [24, 1e-3, 6e-5, 1e-4]])).is_narrow(0.1)
 
 
 def test_without_margins_the_rule_never_ends_a_campaign() -> None:

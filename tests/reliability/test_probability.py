@@ -22,7 +22,8 @@ def trained(n: int) -> MarginLatent:
 
 def test_the_posterior_of_the_probability_is_that_of_paths_everywhere() -> None:
     latent, rng = trained(8), np.random.default_rng(1)
-    mean, sd = model_probability(latent, FEATURES, SPACE, 20_000, rng)
+    mean, sd, error = model_probability(latent, FEATURES, SPACE, 20_000, rng)
+    assert error < 0.1 * mean
     # Paths on a grid that covers the plane.
     axis = np.linspace(-5.0, 5.0, 41)
     grid = np.stack([one.ravel() for one in np.meshgrid(axis, axis)], axis=1)
