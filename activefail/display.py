@@ -95,7 +95,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     if progress.unseen and progress.done >= campaign.settings.sampling.initial:
         parts.append(f"searching for {' and '.join(progress.unseen)} (not seen yet)")
     if progress.looks is not None:
-        parts.append(probability_text(progress.looks))
+        parts.append(probability_text(progress.looks, bool(progress.unseen)))
     if progress.error is not None:
         parts.append(f"error {error_text(progress.error)}")
     if progress.accuracy is not None:
@@ -105,10 +105,12 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     return visible(" | ".join(parts))
 
 
-def probability_text(looks: "Looks") -> str:
-    """A probability under the classifier, with the interval of its posterior."""
+def probability_text(looks: "Looks", unseen: bool) -> str:
+    """A probability under the classifier, with the interval of its posterior once every outcome was seen."""
+    if unseen:
+        return f"probability {looks.probability:.2g} under the classifier, without an interval"
     low, high = lognormal_interval(looks.probability, looks.sd)
-    return f"probability {looks.probability:.3g} ({low:.2g} to {high:.2g} under the classifier)"
+    return f"probability {looks.probability:.3g} under the classifier, 95 % interval {low:.2g} to {high:.2g}"
 
 
 def error_text(error: "ErrorEstimate") -> str:

@@ -156,7 +156,7 @@ class Run:
         if self.settings.probability_rule is not None and not self.learns_from_margins:
             return (
                 "stop.probability: a boundary that is learned from outcomes alone never meets this rule; the campaign "
-                "ends at its budget. Let the simulator tell a margin (docs/probability.md)"
+                "ends at its budget. Let the simulator report a margin (docs/probability.md)"
             )
         rule = self.settings.error_rule
         if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
@@ -239,8 +239,8 @@ class Run:
         if (goal := self.settings.probability_rule) is not None:
             return (
                 f"met after {simulations} simulations: the classifier is sure of the probability of {goal.probability} "
-                f"and a check far from all other designs found nothing else. `activefail probability` tells it with "
-                "an interval"
+                f"and a check far from all other designs found nothing else. `activefail probability` estimates it "
+                "with an interval"
             )
         return ""
 
@@ -345,13 +345,17 @@ class Run:
             executor: as for `take`.
 
         Raises:
-            InputError: if the initial design is not finished, or the outcome has no boundary.
+            InputError: if a number is out of range, the initial design is not finished, or the outcome has no boundary.
         """
         from activefail.findings.probability import ProbabilityFindings
         from activefail.verification.probability import estimate_probability
 
         boundaries = self.campaign.simulator.outcomes[1:]
         outcome = self.boundary if outcome is None else outcome
+        if simulations < 2:
+            raise InputError(f"simulations: must be at least 2, got {simulations}.")
+        if not 0.0 < confidence < 1.0:
+            raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
         if outcome not in boundaries:
             raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
         self._check_initial_design("estimate")

@@ -19,7 +19,7 @@ for each problem,
                from 50
     ms         processor time of the loop for each simulation
 
-Each finished campaign is a line of --out; a repeated command goes on where it stopped.
+Each finished campaign is a line of --out; a repeated command continues where it stopped.
 """
 
 import argparse

@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 from commandline import activefail, refused
 from scipy.special import ndtr
+from scipy.stats import beta
+
+from activefail.findings.probability import rounded_up, upper_bound
 
 CAMPAIGN = """
 simulator = {{ python = "limit:{name}", margins = ["g"] }}
@@ -53,7 +56,7 @@ def test_the_command_tells_the_probability_with_its_interval_and_the_bound_witho
     assert result.code == 0, result.err
     assert "probability of failure: 0.00" in result.out
     assert "with 90 % confidence" in result.out
-    assert "bound      0.17 without a model, one-sided at 90 %, from the 12 simulations" in result.out
+    assert "bound      0.18 without a model, one-sided at 90 %, from the 12 simulations" in result.out
     assert "The interval assumes that no failure is hidden" in result.out
 
 
@@ -92,8 +95,29 @@ def test_where_no_failure_was_seen_the_estimate_says_so_and_the_bound_is_wide(tm
     assert "stop rule" not in result.out
     result = activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "10")
     assert result.code == 0, result.err
+    assert "interval   0 to 0.18, without a model; 0 to " in result.out
+    assert "bound      0.18 without a model" in result.out
+    found = json.loads(
+        activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "10", "--json").out
+    )["outcomes"]["failure"]
+    assert found["high"] == pytest.approx(1.0 - 0.1 ** (1.0 / 12.0))
+    assert found["high_under_classifier"] < 1e-6
     assert "No simulation ended in failure: the estimate is the classifier's extrapolation" in result.out
     assert "None of the campaign's 16 simulations ended in failure" in result.err
+
+
+def test_the_bound_is_that_of_clopper_and_pearson_and_never_rounded_down() -> None:
+    for hits, draws in ((0, 12), (1, 12), (6, 12), (2, 60)):
+        assert upper_bound(hits, draws, 0.9) == pytest.approx(beta.ppf(0.9, hits + 1, draws - hits))
+    assert upper_bound(12, 12, 0.9) == upper_bound(0, 0, 0.9) == 1.0
+    assert [rounded_up(share) for share in (0.1746, 0.17, 0.00123, 0.999, 0.0, 1.0)] == [
+        "0.18",
+        "0.17",
+        "0.0013",
+        "1",
+        "0",
+        "1",
+    ]
 
 
 def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.acquisition.population import Population, population
+from activefail.acquisition.population import Population, finite, population
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.margin import MarginLatent
@@ -62,8 +62,8 @@ def doubtful_population(
     latent: MarginLatent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
 ) -> tuple[Population, Array, Array]:
     """A population with many designs where the latent is in doubt, its features, (n, m), and mean/sd there, (n,)."""
-    drawn = population(space, n, lambda X: doubt(latent.moments(features(X)).standardised), rng)
-    F = features(drawn.X)
+    drawn = population(space, n, lambda X: doubt(latent.moments(finite(features, X)).standardised), rng)
+    F = finite(features, drawn.X)
     return drawn, F, latent.moments(F).standardised
 
 

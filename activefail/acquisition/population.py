@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from activefail.errors import InputError
+from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace, radius
 
 REACH = 1e-8
@@ -96,6 +98,25 @@ def _local_ratio(Z: Array, parents: Array) -> Array:
             total += np.exp(exponent, out=exponent).mean(axis=1)
         ratio[first : first + len(part)] = total / len(_CORRELATIONS)
     return ratio
+
+
+def finite(features: FeatureMap, X: Array) -> Array:
+    """Scaled features of designs of a population, (n, d) -> (n, m).
+
+    Raises:
+        InputError: naming the feature and the design, if a feature is not finite there. A population reaches farther
+            out than the sample that checks features when a campaign begins.
+    """
+    with np.errstate(all="ignore"):
+        F = features(X)
+    bad = ~np.isfinite(F)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"classifier.features: {features.names[column]} must be finite wherever designs may lie, got "
+            f"{F[row, column]} for {X[row].tolist()}. Bounds, or a larger sampling.reach, keep such designs out."
+        )
+    return F
 
 
 def population(space: DesignSpace, n: int, importance: Importance | None, rng: np.random.Generator) -> Population:

@@ -22,6 +22,7 @@ def probability(
     code: Code = None,
 ) -> None:
     """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
+    from activefail.findings.probability import rounded_up
     from activefail.findings.quantities import words
 
     with opened_run(folder, write=True, code=code) as opened:
@@ -37,7 +38,11 @@ def probability(
     learned = f"the margin {visible(findings.learned_from)}" if findings.learned_from else "the outcomes"
     failed = f", {estimate.unanswered} of them numerical failures" if estimate.unanswered else ""
     print(f"probability of {name}: {estimate.probability:.3g}")
-    print(f"interval   {estimate.low:.3g} to {estimate.high:.3g}, with {100 * confidence:g} % confidence")
+    interval = f"{estimate.low:.3g} to {estimate.high:.3g}"
+    if findings.is_extrapolated:
+        print(f"interval   0 to {rounded_up(findings.high)}, without a model; {interval} under the classifier")
+    else:
+        print(f"interval   {interval}, with {100 * confidence:g} % confidence")
     print(
         f"from       {findings.learned} simulations of the campaign, {findings.seen} of them {name}, and "
         f"{estimate.simulations} fresh ones{failed}, {estimate.beyond} of them {name}"
@@ -47,8 +52,8 @@ def probability(
         "simulations contradict it"
     )
     print(
-        f"bound      {findings.bound:.2g} without a model, one-sided at 90 %, from the {findings.drawn} simulations of "
-        "the initial design alone"
+        f"bound      {rounded_up(findings.bound)} without a model, one-sided at 90 %, from the {findings.drawn} "
+        "simulations of the initial design alone"
     )
     for sentence in findings.assumptions:
         print(f"note       {sentence}")

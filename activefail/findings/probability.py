@@ -1,5 +1,6 @@
 """What a campaign knows of the probability of an outcome, with what is assumed."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -17,7 +18,15 @@ BOUND_CONFIDENCE = 0.9
 
 def upper_bound(hits: int, draws: int, confidence: float) -> float:
     """One-sided upper bound on a probability from independent draws [ClopperPearson1934]; 1 without draws."""
-    return largest_unseen_share(draws, confidence, hits)
+    return largest_unseen_share(draws - hits, confidence, hits)
+
+
+def rounded_up(share: float) -> str:
+    """A bound with two significant digits, never rounded down."""
+    if not 0.0 < share < 1.0:
+        return f"{share:g}"
+    unit = 10.0 ** (math.floor(math.log10(share)) - 1)
+    return f"{min(1.0, math.ceil(share / unit - 1e-9) * unit):.2g}"
 
 
 @dataclass(frozen=True)
@@ -30,7 +39,7 @@ class ProbabilityFindings:
         learned_from: the margin that the boundary was learned from; empty if from the outcomes alone.
         learned: simulations of the campaign, without its fresh simulations.
         seen: how many of these ended beyond the boundary.
-        drawn: simulations of the initial design that gave an outcome, a sample of the design measure.
+        drawn: simulations of the initial design, a sample of the design measure.
         bound: upper bound on the probability from these alone, without a model, one-sided at 90 %.
         outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
     """
@@ -50,6 +59,8 @@ class ProbabilityFindings:
     ) -> Self:
         """The findings of a campaign with this estimate."""
         severity = campaign.simulator.outcomes.index(outcome)
+        # Failures before the first outcome came from a simulator that has been fixed since.
+        history = history[history.leading_failures :]
         known = history.training
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
@@ -63,17 +74,27 @@ class ProbabilityFindings:
             learned_from="" if choice == OUTCOMES else campaign.simulator.margins[choice],
             learned=len(history),
             seen=int(beyond.sum()),
-            drawn=initial,
+            drawn=initial + unanswered,
             bound=upper_bound(hits, initial + unanswered, BOUND_CONFIDENCE),
             outside=campaign.space.outside,
         )
+
+    @property
+    def is_extrapolated(self) -> bool:
+        """Whether no simulation ended beyond the boundary, so that the estimate rests on the classifier alone."""
+        return not self.seen and not self.estimate.beyond
+
+    @property
+    def high(self) -> float:
+        """Upper end of the interval; without any simulation beyond the boundary, the bound without a model."""
+        return max(self.estimate.high, self.bound) if self.is_extrapolated else self.estimate.high
 
     @property
     def assumptions(self) -> list[str]:
         """What the estimate assumes, and what contradicts it, as sentences."""
         estimate, name = self.estimate, words(self.outcome)
         sentences = []
-        if not self.seen and not estimate.beyond:
+        if self.is_extrapolated:
             sentences.append(
                 f"No simulation ended in {name}: the estimate is the classifier's extrapolation. Only the bound "
                 "without a model rests on simulations alone."
@@ -99,7 +120,8 @@ class ProbabilityFindings:
         return {
             "probability": estimate.probability,
             "low": estimate.low,
-            "high": estimate.high,
+            "high": self.high,
+            "high_under_classifier": estimate.high,
             "confidence": estimate.confidence,
             "simulations": estimate.simulations,
             "numerical_failures": estimate.unanswered,

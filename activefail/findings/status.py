@@ -52,16 +52,18 @@ class Status:
             if "stop/looks" in state:
                 _, probability, sd, error = state["stop/looks"][-1].tolist()
                 low, high = lognormal_interval(probability, math.hypot(sd, error))
+                seen = all(summary.counts[:-1])
+                interval = f"95 % interval {low:.2g} to {high:.2g}" if seen else "without an interval"
                 if int(state["stop/known"]):
                     lines.append(("stop rule", "met; `activefail resume` with --ignore-stop continues"))
                 lines.append(
                     (
                         "estimate",
-                        f"probability {probability:.3g} ({low:.2g} to {high:.2g} under the classifier); "
+                        f"probability {probability:.3g} under the classifier, {interval}; "
                         "`activefail probability` estimates it from fresh simulations",
                     )
                 )
-        except (OSError, LookupError, ValueError, TypeError, StoreError, DamagedError):
+        except (OSError, LookupError, ValueError, TypeError, StoreError, DamagedError, ArithmeticError):
             # No state yet, without choices, or not this record's: the next writer will make one.
             return []
         return lines

@@ -137,7 +137,16 @@ def _looks(state: Mapping[str, NDArray[Any]]) -> Looks:
     return Looks(table, bool(known))
 
 
-def _check_looks(state: Mapping[str, NDArray[Any]]) -> None:
+def _check_looks(campaign: Campaign, state: Mapping[str, NDArray[Any]]) -> None:
+    """Check the looks of a saved state.
+
+    Raises:
+        DamagedError: as `_looks` does.
+        KeyError: if the campaign would have saved looks and the state has none.
+    """
+    rule = campaign.settings.probability_rule
+    if rule is not None and f"{rule.probability}/unit" in state and _LOOKS not in state:
+        raise KeyError(_LOOKS)
     _looks(state)
 
 
@@ -153,7 +162,7 @@ def current(campaign: Campaign, store: Store, write: bool) -> Learned:
     """
     history = History.of(store.batches)
     last = history.last_iteration
-    saved = restore(campaign, store, last, lambda _, state: _check_looks(state))
+    saved = restore(campaign, store, last, lambda _, state: _check_looks(campaign, state))
     iteration, learned = (-1, None) if saved is None else (saved[0], Learned(saved[2], _looks(saved[1])))
     for later in range(iteration + 1, last + 1):
         learned = Learned.after(campaign, history, later, learned)

@@ -2,7 +2,7 @@
 
 A surrogate cannot know what it has not seen, so its own certainty ends no campaign. After its posterior of the
 probability is narrow at two looks, designs far from all others are simulated, where a failure could still hide and
-matter. If one of them contradicts the surrogate, the campaign goes on.
+matter. If one of them contradicts the surrogate, the campaign continues.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,6 +31,9 @@ _SURE = 0.5
 _FARTHEST = 4.0
 """Largest deviation of a check's margin from its prediction, in standard deviations."""
 
+_ANSWERED = 0.75
+"""Least share of a check's designs that must give an outcome."""
+
 
 @dataclass(frozen=True)
 class Looks:
@@ -57,7 +60,7 @@ class Looks:
 
     def is_narrow(self, cov: float) -> bool:
         """Whether the last look and one at least four simulations before it found a narrow posterior."""
-        narrow = self.table[:, 2] <= _SURE * cov * self.table[:, 1]
+        narrow = (self.table[:, 2] <= _SURE * cov * self.table[:, 1]) & (self.table[:, 1] > 0.0)
         before = np.flatnonzero(self.table[:, 0] <= self.table[-1, 0] - _BETWEEN)
         return bool(narrow[-1] and len(before) and narrow[before[-1]])
 
@@ -77,10 +80,13 @@ def looked(
     """
     batch = known[known.iteration == iteration]
     checked = before is not None and bool((batch.origin == CHECK).all()) and iteration > 0
+    looks = replace(looks, is_known=False)
     if checked:
         assert before is not None
         contradicted = contradictions(campaign, before, batch).any()
-        looks = Looks(is_known=not contradicted)
+        # The budget may have cut the check short.
+        is_whole = batch.answered.sum() >= _ANSWERED * _designs_of_check(campaign)
+        looks = Looks(is_known=bool(is_whole and not contradicted))
     rule = campaign.settings.probability_rule
     assert rule is not None
     latent = classifier.latent(rule.probability)
@@ -104,9 +110,8 @@ def contradictions(campaign: Campaign, classifier: Classifier, batch: History) -
     moments = latent.moments(campaign.features(batch.designs))
     beyond = batch.outcome >= severity
     wrong = (moments.mean > 0.0) != beyond
-    choice = classifier.choices[severity - 1]
     if isinstance(latent, MarginLatent):
-        margin = batch.margins[:, choice.margin]
+        margin = batch.margins[:, classifier.choices[severity - 1].margin]
         exact = np.isfinite(margin) & ~(latent.trained.truncated & (margin <= 0.0))
         warped = latent.trained.warped(np.where(exact, margin, 0.0))
         wrong |= exact & (np.abs(-warped - moments.mean) > _FARTHEST * moments.sd)
@@ -122,8 +127,12 @@ def needs_check(campaign: Campaign, history: History, looks: Looks) -> bool:
     return bool((history.outcome >= severity).any()) and looks.is_narrow(rule.cov)
 
 
+def _designs_of_check(campaign: Campaign) -> int:
+    return 4 + 2 * campaign.space.dimension
+
+
 def check_designs(campaign: Campaign, history: History, looks: Looks, iteration: int) -> Array:
     """The designs of a check, (4 + 2 d, d)."""
     rng = stream(campaign.settings.seed, "propose", iteration)
-    count = 4 + 2 * campaign.space.dimension
+    count = _designs_of_check(campaign)
     return hidden_places(campaign.space, history.designs, looks.probability, count, rng)

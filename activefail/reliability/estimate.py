@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from scipy.stats import t
 
 from activefail.acquisition.by_margin import doubt
-from activefail.acquisition.population import population
+from activefail.acquisition.population import finite, population
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Latent
@@ -49,7 +49,7 @@ class Plan:
         predicted: (m,) bool, whether the classifier puts each design beyond the boundary.
         standardised: (m,) the latent's mean/sd.
         probability: the classifier's own.
-        standard_error: of its integration.
+        standard_error: of its integration, and of the population from which the designs were drawn.
         floor: variance of one correction by the classifier's own doubt.
     """
 
@@ -96,13 +96,13 @@ def integrated(
     """The share of the design measure that a classifier puts beyond a boundary, and its standard error."""
 
     def importance(X: Array) -> Array:
-        standardised = _standardised(latent, features(X))
+        standardised = _standardised(latent, finite(features, X))
         return np.asarray(ndtr(standardised) + doubt(standardised))
 
     means, variances = [], []
     for _ in range(_ROUNDS):
         drawn = population(space, _INTEGRATION, importance, rng)
-        parts = drawn.weight * (_standardised(latent, features(drawn.X)) > 0.0)
+        parts = drawn.weight * (_standardised(latent, finite(features, drawn.X)) > 0.0)
         means.append(float(parts.mean()))
         variances.append(float(parts.var()) / len(parts))
         mean, error = float(np.mean(means)), float(np.sqrt(np.sum(variances)) / len(means))
@@ -122,13 +122,16 @@ def plan_estimate(
     """Plan m fresh simulations that correct a classifier's failure probability."""
     probability, error = integrated(latent, features, space, rng)
     drawn = population(space, _RADIAL, None, rng)
-    standardised = _standardised(latent, features(drawn.X))
+    standardised = _standardised(latent, finite(features, drawn.X))
     side = ndtr(standardised / _WIDER)
     parts = drawn.weight * doubt(standardised / _WIDER)
     shares = np.full(len(parts), 1.0 / len(parts))
     if parts.sum() > 0.0:
         shares = (1.0 - _UNIFORM) * parts / parts.sum() + _UNIFORM * shares
     ratio = drawn.weight / (len(parts) * shares)
+    in_doubt = np.minimum(side, 1.0 - side)
+    # The simulations are drawn from a population, which itself is a sample.
+    of_population = float(np.mean(drawn.weight**2 * in_doubt)) / len(parts)
     rows = rng.choice(len(parts), m, p=shares / shares.sum())
     return Plan(
         designs=drawn.X[rows],
@@ -136,8 +139,8 @@ def plan_estimate(
         predicted=standardised[rows] > 0.0,
         standardised=standardised[rows],
         probability=probability,
-        standard_error=error,
-        floor=float(np.sum(shares * ratio**2 * np.minimum(side, 1.0 - side))),
+        standard_error=float(np.hypot(error, np.sqrt(of_population))),
+        floor=float(np.sum(shares * ratio**2 * in_doubt)),
     )
 
 
@@ -157,11 +160,11 @@ def estimated(
     _, _, high = _interval(plan, beyond | ~answered, confidence)
     wrong = answered & (beyond != plan.predicted)
     return ProbabilityEstimate(
-        probability=max(0.0, middle),
-        low=max(0.0, low),
-        high=min(1.0, high),
+        probability=min(1.0, max(0.0, middle)),
+        low=min(1.0, max(0.0, low)),
+        high=min(1.0, max(0.0, high)),
         confidence=confidence,
-        model=plan.probability,
+        model=min(1.0, plan.probability),
         simulations=len(beyond),
         unanswered=int((~answered).sum()),
         beyond=int((beyond & answered).sum()),

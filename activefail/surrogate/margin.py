@@ -50,6 +50,9 @@ _ALWAYS, _GROWTH = 100, 0.05
 
 _ROWS_AT_ONCE = 4096
 """Most points per call of a prediction, which limits its memory."""
+_MOST = 1e3
+"""Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space."""
+
 _FARTHEST = 30.0
 """Largest mean of a censored point's cavity in its standard deviations."""
 
@@ -408,6 +411,7 @@ class MarginLatent:
 
     def moments(self, F: Array) -> MarginMoments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
+        F = np.clip(F, -_MOST, _MOST)
         rows = range(0, max(1, len(F)), _ROWS_AT_ONCE)
         parts = [self._moments(F[first : first + _ROWS_AT_ONCE]) for first in rows]
         mean, sd = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -422,6 +426,7 @@ class MarginLatent:
 
     def joint(self, F: Array) -> tuple[Array, Array]:
         """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
+        F = np.clip(F, -_MOST, _MOST)
         mean, covariance = self.trained.joint(F)
         if self.pending is not None:
             explained = self._explained(F)

@@ -191,9 +191,13 @@ def _latent(
 
 
 def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margin: Array) -> MarginLatent:
-    values, _ = defined(margin)
-    number, count, reals = ("<f8", ()), ("<i8", ()), "<f8"
-    truncated = int(state[f"{name}/truncated"])
+    values, must_be_truncated = defined(margin)
+    number, reals = ("<f8", ()), "<f8"
+    for key in ("truncated", "warping", "learned_on"):
+        array = state[f"{name}/{key}"]
+        if array.dtype != np.int64 or array.shape != ():
+            raise DamagedError(f"holds a {key} that is not a whole number")
+    truncated, warping, learned_on = (int(state[f"{name}/{key}"]) for key in ("truncated", "warping", "learned_on"))
     censored = (int((values <= 0.0).sum()) if truncated else 0,)
     expected = {
         "mean": number,
@@ -202,13 +206,10 @@ def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margi
         "site_linear": (reals, censored),
         "site_precision": (reals, censored),
         "unit": number,
-        "warping": count,
-        "truncated": count,
-        "learned_on": count,
     }
     _check_arrays(state, name, expected)
-    warping = int(state[f"{name}/warping"])
-    if truncated not in (0, 1) or not 0 <= warping < len(WARPINGS) or not state[f"{name}/unit"] > 0.0:
+    possible = truncated in (0, 1) and 0 <= warping < len(WARPINGS) and 1 <= learned_on <= len(F)
+    if not possible or (must_be_truncated and not truncated) or not state[f"{name}/unit"] > 0.0:
         raise DamagedError("holds a regression of a margin that training cannot produce")
     return MarginLatent(
         MarginFit(
@@ -220,7 +221,7 @@ def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margi
             hyperparameters=_hyperparameters(state, name),
             sites=MarginSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"]),
             log_likelihood=math.nan,
-            learned_on=int(state[f"{name}/learned_on"]),
+            learned_on=learned_on,
         )
     )
 

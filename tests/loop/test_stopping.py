@@ -12,7 +12,7 @@ from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.history import History
-from activefail.loop.learning import current
+from activefail.loop.learning import Learned, current
 from activefail.loop.progress import Observer
 from activefail.loop.stopping import Looks, contradictions
 from activefail.record.batch import ACTIVE, CHECK, INITIAL
@@ -29,7 +29,7 @@ class FourBranch:
 
     Attributes:
         lowest: lowest margin that it tells.
-        seen: designs of a disc around this place fail too, though the margin elsewhere does not tell.
+        hidden: the middle of a disc whose designs fail too.
     """
 
     lowest: float = -np.inf
@@ -145,6 +145,47 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
     expected = four_branch(where)
     right = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=expected[:, None])
     assert contradictions(hidden, known.classifier, right).tolist() == [False]
+
+
+def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended) -> None:
+    campaign, store = ended
+    n = len(store.batches)
+    whole = History.of(store.batches)
+    last = whole.last_iteration
+    before = History.of(store.batches[: n - 1])
+    partial = MemoryStore(campaign.schema)
+    for batch in store.batches[: n - 1]:
+        partial.commit(batch)
+    earlier = current(campaign, partial, write=False)
+    for rows, failed, known in ((8, 0, True), (8, 2, True), (8, 3, False), (3, 0, False)):
+        outcome = store.batches[-1].results.outcome.copy()
+        outcome[:failed] = -1
+        batch = store.batches[-1]
+        checked = History(
+            batch.designs[:rows],
+            outcome[:rows],
+            np.full(rows, last),
+            batch.origin[:rows],
+            batch.results.margins[:rows],
+        )
+        history = History(
+            *(
+                np.concatenate([getattr(one, name) for one in (before, checked)])
+                for name in ("designs", "outcome", "iteration", "origin", "margins")
+            )
+        )
+        learned = Learned.after(campaign, history, last, earlier)
+        assert learned.looks.is_known is known
+
+
+def test_the_rule_is_met_only_as_long_as_nothing_is_simulated_after_the_check(ended) -> None:
+    campaign, store = ended
+    more = MemoryStore(campaign.schema)
+    for batch in store.batches:
+        more.commit(batch)
+    with ThreadExecutor(1) as executor:
+        run(campaign, more, executor, len(History.of(store.batches)) + 1, use_stop_rule=False)
+    assert not current(campaign, more, write=False).looks.is_known
 
 
 def test_two_narrow_looks_four_simulations_apart_are_needed() -> None:

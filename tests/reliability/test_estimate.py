@@ -70,6 +70,14 @@ def test_numerical_failures_widen_the_interval_to_both_outcomes_that_they_may_ha
     assert partial.beyond == full.beyond - 2
 
 
+def test_near_one_nothing_exceeds_one() -> None:
+    latent = trained(lambda X: X[:, 0] - 4.0, 20, 2)
+    plan = plan_estimate(latent, FEATURES, SPACE, 20, np.random.default_rng(3))
+    estimate = estimated(plan, plan.designs[:, 0] <= 4.0, np.ones(20, dtype=bool), 0.9)
+    assert 0.9 < estimate.low <= estimate.probability <= estimate.high <= 1.0
+    assert estimate.model <= 1.0
+
+
 def test_a_contradiction_where_the_classifier_was_sure_is_counted() -> None:
     plan = Plan(
         designs=np.zeros((3, 2)),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rare import four_branch
 
-from activefail.surrogate.choice import OUTCOMES, Choice, choose, is_due, usable
+from activefail.surrogate.choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
 
 RNG = np.random.default_rng(0)
 X = 2.0 * RNG.standard_normal((60, 2))
@@ -53,7 +53,8 @@ def test_a_margin_that_cannot_tell_the_side_is_not_used_and_the_reason_is_given(
 def test_a_margin_may_be_undefined_at_failure_and_is_then_taken_as_truncated() -> None:
     margin = np.where(BEYOND, np.nan, G)
     assert usable(margin, BEYOND) == ""
-    assert choose(X, BEYOND, margin[:, None], (0,), "rbf").margin in (0, OUTCOMES)
+    assert choose(X, BEYOND, margin[:, None], (0,), "rbf").margin == 0
+    assert fit_defined(X, margin).truncated
 
 
 def test_the_models_are_compared_again_when_much_is_new_or_a_side_is_first_seen() -> None:
