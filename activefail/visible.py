@@ -28,6 +28,11 @@ def visible(text: str, keep: str = "") -> str:
     )
 
 
+def words(name: str) -> str:
+    """An outcome's or cause's name as words."""
+    return name.replace("_", " ")
+
+
 def _escape(character: str) -> str:
     code = ord(character)
     short = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}.get(character)

@@ -88,6 +88,6 @@ def show_unseen(summary: "Summary") -> None:
 
 
 def show_warnings(warnings: Iterable[str]) -> None:
-    """Print warnings to the error stream; an empty one is none."""
+    """Print warnings to the error stream; skip empty texts."""
     for warning in filter(None, warnings):
         print(f"warning: {visible(warning)}", file=sys.stderr)

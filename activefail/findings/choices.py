@@ -3,17 +3,12 @@
 import math
 from typing import TYPE_CHECKING
 
-from activefail.visible import visible
+from activefail.visible import visible, words
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
     from activefail.loop.history import History
     from activefail.surrogate.classifier import Classifier
-
-
-def words(name: str) -> str:
-    """An outcome's name as words."""
-    return visible(name.replace("_", " "))
 
 
 def sentence(outcome: str, margin: str, margin_score: float, outcome_score: float) -> str:
@@ -32,13 +27,13 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
         "outcomes)"
     )
     source = f"the margin {visible(margin)}" if margin else "the outcomes"
-    return f"{words(outcome)} from {source}{evidence if compared else ''}"
+    return f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
 
 
 def choices_in_words(campaign: "Campaign", history: "History", classifier: "Classifier") -> list[str]:
     """A sentence for each boundary that is learned from a margin, or not although there is one.
 
-    A simulator with several margins, of which none tells the side of a boundary, needs no sentence.
+    A boundary has no sentence if the simulator has several margins and none of them gives its side.
     """
     from activefail.surrogate.choice import OUTCOMES, usable
 
@@ -53,7 +48,7 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
         if not text and candidate:
             reason = usable(known.margins[:, names.index(candidate)], known.outcome >= severity)
             if reason:
-                text = f"{words(outcome)} from the outcomes; the margin {candidate} is not used: {reason}"
+                text = f"{visible(words(outcome))} from the outcomes; the margin {candidate} is not used: {reason}"
         if text:
             sentences.append(text)
     return sentences

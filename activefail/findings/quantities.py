@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from activefail.campaign.assembly import Campaign
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import visible
+from activefail.visible import words as words
 
 
 @dataclass(frozen=True)
@@ -142,11 +143,6 @@ def features(campaign: Campaign) -> list[Quantity]:
     by_name = {variable.name: variable for variable in variables(campaign)}
     describe = quantity if isinstance(campaign.settings.classifier.features, str) else custom_quantity
     return [by_name.get(name) or describe(name) for name in campaign.features.names]
-
-
-def words(name: str) -> str:
-    """An outcome's or cause's name as words."""
-    return name.replace("_", " ")
 
 
 def significant(value: float, digits: int = 3) -> str:

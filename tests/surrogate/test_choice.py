@@ -21,7 +21,7 @@ def test_a_margin_that_tells_how_far_the_boundary_is_wins() -> None:
 
 
 def test_a_margin_that_tells_nothing_but_its_sign_loses() -> None:
-    # The right sign, with a random size: regression expects what is not there.
+    # The sign is right and the size is random. A regression expects a trend that is not there.
     noise = np.exp(3.0 * RNG.standard_normal(60))
     choice = choose(X, BEYOND, (np.where(BEYOND, -1.0, 1.0) * noise)[:, None], (0,), "rbf")
     assert choice.margin == OUTCOMES
