@@ -4,15 +4,19 @@
     python benchmarks/reliability.py --problems RP22 --seeds 3        a quick look
     python benchmarks/reliability.py --batch 10 --out batch.jsonl     ten simulations at a time
     python benchmarks/reliability.py --truncated                      simulations that end at failure
+    python benchmarks/reliability.py --labels --budget 100            outcomes alone
     python benchmarks/reliability.py --references 100000000           the probabilities by plain Monte Carlo
 
-Each campaign has the defaults of `stop = { probability = "failure" }` and a budget of 200 simulations. The table gives,
-for each problem,
+Each campaign has the defaults of `stop = { probability = "failure" }` and a budget of 200 simulations. A static Latin
+hypercube of the same size is learned from in the same way. The table gives, for each problem,
 
     calls      simulations to the stop: median and range over the seeds
     P/P_ref    the classifier's probability at the stop over the true one: median and range
     wrong      seeds in which it is more than 20 % off
     no stop    seeds that reached the budget
+    missed     share of the failure probability that the classifier misses at the stop: median, and largest
+    static     the same with the static hypercube: median
+    better     seeds in which the classifier puts less probability on the wrong side than the static one
     coverage   share of 90 % intervals that contain the true probability, from 25 and from 50 fresh simulations, over
                all seeds and --repeats estimates each, and the median root mean square error of the estimates
     variance   the variance of plain Monte Carlo with as many simulations, learning included, over that of the estimates
@@ -25,7 +29,7 @@ Each finished campaign is a line of --out; a repeated command continues where it
 import argparse
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -33,21 +37,25 @@ from pathlib import Path
 import numpy as np
 from reliability_problems import PROBLEMS
 
+from activefail.acquisition.population import population
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.history import History
-from activefail.loop.learning import current
+from activefail.loop.learning import current, learn_from
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import estimated, integrated, plan_estimate
+from activefail.reliability.estimate import estimated, integrated, plan_estimate, standardised_latent
 from activefail.surrogate.threads import one_thread
 
 FRESH = (25, 50)
 
 
-def campaign_on(name, seed, batch, budget, truncated):
-    problem = replace(PROBLEMS[name], truncated=truncated)
+WEIGHED = 100_000
+"""Designs that weigh what a classifier puts on the wrong side."""
+
+
+def campaign_on(problem, seed, batch, budget):
     settings = CampaignSettings().changed(
         {
             "seed": seed,
@@ -62,19 +70,36 @@ def campaign_on(name, seed, batch, budget, truncated):
     return Campaign.of(settings, simulator=problem)
 
 
-def score(name, seed, batch, budget, truncated, repeats):
-    campaign = campaign_on(name, seed, batch, budget, truncated)
-    problem, store = PROBLEMS[name], MemoryStore(campaign.schema)
+def wrong_shares(problem, space, standardised, rng):
+    """Probability that a classifier misses, and that it wrongly counts as failure, in units of the true probability."""
+    drawn = population(space, WEIGHED, lambda X: (problem.limit(X) <= 0.0).astype(float), rng)
+    fails, predicted = problem.limit(drawn.X) <= 0.0, standardised(drawn.X) > 0.0
+    total = drawn.weight[fails].sum()
+    return float(drawn.weight[fails & ~predicted].sum() / total), float(drawn.weight[~fails & predicted].sum() / total)
+
+
+def static_classifier(campaign, problem, n, seed):
+    """The latent of a Latin hypercube of n designs; None if none of them failed and there is no margin."""
+    X = campaign.space.latin_hypercube(n, np.random.default_rng([seed, 2]))
+    history = History.of_sample(X, problem.run(X))
+    return learn_from(campaign, history).latent("failure")
+
+
+def score(name, seed, terms, repeats):
+    problem = replace(PROBLEMS[name], truncated=terms["truncated"], labels=terms["labels"])
+    campaign = campaign_on(problem, seed, terms["batch"], terms["budget"])
+    store = MemoryStore(campaign.schema)
     began = time.process_time()
     with ThreadExecutor(1) as executor:
-        run(campaign, store, executor, budget)
+        run(campaign, store, executor, terms["budget"])
     seconds = time.process_time() - began
     learned, history = current(campaign, store, write=False), History.of(store.batches)
-    latent = learned.classifier.latent("failure")
+    standardised = standardised_latent(learned.classifier.latent("failure"), campaign.features)
     rng = np.random.default_rng([seed, 1])
     row = {
         "problem": name,
         "seed": seed,
+        **terms,
         "calls": len(history),
         "stopped": bool(len(learned.looks.table)) and learned.looks.is_known,
         "failures": int((history.outcome == 1).sum()),
@@ -82,11 +107,15 @@ def score(name, seed, batch, budget, truncated, repeats):
         "ms": 1e3 * seconds / max(1, len(history) - campaign.settings.sampling.initial),
     }
     with one_thread():
-        row["probability"], _ = integrated(latent, campaign.features, campaign.space, rng)
+        static = standardised_latent(static_classifier(campaign, problem, len(history), seed), campaign.features)
+        row["missed"], row["false"] = wrong_shares(problem, campaign.space, standardised, rng)
+        row["static missed"], row["static false"] = wrong_shares(problem, campaign.space, static, rng)
+        integral = integrated(standardised, campaign.space, rng)
+        row["probability"] = integral.probability
         for m in FRESH:
             estimates = []
             for _ in range(repeats):
-                plan = plan_estimate(latent, campaign.features, campaign.space, m, rng)
+                plan = plan_estimate(standardised, campaign.space, integral, m, rng)
                 beyond = problem.limit(plan.designs) <= 0.0
                 estimate = estimated(plan, beyond, np.ones(m, dtype=bool), 0.9)
                 estimates.append((estimate.probability, estimate.low, estimate.high))
@@ -94,35 +123,51 @@ def score(name, seed, batch, budget, truncated, repeats):
     return row
 
 
+def cells(problem, rows):
+    """The table's cells of one problem, by title."""
+    true = problem.probability
+    column = {key: np.array([row[key] for row in rows]) for key in rows[0] if key != "problem"}
+    n, ratio = column["calls"], column["probability"] / true
+    missed, static = column["missed"], column["static missed"]
+    better = missed + column["false"] <= static + column["static false"]
+    covered, errors = {}, {}
+    for m in FRESH:
+        middle, low, high = np.moveaxis(column[f"estimates {m}"], -1, 0)
+        covered[m] = np.mean((low <= true) & (true <= high))
+        errors[m] = np.sqrt(np.median(np.mean((middle / true - 1.0) ** 2, axis=1)))
+    plain = (1.0 - true) / (true * (np.median(n) + 50))
+    return {
+        "P": f"{true:.2g}",
+        "calls": f"{np.median(n):.0f} ({n.min()}-{n.max()})",
+        "P/P_ref": f"{np.median(ratio):.2f} ({ratio.min():.2f}-{ratio.max():.2f})",
+        "wrong": f"{is_wrong(ratio).sum()}/{len(rows)}",
+        "no stop": f"{(~column['stopped']).sum()}",
+        "missed": f"{np.median(missed):.3f} ({missed.max():.3f})",
+        "static": f"{np.median(static):.3f}",
+        "better": f"{better.sum()}/{len(rows)}",
+        "coverage 25": f"{covered[25]:.3f}",
+        "50": f"{covered[50]:.3f}",
+        "rmse 25": f"{errors[25]:.3f}",
+        "rmse 50": f"{errors[50]:.3f}",
+        "variance": f"{plain / errors[50] ** 2:.0f}",
+        "ms": f"{np.median(column['ms']):.0f}",
+    }
+
+
+def is_wrong(ratio):
+    return np.abs(ratio - 1.0) > 0.2
+
+
 def table(rows):
-    print(
-        f"{'problem':14} {'P':>8} {'calls':>15} {'P/P_ref':>18} {'wrong':>7} {'no stop':>7} "
-        f"{'coverage 25':>12} {'50':>5} {'rmse 25':>8} {'50':>5} {'variance':>9} {'ms':>5}"
-    )
-    calls, wrong = [], 0
-    for name, problem in PROBLEMS.items():
-        own = [row for row in rows if row["problem"] == name]
-        if not own:
-            continue
-        true = problem.probability
-        n, ratio = np.array([row["calls"] for row in own]), np.array([row["probability"] / true for row in own])
-        covered, errors = {}, {}
-        for m in FRESH:
-            all_estimates = np.array([row[f"estimates {m}"] for row in own])
-            covered[m] = np.mean((all_estimates[..., 1] <= true) & (true <= all_estimates[..., 2]))
-            errors[m] = np.sqrt(np.median(np.mean((all_estimates[..., 0] / true - 1.0) ** 2, axis=1)))
-        plain = (1.0 - true) / (true * (np.median(n) + 50))
-        calls.extend(n)
-        wrong += int((np.abs(ratio - 1.0) > 0.2).sum())
-        print(
-            f"{name:14} {true:8.2g} {np.median(n):5.0f} ({n.min():3d}-{n.max():3d}) "
-            f"{np.median(ratio):5.2f} ({ratio.min():4.2f}-{ratio.max():4.2f}) "
-            f"{(np.abs(ratio - 1.0) > 0.2).sum():3d}/{len(own):<3d} {sum(not row['stopped'] for row in own):7d} "
-            f"{covered[25]:12.3f} {covered[50]:5.3f} {errors[25]:8.3f} {errors[50]:5.3f} "
-            f"{plain / errors[50] ** 2:9.0f} "
-            f"{np.median([row['ms'] for row in own]):5.0f}"
-        )
-    print(f"all: median {np.median(calls):.0f} calls, {wrong} of {len(rows)} wrong by more than 20 %")
+    by_problem = {name: [row for row in rows if row["problem"] == name] for name in PROBLEMS}
+    lines = {name: cells(PROBLEMS[name], own) for name, own in by_problem.items() if own}
+    titles = list(next(iter(lines.values())))
+    widths = [max(len(title), *(len(line[title]) for line in lines.values())) for title in titles]
+    for name, line in {"problem": dict(zip(titles, titles, strict=True)), **lines}.items():
+        print(f"{name:14} " + "  ".join(f"{line[title]:>{width}}" for title, width in zip(titles, widths, strict=True)))
+    ratios = np.array([row["probability"] / PROBLEMS[row["problem"]].probability for row in rows])
+    calls = np.median([row["calls"] for row in rows])
+    print(f"all: median {calls:.0f} calls, {is_wrong(ratios).sum()} of {len(rows)} wrong by more than 20 %")
 
 
 def references(designs):
@@ -144,6 +189,7 @@ def main():
     parser.add_argument("--batch", type=int, default=1)
     parser.add_argument("--budget", type=int, default=200)
     parser.add_argument("--truncated", action="store_true")
+    parser.add_argument("--labels", action="store_true")
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--out", type=Path)
@@ -152,25 +198,18 @@ def main():
     if options.references:
         references(options.references)
         return
-    rows = (
-        [json.loads(line) for line in options.out.read_text().splitlines()]
-        if options.out and options.out.exists()
-        else []
-    )
+    terms = {key: getattr(options, key) for key in ("batch", "budget", "truncated", "labels")}
+    names = options.problems.split(",")
+    lines = options.out.read_text().splitlines() if options.out and options.out.exists() else []
+    rows = [row for row in map(json.loads, lines) if row["problem"] in names and terms.items() <= row.items()]
     known = {(row["problem"], row["seed"]) for row in rows}
-    open_tasks = [
-        (name, seed)
-        for seed in range(options.seeds)
-        for name in options.problems.split(",")
-        if (name, seed) not in known
-    ]
-    terms = options.batch, options.budget, options.truncated, options.repeats
+    tasks = [(name, seed) for seed in range(options.seeds) for name in names if (name, seed) not in known]
     with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:
-        for row in pool.map(score, *zip(*((*task, *terms) for task in open_tasks), strict=True)) if open_tasks else ():
-            rows.append(row)
+        for future in as_completed([pool.submit(score, *task, terms, options.repeats) for task in tasks]):
+            rows.append(future.result())
             if options.out:
                 with options.out.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
+                    file.write(json.dumps(rows[-1]) + "\n")
     table(rows)
 
 

@@ -8,7 +8,9 @@ from the classifier's own doubt: few or no observed mistakes do not mean that th
 check comes before.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +39,18 @@ _PRIOR_WEIGHT = 12.0
 _INTEGRATION, _ROUNDS, _ACCURACY = 50_000, 20, 0.01
 """Designs of a population that integrates the classifier's probability, most populations, and relative standard error
 that ends the integration."""
+
+
+class Integral(NamedTuple):
+    """The share of the design measure that a classifier puts beyond a boundary.
+
+    Attributes:
+        probability: the share.
+        standard_error: of its integration.
+    """
+
+    probability: float
+    standard_error: float
 
 
 @dataclass(frozen=True)
@@ -90,41 +104,47 @@ class ProbabilityEstimate:
     surprising: int
 
 
-def integrated(
-    latent: Latent | MarginLatent, features: FeatureMap, space: DesignSpace, rng: np.random.Generator
-) -> tuple[float, float]:
-    """The share of the design measure that a classifier puts beyond a boundary, and its standard error."""
+Standardised = Callable[[Array], Array]
+"""Designs, (n, d) -> mean/sd of a boundary's latent, (n,); positive beyond the boundary."""
+
+
+def standardised_latent(latent: Latent | MarginLatent, features: FeatureMap) -> Standardised:
+    """A latent as a function of designs."""
+
+    def standardised(X: Array) -> Array:
+        moments = latent.moments(finite(features, X))
+        return np.asarray(moments.mean / moments.sd)
+
+    return standardised
+
+
+def integrated(standardised: Standardised, space: DesignSpace, rng: np.random.Generator) -> Integral:
+    """The share of the design measure that a classifier puts beyond a boundary, by weighted populations."""
 
     def importance(X: Array) -> Array:
-        standardised = _standardised(latent, finite(features, X))
-        return np.asarray(ndtr(standardised) + doubt(standardised))
+        z = standardised(X)
+        return np.asarray(ndtr(z) + doubt(z))
 
     means, variances = [], []
     for _ in range(_ROUNDS):
         drawn = population(space, _INTEGRATION, importance, rng)
-        parts = drawn.weight * (_standardised(latent, finite(features, drawn.X)) > 0.0)
+        parts = drawn.weight * (standardised(drawn.X) > 0.0)
         means.append(float(parts.mean()))
         variances.append(float(parts.var()) / len(parts))
         mean, error = float(np.mean(means)), float(np.sqrt(np.sum(variances)) / len(means))
         if error <= _ACCURACY * mean:
             break
-    return mean, error
-
-
-def _standardised(latent: Latent | MarginLatent, F: Array) -> Array:
-    moments = latent.moments(F)
-    return np.asarray(moments.mean / moments.sd)
+    return Integral(mean, error)
 
 
 def plan_estimate(
-    latent: Latent | MarginLatent, features: FeatureMap, space: DesignSpace, m: int, rng: np.random.Generator
+    standardised: Standardised, space: DesignSpace, integral: Integral, m: int, rng: np.random.Generator
 ) -> Plan:
-    """Plan m fresh simulations that correct a classifier's failure probability."""
-    probability, error = integrated(latent, features, space, rng)
+    """Plan m fresh simulations that correct a classifier's failure probability, `integral`."""
     drawn = population(space, _RADIAL, None, rng)
-    standardised = _standardised(latent, finite(features, drawn.X))
-    side = ndtr(standardised / _WIDER)
-    parts = drawn.weight * doubt(standardised / _WIDER)
+    z = standardised(drawn.X)
+    side = ndtr(z / _WIDER)
+    parts = drawn.weight * doubt(z / _WIDER)
     shares = np.full(len(parts), 1.0 / len(parts))
     if parts.sum() > 0.0:
         shares = (1.0 - _UNIFORM) * parts / parts.sum() + _UNIFORM * shares
@@ -136,10 +156,10 @@ def plan_estimate(
     return Plan(
         designs=drawn.X[rows],
         ratio=ratio[rows],
-        predicted=standardised[rows] > 0.0,
-        standardised=standardised[rows],
-        probability=probability,
-        standard_error=float(np.hypot(error, np.sqrt(of_population))),
+        predicted=z[rows] > 0.0,
+        standardised=z[rows],
+        probability=integral.probability,
+        standard_error=float(np.hypot(integral.standard_error, np.sqrt(of_population))),
         floor=float(np.sum(shares * ratio**2 * in_doubt)),
     )
 

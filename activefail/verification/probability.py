@@ -6,7 +6,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
-from activefail.reliability.estimate import ProbabilityEstimate, estimated, plan_estimate
+from activefail.reliability.estimate import ProbabilityEstimate, estimated, integrated, plan_estimate, standardised_latent
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.stored_sets import name_of_estimate, simulated_outcomes
@@ -39,7 +39,9 @@ def estimate_probability(
     """
     severity = campaign.simulator.outcomes.index(outcome)
     rng = stream(campaign.settings.seed, "estimate", iteration)
-    plan = plan_estimate(classifier.latent(outcome), campaign.features, campaign.space, simulations, rng)
+    standardised = standardised_latent(classifier.latent(outcome), campaign.features)
+    integral = integrated(standardised, campaign.space, rng)
+    plan = plan_estimate(standardised, campaign.space, integral, simulations, rng)
     name = name_of_estimate(severity, iteration, simulations)
     outcomes = simulated_outcomes(campaign, store, executor, name, plan.designs)
     assert outcomes is not None  # no stop was requested

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from activefail.features import feature_map
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import Plan, estimated, integrated, plan_estimate
+from activefail.reliability.estimate import Plan, estimated, integrated, plan_estimate, standardised_latent
 from activefail.space import DesignSpace
 from activefail.surrogate.margin import MarginLatent, fit_margin
 
@@ -23,12 +23,19 @@ def trained(limit, n: int, seed: int) -> MarginLatent:
     return MarginLatent(fit_margin(FEATURES(X), limit(X)))
 
 
+def planned(latent: MarginLatent, m: int, seed: int) -> Plan:
+    rng, standardised = np.random.default_rng(seed), standardised_latent(latent, FEATURES)
+    return plan_estimate(standardised, SPACE, integrated(standardised, SPACE, rng), m, rng)
+
+
 def plane(X):
     return 3.0 - X[:, 0]
 
 
 def test_the_classifiers_probability_is_integrated_to_one_per_cent() -> None:
-    probability, error = integrated(trained(plane, 15, 0), FEATURES, SPACE, np.random.default_rng(0))
+    probability, error = integrated(
+        standardised_latent(trained(plane, 15, 0), FEATURES), SPACE, np.random.default_rng(0)
+    )
     assert error < 0.01 * probability
     assert probability == pytest.approx(ndtr(-3.0), rel=0.04)
 
@@ -38,7 +45,7 @@ def test_intervals_cover_and_the_estimate_has_no_bias_though_the_classifier_is_w
     latents = [trained(four_branch, 30, seed) for seed in range(3)]
     errors, covered, models = [], [], []
     for seed in range(24):
-        plan = plan_estimate(latents[seed % 3], FEATURES, SPACE, 50, np.random.default_rng(100 + seed))
+        plan = planned(latents[seed % 3], 50, 100 + seed)
         estimate = estimated(plan, four_branch(plan.designs) <= 0.0, np.ones(50, dtype=bool), 0.9)
         assert estimate.low <= estimate.probability <= estimate.high
         errors.append(estimate.probability / PROBABILITY - 1.0)
@@ -50,7 +57,7 @@ def test_intervals_cover_and_the_estimate_has_no_bias_though_the_classifier_is_w
 
 
 def test_the_interval_is_not_narrow_because_no_mistake_was_seen() -> None:
-    plan = plan_estimate(trained(four_branch, 30, 1), FEATURES, SPACE, 20, np.random.default_rng(1))
+    plan = planned(trained(four_branch, 30, 1), 20, 1)
     same = estimated(plan, plan.predicted, np.ones(20, dtype=bool), 0.9)
     assert same.wrong == 0
     assert same.probability == pytest.approx(plan.probability)
@@ -58,7 +65,7 @@ def test_the_interval_is_not_narrow_because_no_mistake_was_seen() -> None:
 
 
 def test_numerical_failures_widen_the_interval_to_both_outcomes_that_they_may_have_had() -> None:
-    plan = plan_estimate(trained(four_branch, 30, 1), FEATURES, SPACE, 40, np.random.default_rng(1))
+    plan = planned(trained(four_branch, 30, 1), 40, 1)
     beyond, answered = four_branch(plan.designs) <= 0.0, np.ones(40, dtype=bool)
     full = estimated(plan, beyond, answered, 0.9)
     answered[np.flatnonzero(beyond)[:2]] = False
@@ -72,7 +79,7 @@ def test_numerical_failures_widen_the_interval_to_both_outcomes_that_they_may_ha
 
 def test_near_one_nothing_exceeds_one() -> None:
     latent = trained(lambda X: X[:, 0] - 4.0, 20, 2)
-    plan = plan_estimate(latent, FEATURES, SPACE, 20, np.random.default_rng(3))
+    plan = planned(latent, 20, 3)
     estimate = estimated(plan, plan.designs[:, 0] <= 4.0, np.ones(20, dtype=bool), 0.9)
     assert 0.9 < estimate.low <= estimate.probability <= estimate.high <= 1.0
     assert estimate.model <= 1.0
