@@ -1,5 +1,6 @@
 """An open run folder, on which the commands are methods."""
 
+import json
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -8,11 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder, opened, read_campaign
 from activefail.errors import InputError
-from activefail.files import writing_to
+from activefail.files import replacing, writing_to
 from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
-from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES, SETTINGS
+from activefail.record.layout import COMPARISON, CURVES, ESTIMATE, REPORT, SCORES, SETTINGS
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
 from activefail.visible import quoted
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from activefail.execution.executor import AsynchronousExecutor, Executor
     from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
+    from activefail.loop.learning import Learned
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
     from activefail.space import DesignSpace
@@ -86,7 +88,7 @@ class Run:
     def __init__(self, folder: Path, campaign: Campaign, store: "FolderStore", write: bool) -> None:
         self.folder, self.campaign, self.store = folder, campaign, store
         self._write = write
-        self._classifier: Classifier | None = None
+        self._learned: Learned | None = None
 
     # ------------------------------------------------------------------------------------------- properties
 
@@ -225,7 +227,7 @@ class Run:
             use_stop_rule=not ignore_stop,
             resume_command=command,
         )
-        self._classifier = None
+        self._learned = None
         progress = standing(self.campaign, self.store.batches, target)
         stop_rule = self._met_after(progress.done) if finished and progress.done < target else ""
         return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
@@ -247,10 +249,10 @@ class Run:
     @property
     def classifier(self) -> "Classifier":
         """The classifier of all recorded simulations (see `learn`)."""
-        return self.learn()
+        return self.learn().classifier
 
-    def learn(self, stage: Callable[[str], None] = lambda _: None) -> "Classifier":
-        """Train the classifier on all recorded simulations, once; a run open for writing saves it.
+    def learn(self, stage: Callable[[str], None] = lambda _: None) -> "Learned":
+        """Learn from all recorded simulations, once; a run open for writing saves the classifier.
 
         Args:
             stage: called when training begins.
@@ -258,18 +260,18 @@ class Run:
         Raises:
             InputError: if no simulation has an outcome.
         """
-        from activefail.loop.learning import current_classifier
+        from activefail.loop.learning import current
 
-        if self._classifier is not None:
-            return self._classifier
+        if self._learned is not None:
+            return self._learned
         if not len(self.history):
             raise InputError(
                 f"{self.folder}: has no simulations to learn from yet; `{self.resume_command()}` continues it."
             )
         stage("learning")
         with one_thread():
-            self._classifier = current_classifier(self.campaign, self.store, self._write)
-        return self._classifier
+            self._learned = current(self.campaign, self.store, self._write)
+        return self._learned
 
     @property
     def learned_from(self) -> list[str]:
@@ -371,7 +373,14 @@ class Run:
                 simulations,
                 confidence,
             )
-        return ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate)
+        findings = ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate)
+        if self._write:
+            target = self.folder / ESTIMATE
+            with writing_to(target), replacing(target) as file:
+                file.write(
+                    json.dumps({"record": self.store.digest, "outcomes": {outcome: findings.as_json()}}, indent=2)
+                )
+        return findings
 
     def _check_initial_design(self, verb: str) -> None:
         from activefail.loop.proposing import initial_sets
@@ -425,13 +434,15 @@ class Run:
         Raises:
             InputError: if the file cannot be written.
         """
+        from activefail.findings.failure import failure_findings
         from activefail.report.evidence import evidence_of
         from activefail.report.page import render, write_report
 
-        classifier = self.classifier
+        learned = self.learn(stage)
         with one_thread():
-            evidence = evidence_of(self.folder, self.campaign, self.store, classifier, stage)
-            page = render(self.findings, evidence, self.store, stage)
+            evidence = evidence_of(self.folder, self.campaign, self.store, learned.classifier, stage)
+            failure = failure_findings(self.campaign, self.store, learned, stage)
+            page = render(self.findings, evidence, self.store, stage, failure)
         target = target or self.folder / REPORT
         with writing_to(target):
             write_report(page, target)

@@ -1,6 +1,8 @@
 """Failure probabilities as a user asks for them: a limit state, a campaign, a number with its interval."""
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from scipy.special import ndtr
 from scipy.stats import beta
 
 from activefail.findings.probability import rounded_up, upper_bound
+from activefail.findings.status import read_status
 
 CAMPAIGN = """
 simulator = {{ python = "limit:{name}", margins = ["g"] }}
@@ -131,12 +134,68 @@ def test_before_the_initial_design_is_finished_nothing_is_estimated(tmp_path: Pa
     assert result.code == 2
 
 
-def test_status_tells_what_was_learned_from_and_the_probability(ended: Path) -> None:
-    result = activefail("status", ended / "run")
+def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_path: Path) -> None:
+    shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
+    saved = tmp_path / "run" / "probability.json"
+    saved.unlink(missing_ok=True)
+    result = activefail("status", tmp_path / "run")
     assert result.code == 0, result.err
+    assert "learner    regression of the margin g on design features" in result.out
     assert "learned    failure from the margin g (mean log probability of a left-out side:" in result.out
-    assert "stop rule  met; `activefail resume` with --ignore-stop continues" in result.out
+    assert "stop rule  met" in result.out
+    assert "--ignore-stop" in result.out
     assert "estimate   probability 0.00" in result.out
+    assert activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "20").code == 0
+    numbers = json.loads(saved.read_text())["outcomes"]["failure"]
+    second = activefail("status", tmp_path / "run").out.splitlines()[1]
+    assert second.startswith(f"estimate   probability of failure {numbers['probability']:.3g}, 90 % interval ")
+    assert "from 20 fresh simulations; recall at least " in second
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"record": 1}', "[" * 5000, '{"record": "RECORD", "outcomes": [1]}'])
+def test_status_takes_no_estimate_from_a_file_that_the_command_did_not_write(
+    ended: Path, tmp_path: Path, text: str
+) -> None:
+    shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "run" / "probability.json").write_text(
+        text.replace("RECORD", read_status(tmp_path / "run").summary.digest)
+    )
+    result = activefail("status", tmp_path / "run")
+    assert (result.code, result.err) == (0, "")
+    assert "under the classifier" in result.out.splitlines()[1]
+
+
+def test_an_estimate_of_fewer_simulations_is_not_shown_after_the_campaign_went_on(tmp_path: Path) -> None:
+    file = begun(tmp_path, "plane", 16)
+    assert activefail("run", file, "--out", tmp_path / "run").code == 0
+    assert activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "10").code == 0
+    assert "10 fresh simulations" in activefail("status", tmp_path / "run").out
+    assert activefail("resume", tmp_path / "run", "--code", tmp_path, "--budget", "17", "--ignore-stop").code == 0
+    assert "fresh simulations; recall" not in activefail("status", tmp_path / "run").out
+
+
+def test_the_report_leads_with_the_probability_and_draws_the_failure_domain(ended: Path, tmp_path: Path) -> None:
+    shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
+    assert activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "20").code == 0
+    numbers = json.loads((tmp_path / "run" / "probability.json").read_text())["outcomes"]["failure"]
+    assert activefail("report", tmp_path / "run").code == 0
+    page = (tmp_path / "run" / "report.html").read_text()
+    lead = page[page.index('aria-label="Summary"') : page.index('<section id="run"')]
+    assert (
+        f"<dd>{numbers['probability']:.3g} ({numbers['low']:.3g} to {numbers['high']:.3g} with 90 % confidence" in lead
+    )
+    section = page[page.index('<section id="probability"') : page.index('<section id="learning"')]
+    assert section.count("<svg") == 2
+    index = re.search(r"reliability index β = ([\d.]+), probability ([\d.]+)", section)
+    assert index is not None
+    assert float(index[1]) == pytest.approx(3.0 / 1.01**0.5, abs=0.03)
+    assert float(index[2]) == pytest.approx(ndtr(-float(index[1])), rel=0.05)
+    assert "Gaussian process regression of the margin g, matern52 covariance" in page
+    assert "by the expected doubt after the next simulation" in page
+    assert "by the criterion" not in page
+    assert "Not finished" not in page
+    assert " check far from all others" in page
+    assert "correlation falls to 52 %" in page
 
 
 def test_a_campaign_without_margins_is_told_that_its_rule_is_never_met(tmp_path: Path) -> None:

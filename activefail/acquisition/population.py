@@ -18,7 +18,7 @@ from activefail.space import Array, DesignSpace, radius
 REACH = 1e-8
 """Probability outside the ball in standard normal space that a population fills."""
 
-_PER_PARENT, _PARENTS = 200, 100
+_PER_PARENT, _PARENTS = 400, 100
 """Designs of a population for each parent of its local part, and most parents."""
 
 _AT_ONCE = 4096

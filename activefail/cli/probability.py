@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from activefail.cli.common import Code, RunFolder, opened_run, show_unseen
+from activefail.shares import percent
 from activefail.visible import visible
 
 
@@ -52,8 +53,12 @@ def probability(
         "simulations contradict it"
     )
     print(
-        f"bound      {rounded_up(findings.bound)} without a model, one-sided at 90 %, from the {findings.drawn} "
-        "simulations of the initial design alone"
+        f"recall     {percent(estimate.recall)} of that probability is where the classifier predicts {name}; at least "
+        f"{percent(estimate.recall_low)} with {100 * confidence:g} % confidence"
+    )
+    print(
+        f"bound      {rounded_up(findings.bound.high)} without a model, one-sided at 90 %, from the "
+        f"{findings.bound.simulations} simulations of the initial design alone"
     )
     for sentence in findings.assumptions:
         print(f"note       {sentence}")

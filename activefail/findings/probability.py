@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
 from activefail.findings.quantities import words
@@ -29,6 +29,28 @@ def rounded_up(share: float) -> str:
     return f"{min(1.0, math.ceil(share / unit - 1e-9) * unit):.2g}"
 
 
+class Bound(NamedTuple):
+    """An upper bound on a probability, one-sided at 90 %, from the initial design alone, without a model.
+
+    Attributes:
+        high: the bound.
+        simulations: of the initial design, a sample of the design measure.
+    """
+
+    high: float
+    simulations: int
+
+
+def bound_without_model(campaign: Campaign, history: History, outcome: str) -> Bound:
+    """The bound on the probability of an outcome or a more severe one."""
+    # Failures before the first outcome came from a simulator that has been fixed since.
+    initial = history[history.leading_failures :]
+    initial = initial[initial.initial]
+    # A numerical failure may hide either outcome; the bound counts it as beyond.
+    hits = int(((initial.outcome >= campaign.simulator.outcomes.index(outcome)) | ~initial.answered).sum())
+    return Bound(upper_bound(hits, len(initial), BOUND_CONFIDENCE), len(initial))
+
+
 @dataclass(frozen=True)
 class ProbabilityFindings:
     """The probability of an outcome or a more severe one.
@@ -39,8 +61,7 @@ class ProbabilityFindings:
         learned_from: the margin that the boundary was learned from; empty if from the outcomes alone.
         learned: simulations of the campaign, without its fresh simulations.
         seen: how many of these ended beyond the boundary.
-        drawn: simulations of the initial design, a sample of the design measure.
-        bound: upper bound on the probability from these alone, without a model, one-sided at 90 %.
+        bound: without a model.
         outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
     """
 
@@ -49,8 +70,7 @@ class ProbabilityFindings:
     learned_from: str
     learned: int
     seen: int
-    drawn: int
-    bound: float
+    bound: Bound
     outside: float
 
     @classmethod
@@ -64,18 +84,13 @@ class ProbabilityFindings:
         known = history.training
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
-        initial = int(known.initial.sum())
-        # A numerical failure may hide either outcome; the bound counts it as beyond.
-        unanswered = int((history.initial & ~history.answered).sum())
-        hits = int((beyond & known.initial).sum()) + unanswered
         return cls(
             outcome=outcome,
             estimate=estimate,
             learned_from="" if choice == OUTCOMES else campaign.simulator.margins[choice],
             learned=len(history),
             seen=int(beyond.sum()),
-            drawn=initial + unanswered,
-            bound=upper_bound(hits, initial + unanswered, BOUND_CONFIDENCE),
+            bound=bound_without_model(campaign, history, outcome),
             outside=campaign.space.outside,
         )
 
@@ -87,7 +102,7 @@ class ProbabilityFindings:
     @property
     def high(self) -> float:
         """Upper end of the interval; without any simulation beyond the boundary, the bound without a model."""
-        return max(self.estimate.high, self.bound) if self.is_extrapolated else self.estimate.high
+        return max(self.estimate.high, self.bound.high) if self.is_extrapolated else self.estimate.high
 
     @property
     def assumptions(self) -> list[str]:
@@ -132,11 +147,13 @@ class ProbabilityFindings:
             "campaign_simulations": self.learned,
             "classifier_probability": estimate.model,
             "bound_without_model": {
-                "high": self.bound,
+                "high": self.bound.high,
                 "confidence": BOUND_CONFIDENCE,
                 "one_sided": True,
-                "simulations": self.drawn,
+                "simulations": self.bound.simulations,
             },
+            "recall": None if math.isnan(estimate.recall) else estimate.recall,
+            "recall_low": estimate.recall_low,
             "outside_bounds": self.outside,
             "assumptions": self.assumptions,
         }

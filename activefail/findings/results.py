@@ -29,7 +29,7 @@ class Findings:
         X: (n, d) designs simulated so far, including numerical failures.
         outcome: (n,) int8.
         iteration: (n,) int64.
-        chosen: (n,) bool; True for active designs, False for the initial design.
+        origin: (n,) int8, INITIAL, ACTIVE or CHECK.
         expected: the error that the classifier expects of itself.
         pool, pool_prediction: a sample of the design space and its predictions.
     """
@@ -40,7 +40,7 @@ class Findings:
     X: Array
     outcome: NDArray[np.int8]
     iteration: NDArray[np.int64]
-    chosen: NDArray[np.bool_]
+    origin: NDArray[np.int8]
     expected: float
     pool: Array
     pool_prediction: Prediction
@@ -70,6 +70,11 @@ class Findings:
         return np.array(changes)
 
     @property
+    def chosen(self) -> NDArray[np.bool_]:
+        """Which simulations followed the initial design, (n,): active designs and checks."""
+        return np.asarray(self.origin != INITIAL)
+
+    @property
     def answered(self) -> NDArray[np.bool_]:
         """Which simulations gave an outcome, (n,)."""
         return np.asarray(self.outcome != NUMERICAL_FAILURE)
@@ -86,7 +91,7 @@ def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Clas
         history.designs,
         history.outcome,
         history.iteration,
-        history.origin != INITIAL,
+        history.origin,
         expected_error(campaign, classifier),
         pool,
         predict(campaign, classifier, pool),

@@ -1,20 +1,23 @@
 """What `activefail status` shows: the summary of a run folder and the command that continues it."""
 
+import json
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from activefail.errors import DamagedError, StoreError
 from activefail.files import read_regular
 from activefail.findings.choices import sentence
 from activefail.findings.summary import Summary, is_verified, read_summary
 from activefail.record.attachments import decode_state
-from activefail.record.layout import state_file
-from activefail.shares import lognormal_interval
-from activefail.visible import quoted, visible
+from activefail.record.layout import ESTIMATE, state_file
+from activefail.shares import lognormal_interval, percent
+from activefail.visible import quoted, visible, words
 
-_LARGEST_STATE = 100_000_000
-"""Largest state that is read [bytes]."""
+_LARGEST_STATE, _LARGEST_ESTIMATE = 100_000_000, 100_000
+"""Largest state and estimate that are read [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -33,40 +36,101 @@ class Status:
 
     @property
     def lines(self) -> list[tuple[str, str]]:
-        """Titles and texts, the campaign's description first."""
-        title = visible(self.summary.settings.description or self.folder.name)
-        return [("campaign", title), *self.summary.lines, *self.learned]
+        """Titles and texts, the campaign's description first, then what is known of a probability."""
+        title, learned = visible(self.summary.settings.description or self.folder.name), self.learned
+        lines = [line for line in self.summary.lines if line[0] != "learner"]
+        return [("campaign", title), *self.estimate, lines[0], ("learner", self._learner), *lines[1:], *learned]
+
+    @cached_property
+    def _state(self) -> dict[str, Any]:
+        """The saved state of the last iteration; empty if there is none, or if it is not this record's."""
+        summary = self.summary
+        try:
+            path = state_file(self.folder, summary.iteration)
+            return decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {summary.digest})
+        except (OSError, ValueError, StoreError, DamagedError):
+            return {}
+
+    @cached_property
+    def _choices(self) -> list[tuple[str, str, float, float]]:
+        """For each boundary its outcome, the margin that it is learned from (or nothing), and the two scores."""
+        rows = []
+        for outcome in self.summary.outcomes[1:]:
+            try:
+                margin, _, from_margin, from_outcomes, _ = self._state[f"{outcome}/choice"].tolist()
+                name = "" if margin < 0 else self.summary.margins[int(margin)]
+                rows.append((outcome, name, float(from_margin), float(from_outcomes)))
+            except (LookupError, ValueError, TypeError, OverflowError):
+                return []
+        return rows
+
+    @property
+    def _learner(self) -> str:
+        """What is learned and where, in words."""
+        line = dict(self.summary.lines)["learner"]
+        margins = [margin for _, margin, _, _ in self._choices]
+        if not any(margins):
+            return line
+        settings = self.summary.settings
+        names = " and ".join(dict.fromkeys(f"the margin {visible(margin)}" for margin in margins if margin))
+        if all(margins):
+            return f"regression of {names} on {settings.features} features"
+        return f"regression of {names}, and {line}"
 
     @property
     def learned(self) -> list[tuple[str, str]]:
-        """Titles and texts of what is learned from margins, from the state of the last iteration; empty without it."""
-        summary, lines = self.summary, []
-        path = state_file(self.folder, summary.iteration)
-        try:
-            state = decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {summary.digest})
-            for outcome in summary.outcomes[1:]:
-                margin, _, *scores, _ = state[f"{outcome}/choice"].tolist()
-                name = "" if margin < 0 else summary.margins[int(margin)]
-                if text := sentence(outcome, name, *scores):
-                    lines.append(("learned", text))
-            if "stop/looks" in state:
-                _, probability, sd, error = state["stop/looks"][-1].tolist()
-                low, high = lognormal_interval(probability, math.hypot(sd, error))
-                seen = all(summary.counts[:-1])
-                interval = f"95 % interval {low:.2g} to {high:.2g}" if seen else "without an interval"
-                if int(state["stop/known"]):
-                    lines.append(("stop rule", "met; `activefail resume` with --ignore-stop continues"))
-                lines.append(
-                    (
-                        "estimate",
-                        f"probability {probability:.3g} under the classifier, {interval}; "
-                        "`activefail probability` estimates it from fresh simulations",
-                    )
-                )
-        except (OSError, LookupError, ValueError, TypeError, StoreError, DamagedError, ArithmeticError):
-            # No state yet, without choices, or not this record's: the next writer will make one.
-            return []
+        """Titles and texts of what each boundary is learned from, and of a stop rule that is met."""
+        texts = [sentence(*choice) for choice in self._choices]
+        lines = [("learned", text) for text in texts if text]
+        if self._rule_is_met:
+            lines.append(("stop rule", "met"))
         return lines
+
+    @property
+    def _rule_is_met(self) -> bool:
+        try:
+            return bool(int(self._state["stop/known"]))
+        except (LookupError, ValueError, TypeError):
+            return False
+
+    @property
+    def estimate(self) -> list[tuple[str, str]]:
+        """Titles and texts of the probability: from fresh simulations if there are any, else by the classifier."""
+        return self._from_fresh_simulations or self._by_classifier
+
+    @property
+    def _from_fresh_simulations(self) -> list[tuple[str, str]]:
+        try:
+            saved = json.loads(read_regular(self.folder / ESTIMATE, _LARGEST_ESTIMATE))
+            if saved["record"] != self.summary.digest:
+                return []
+            lines = []
+            for outcome, numbers in saved["outcomes"].items():
+                probability, low, high, confidence, recall_low = (
+                    float(numbers[key]) for key in ("probability", "low", "high", "confidence", "recall_low")
+                )
+                name, simulations = visible(words(outcome)), int(numbers["simulations"])
+                text = (
+                    f"probability of {name} {probability:.3g}, {100.0 * confidence:g} % interval {low:.3g} to "
+                    f"{high:.3g}, from {simulations} fresh simulations; recall at least {percent(recall_low)}"
+                )
+                lines.append(("estimate", text))
+            return lines
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError):
+            # None yet, or not written by `activefail probability`.
+            return []
+
+    @property
+    def _by_classifier(self) -> list[tuple[str, str]]:
+        try:
+            _, probability, sd, error = self._state["stop/looks"][-1].tolist()
+            low, high = lognormal_interval(probability, math.hypot(sd, error))
+        except (LookupError, ValueError, TypeError, ArithmeticError):
+            return []
+        seen = all(self.summary.counts[:-1])
+        interval = f"95 % interval {low:.2g} to {high:.2g}" if seen else "without an interval"
+        text = f"probability {probability:.3g} under the classifier, {interval}; "
+        return [("estimate", text + "`activefail probability` estimates it from fresh simulations")]
 
     @property
     def continuation(self) -> list[tuple[str, str]]:
@@ -75,7 +139,7 @@ class Status:
         if self.summary.done >= settings.budget:
             return []
         command = f"activefail resume {quoted(self.folder)}{' --code FOLDER' if settings.custom_code else ''}"
-        lines = [("continue", command)]
+        lines = [("continue", f"{command} --ignore-stop" if self._rule_is_met else command)]
         if is_verified(self.folder, self.summary):
             lines.append(("", f"{command} --ignore-stop, if it ended by its stop rule"))
         return lines

@@ -35,7 +35,10 @@ CURVES = "learning_curves"
 REPORT = "report.html"
 """The default output of `report`."""
 
-_RESERVED = (SETTINGS, LOCK, REPORT, *FOLDERS, SIMULATIONS, COMPARISON)
+ESTIMATE = "probability.json"
+"""The last estimate of `probability`, for readers that do not repeat it."""
+
+_RESERVED = (SETTINGS, LOCK, REPORT, ESTIMATE, *FOLDERS, SIMULATIONS, COMPARISON)
 
 
 def state_file(folder: Path, iteration: int) -> Path:

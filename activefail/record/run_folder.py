@@ -320,7 +320,7 @@ class FolderStore:
         return self._batches_read
 
     @property
-    def _digest(self) -> str:
+    def digest(self) -> str:
         """The chain's digest after all batches."""
         return self._segments[-1].after if self._segments else self._start
 
@@ -382,7 +382,7 @@ class FolderStore:
         schema = self._writable()
         first = self._segments[-1].last + 1 if self._segments else 0
         copy = checked_copy(batch, schema)
-        segment = Segment(self.settings, schema, first, self._digest, (copy,), self._provenance)
+        segment = Segment(self.settings, schema, first, self.digest, (copy,), self._provenance)
         data = encode_segment(segment)
         with self._writing():
             self._publish(segment, data)
@@ -445,7 +445,7 @@ class FolderStore:
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays (see Store)."""
         self._writable()
-        data = encode_state(iteration, checked_state(iteration, arrays), self._digest)
+        data = encode_state(iteration, checked_state(iteration, arrays), self.digest)
         with self._writing():
             replace(state_file(self.folder, iteration), data, self._check_place)
             self._rejected.discard(iteration)

@@ -65,6 +65,7 @@ class Plan:
         probability: the classifier's own.
         standard_error: of its integration, and of the population from which the designs were drawn.
         floor: variance of one correction by the classifier's own doubt.
+        floor_missed: the part of the floor from designs that the classifier puts short of the boundary.
     """
 
     designs: Array
@@ -74,6 +75,7 @@ class Plan:
     probability: float
     standard_error: float
     floor: float
+    floor_missed: float
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,8 @@ class ProbabilityEstimate:
         beyond: how many of the fresh simulations ended beyond the boundary.
         wrong: how many contradict the classifier.
         surprising: how many of these lie where the classifier was sure, by four standard deviations.
+        recall: share of the failure probability that the classifier puts beyond the boundary; NaN without failure.
+        recall_low: lower end of its one-sided interval, with `confidence`.
     """
 
     probability: float
@@ -102,6 +106,8 @@ class ProbabilityEstimate:
     beyond: int
     wrong: int
     surprising: int
+    recall: float
+    recall_low: float
 
 
 Standardised = Callable[[Array], Array]
@@ -161,6 +167,7 @@ def plan_estimate(
         probability=integral.probability,
         standard_error=float(np.hypot(integral.standard_error, np.sqrt(of_population))),
         floor=float(np.sum(shares * ratio**2 * in_doubt)),
+        floor_missed=float(np.sum((shares * ratio**2 * in_doubt)[z <= 0.0])),
     )
 
 
@@ -179,6 +186,7 @@ def estimated(
     _, low, _ = _interval(plan, beyond & answered, confidence)
     _, _, high = _interval(plan, beyond | ~answered, confidence)
     wrong = answered & (beyond != plan.predicted)
+    recall, recall_low = _recall(plan, beyond, answered, confidence)
     return ProbabilityEstimate(
         probability=min(1.0, max(0.0, middle)),
         low=min(1.0, max(0.0, low)),
@@ -190,13 +198,49 @@ def estimated(
         beyond=int((beyond & answered).sum()),
         wrong=int(wrong.sum()),
         surprising=int((wrong & (np.abs(plan.standardised) > 4.0)).sum()),
+        recall=recall,
+        recall_low=recall_low,
     )
+
+
+def _recall(
+    plan: Plan, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
+) -> tuple[float, float]:
+    """The share of the failure probability that the classifier puts beyond the boundary, and its lower bound.
+
+    The probability that it misses and the one that it wrongly counts each have an upper bound that errs half as often
+    as the recall's bound may.
+    """
+    one_sided = 0.5 + 0.5 * confidence
+    missed, missed_high = _mean_and_upper(
+        (~plan.predicted & (beyond | ~answered)) * plan.ratio, plan.floor_missed, one_sided
+    )
+    false, false_high = _mean_and_upper(
+        (plan.predicted & ~(beyond & answered)) * plan.ratio, plan.floor - plan.floor_missed, one_sided
+    )
+    t_of_integral = float(t.ppf(one_sided, len(beyond) - 1)) * plan.standard_error
+    hit, hit_low = max(0.0, plan.probability - false), max(0.0, plan.probability - false_high - t_of_integral)
+    if hit + missed <= 0.0:
+        return float("nan"), 0.0
+    return hit / (hit + missed), hit_low / (hit_low + missed_high) if missed_high > 0.0 else 1.0
+
+
+def _mean_and_upper(corrections: Array, floor: float, one_sided: float) -> tuple[float, float]:
+    """The mean of corrections, (m,), and its one-sided upper bound."""
+    m, mean = len(corrections), float(corrections.mean())
+    return mean, mean + float(t.ppf(one_sided, m - 1)) * float(np.sqrt(_variance(corrections, floor) / m))
+
+
+def _variance(corrections: Array, floor: float) -> float:
+    """Variance of one correction, with a floor that counts as `_PRIOR_WEIGHT` observations."""
+    m = len(corrections)
+    return float(m * corrections.var(ddof=1) + _PRIOR_WEIGHT * floor) / (m + _PRIOR_WEIGHT)
 
 
 def _interval(plan: Plan, beyond: NDArray[np.bool_], confidence: float) -> tuple[float, float, float]:
     corrections = (beyond.astype(np.float64) - plan.predicted) * plan.ratio
     m = len(corrections)
-    variance = (m * corrections.var(ddof=1) + _PRIOR_WEIGHT * plan.floor) / (m + _PRIOR_WEIGHT)
     middle = plan.probability + float(corrections.mean())
-    half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance / m + plan.standard_error**2))
+    variance = _variance(corrections, plan.floor) / m + plan.standard_error**2
+    half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance))
     return middle, middle - half, middle + half

@@ -2,9 +2,8 @@
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -27,24 +26,26 @@ from activefail.figures.outcome_planes import coordinates, plot_outcome_planes
 from activefail.figures.paper_planes import PLANES
 from activefail.figures.reliability import plot_reliability
 from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
-from activefail.figures.svg import inline
 from activefail.files import replacing, target_of
 from activefail.findings import quantities
+from activefail.findings.failure import FailureFindings
 from activefail.findings.prediction import predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
 from activefail.findings.summary import SettingsInBrief, Summary
 from activefail.loop.progress import standing
 from activefail.parameter import Parameter
+from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
 from activefail.record.store import Store
 from activefail.report.evidence import Evidence
+from activefail.report.failure import failure_section
+from activefail.report.picture import picture
 from activefail.shares import interval_percent, percent
 from activefail.simulators.bearing import DfpSimulator
+from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
+from activefail.surrogate.margin import MarginLatent
 from activefail.visible import quoted, visible
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MOST_PAIRED = 6
 """Most features in the pair plot: those with the shortest length scales."""
@@ -53,18 +54,7 @@ LISTED = 8
 """Designs in the table of the most uncertain designs."""
 
 _CORRELATION = {"rbf": 61, "matern52": 52}
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure of the page; the template has its caption."""
-
-    svg: Markup
-    wide: bool = False
-
-
-def _picture(figure: "Figure", name: str, alternative: str) -> Picture:
-    return Picture(inline(figure, name, alternative), float(figure.get_size_inches()[0]) > 8.0)
+"""Correlation at a distance of one length scale [%], by kernel."""
 
 
 def subscripts(text: str) -> Markup:
@@ -113,7 +103,7 @@ def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
     static = [score for score in scores if score.sampling == "static" and score.simulations == last.simulations]
     boundary = quantities.plain(words(findings.boundary))
     return {
-        "picture": _picture(plot_learning_curves(curve.scores, boundary, curve.test_size), "curve", "Learning curve"),
+        "picture": picture(plot_learning_curves(curve.scores, boundary, curve.test_size), "curve", "Learning curve"),
         "scores": scores,
         "last": last,
         "static": static[0] if static and last not in static else None,
@@ -138,7 +128,7 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     )
     chosen = int(np.sum(findings.chosen))
     return {
-        "picture": _picture(figure, "pairs", "Designs in pairs of features"),
+        "picture": picture(figure, "pairs", "Designs in pairs of features"),
         "chosen": chosen,
         "most_shown": MOST_SHOWN,
         "thinned": max(chosen, len(findings.X) - chosen) > MOST_SHOWN,
@@ -153,7 +143,7 @@ def _planes(findings: Findings) -> dict[str, Any]:
     for number, plane in enumerate(c.planes, start=1):
         names = f"{c.quantities[plane.x].text} and {c.quantities[plane.y].text}"
         figure = plot_outcome_planes(plane, c, findings)
-        pictures.append((names, _picture(figure, f"plane{number}", f"Probabilities in the plane of {names}")))
+        pictures.append((names, picture(figure, f"plane{number}", f"Probabilities in the plane of {names}")))
     return {
         "pictures": pictures,
         "severe": findings.campaign.simulator.outcomes[1:],
@@ -174,7 +164,7 @@ def _reliability(findings: Findings, evidence: Evidence) -> dict[str, Any] | Non
         labels=(f"share with {name} [–]", f"predicted P({name}) [–]"),
     )
     return {
-        "picture": _picture(figure, "reliability", "Reliability diagram"),
+        "picture": picture(figure, "reliability", "Reliability diagram"),
         "designs": len(reliability.beyond),
         "source": reliability.source,
     }
@@ -204,10 +194,10 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
         ]
         rows.append({"quantity": names[column], "cells": cells, "matters": bool((scales[:, column] <= LONG).any())})
     return {
-        "picture": _picture(plot_length_scales(scales, names, campaign.simulator.outcomes), "scales", "Length scales"),
+        "picture": picture(plot_length_scales(scales, names, campaign.simulator.outcomes), "scales", "Length scales"),
         "rows": rows,
         "boundaries": campaign.simulator.outcomes[1:],
-        "correlation": _CORRELATION[campaign.settings.classifier.kernel],
+        "correlations": sorted({_CORRELATION[kernel] for _, _, kernel in _learned_from(findings)}),
     }
 
 
@@ -242,7 +232,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
         alternative = f"Plates and slider of simulation {row} at four instants"
         shown.append(
             {
-                "picture": _picture(plot_snapshots(response), f"bearing{number}", alternative),
+                "picture": picture(plot_snapshots(response), f"bearing{number}", alternative),
                 "why": why,
                 "simulation": row,
                 "iteration": int(findings.iteration[row]) if findings.chosen[row] else None,
@@ -253,14 +243,31 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
     return shown
 
 
+def _learned_from(findings: Findings) -> list[tuple[str, str, str]]:
+    """For each boundary its outcome, the margin that it is learned from (or nothing), and the kernel."""
+    campaign, classifier = findings.campaign, findings.classifier
+    rows = []
+    for number, latent in enumerate(classifier.latents):
+        is_margin = isinstance(latent, MarginLatent)
+        name = campaign.simulator.margins[classifier.choices[number].margin] if is_margin else ""
+        kernel = MARGIN_KERNEL if is_margin else campaign.settings.classifier.kernel
+        rows.append((campaign.simulator.outcomes[number + 1], visible(name), kernel))
+    return rows
+
+
 def _learner(findings: Findings) -> dict[str, Any]:
-    """Numbers of active designs and batches."""
+    """Numbers of active designs and batches, and what each boundary is learned from."""
     batch = findings.campaign.settings.sampling.batch
-    _, sizes = np.unique(findings.iteration[findings.chosen], return_counts=True)
+    active = findings.origin == ACTIVE
+    _, sizes = np.unique(findings.iteration[active], return_counts=True)
+    checks = findings.origin == CHECK
     return {
-        "chosen": int(np.sum(findings.chosen)),
-        "batches": int(findings.iteration.max()),
+        "chosen": int(np.sum(active)),
+        "batches": len(sizes),
+        "checked": int(np.sum(checks)),
+        "checks": len(np.unique(findings.iteration[checks])),
         "ended_within_a_batch": bool(np.any(sizes[:-1] < batch)),
+        "learned": _learned_from(findings),
     }
 
 
@@ -315,8 +322,22 @@ def _environment() -> Environment:
     return environment
 
 
-def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable[[str], None] = lambda _: None) -> str:
-    """The page as HTML."""
+def render(
+    findings: Findings,
+    evidence: Evidence,
+    store: Store,
+    stage: Callable[[str], None] = lambda _: None,
+    failure: FailureFindings | None = None,
+) -> str:
+    """The page as HTML.
+
+    Args:
+        findings: of the campaign.
+        evidence: of the classifier's accuracy.
+        store: the record.
+        stage: called with each stage of the work.
+        failure: what the campaign says of a probability.
+    """
     campaign, folder = findings.campaign, findings.folder
     text = (folder / SETTINGS).read_text(encoding="utf-8")
     settings, outcomes = campaign.settings, campaign.simulator.outcomes
@@ -342,11 +363,12 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
         "outcomes": outcomes,
         "boundary": findings.boundary,
         "counts": {title: values.tolist() for title, values in counts.items()},
-        "counts_picture": _picture(
+        "counts_picture": picture(
             plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes),
             "counts",
             "Shares of the outcomes",
         ),
+        "failure": failure_section(findings, failure),
         "curve": _curve(findings, evidence),
         "pairs": _pairs(findings, scales),
         "planes": _planes(findings),
@@ -358,7 +380,7 @@ def render(findings: Findings, evidence: Evidence, store: Store, stage: Callable
         "missing": evidence.missing,
         "done": done,
         "unseen": Summary.of(settings.text(), outcomes, store.batches).unseen_warning,
-        "left": max(0, settings.sampling.budget - done),
+        "left": max(0, settings.sampling.budget - done) if failure is None or not failure.is_known else 0,
         "folder": run_folder,
         "commands": [
             f"activefail run campaign.toml --out {run_folder}{budget}",

@@ -45,7 +45,7 @@ _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 """Most sweeps of expectation propagation, its share of a step, and the relative change of precisions that ends it."""
 
 
-_ALWAYS, _GROWTH = 100, 0.05
+_ALWAYS, _GROWTH = 30, 0.05
 """Points up to which hyperparameters are always learned anew, and the growth after which they are beyond."""
 
 _ROWS_AT_ONCE = 4096

@@ -1,15 +1,23 @@
 """Estimate the probability beyond a boundary from fresh simulations, which are kept in the run folder."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
-from activefail.reliability.estimate import ProbabilityEstimate, estimated, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import (
+    Plan,
+    ProbabilityEstimate,
+    estimated,
+    integrated,
+    plan_estimate,
+    standardised_latent,
+)
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.classifier import Classifier
-from activefail.verification.stored_sets import name_of_estimate, simulated_outcomes
+from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
 
 
 def estimate_probability(
@@ -38,12 +46,36 @@ def estimate_probability(
         SimulationError: if none of the simulations gives an outcome.
     """
     severity = campaign.simulator.outcomes.index(outcome)
-    rng = stream(campaign.settings.seed, "estimate", iteration)
-    standardised = standardised_latent(classifier.latent(outcome), campaign.features)
-    integral = integrated(standardised, campaign.space, rng)
-    plan = plan_estimate(standardised, campaign.space, integral, simulations, rng)
+    plan = _planned(campaign, classifier, iteration, outcome, simulations)
     name = name_of_estimate(severity, iteration, simulations)
     outcomes = simulated_outcomes(campaign, store, executor, name, plan.designs)
     assert outcomes is not None  # no stop was requested
-    answered = np.asarray(outcomes != NUMERICAL_FAILURE)
-    return estimated(plan, np.asarray(outcomes >= severity), answered, confidence)
+    return _estimated(plan, outcomes, severity, confidence)
+
+
+def stored_estimate(
+    campaign: Campaign, store: Store, classifier: Classifier, iteration: int, outcome: str, confidence: float
+) -> ProbabilityEstimate | None:
+    """The estimate from the largest stored set of fresh simulations; None if there is none. It simulates nothing.
+
+    Args:
+        campaign, store, classifier, iteration, outcome, confidence: as for `estimate_probability`.
+    """
+    severity = campaign.simulator.outcomes.index(outcome)
+    for simulations in estimate_sizes(store, severity, iteration):
+        plan = _planned(campaign, classifier, iteration, outcome, simulations)
+        outcomes = stored_outcomes(store, name_of_estimate(severity, iteration, simulations), plan.designs)
+        if outcomes is not None:
+            return _estimated(plan, outcomes, severity, confidence)
+    return None
+
+
+def _planned(campaign: Campaign, classifier: Classifier, iteration: int, outcome: str, simulations: int) -> Plan:
+    rng = stream(campaign.settings.seed, "estimate", iteration)
+    standardised = standardised_latent(classifier.latent(outcome), campaign.features)
+    integral = integrated(standardised, campaign.space, rng)
+    return plan_estimate(standardised, campaign.space, integral, simulations, rng)
+
+
+def _estimated(plan: Plan, outcomes: NDArray[np.int8], severity: int, confidence: float) -> ProbabilityEstimate:
+    return estimated(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE, confidence)

@@ -78,6 +78,11 @@ def verified_sizes(store: Store, iteration: int) -> list[int]:
     return _numbers(store, rf"(?:look|verification)-{iteration}-(\d+)")
 
 
+def estimate_sizes(store: Store, severity: int, iteration: int) -> list[int]:
+    """Sizes of the sets that estimate a probability at an iteration, the largest first."""
+    return _numbers(store, rf"probability-{severity}-{iteration}-(\d+)")
+
+
 def looks_before(store: Store, iteration: int) -> int:
     """Number of the stop rule's looks before an iteration."""
     return sum(earlier < iteration for earlier in _numbers(store, r"look-(\d+)-\d+"))

@@ -50,7 +50,7 @@ class Course:
         kept = store.read_set("validation-0")
         assert kept is not None
         return cls(
-            store._digest,
+            store.digest,
             {"X": kept[0].tobytes(), "outcome": kept[1].outcome.tobytes(), "margins": kept[1].margins.tobytes()},
             state[0],
             {name: array.tobytes() for name, array in state[1].items()},

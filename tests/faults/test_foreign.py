@@ -375,7 +375,7 @@ def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
         digests = {digest for segment in store._segments for digest in segment.chain.values()}
         state = decode_state(path.read_bytes(), int(path.stem), digests)
         change(state)
-        path.write_bytes(encode_state(int(path.stem), state, store._digest))
+        path.write_bytes(encode_state(int(path.stem), state, store.digest))
     return path
 
 

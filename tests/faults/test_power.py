@@ -230,7 +230,7 @@ def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tupl
                 disk.reports.append("created")
                 for number in range(BATCHES):
                     store.commit(batch(number))
-                    disk.reports.append(f"commit {store._digest}")
+                    disk.reports.append(f"commit {store.digest}")
                     disk.note()
                     store.write_state(number, {"i": np.array(number)})
                     disk.reports.append(f"state {number}")
@@ -239,7 +239,7 @@ def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tupl
                         store.write_set("test", batch(9).designs, batch(9).results)
                         disk.reports.append("set test")
                         disk.note()
-                return disk.moments, store._digest
+                return disk.moments, store.digest
 
     return made
 
@@ -292,7 +292,7 @@ def test_a_loss_of_power_at_any_moment_leaves_all_that_was_acknowledged(
         with opener(folder, schema=SCHEMA, **arguments) as store:
             for following in range(len(store.batches), BATCHES):
                 store.commit(batch(following))
-            assert store._digest == digest
+            assert store.digest == digest
             assert not [warning for warning in store.warnings if "segments/" in warning]
         survived()
 

@@ -97,7 +97,7 @@ class Telling(FolderStore):
     def commit(self, batch: Batch) -> None:
         with self.gate.marked("commit"):
             super().commit(batch)
-        self._tell(f"commit {len(self.batches)} {self._digest}")
+        self._tell(f"commit {len(self.batches)} {self.digest}")
 
     def compact(self) -> None:
         if compaction.due(self._segments):

@@ -94,6 +94,7 @@ def test_a_contradiction_where_the_classifier_was_sure_is_counted() -> None:
         probability=0.1,
         standard_error=0.0,
         floor=0.01,
+        floor_missed=0.008,
     )
     estimate = estimated(plan, np.array([True, True, True]), np.ones(3, dtype=bool), 0.9)
     assert (estimate.wrong, estimate.surprising, estimate.beyond) == (2, 1, 3)

@@ -1,0 +1,128 @@
+"""What the classifier says of a failure that may be rare: its probability against simulations, and its most probable
+design."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.campaign.assembly import Campaign
+from activefail.findings.probability import bound_without_model
+from activefail.loop.history import History
+from activefail.loop.learning import Learned, learn_from
+from activefail.loop.proposing import initial_sets
+from activefail.record.store import Store
+from activefail.reliability.design_point import DesignPoint, design_point
+from activefail.reliability.estimate import ProbabilityEstimate, integrated, standardised_latent
+from activefail.reliability.probability import model_probability
+from activefail.shares import lognormal_interval
+from activefail.space import Array
+from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.margin import MarginLatent
+from activefail.verification.probability import stored_estimate
+
+RARE = 0.05
+"""Probability below which accuracy says little: a classifier without any failure would be right in 95 %."""
+
+_POINTS = 12
+"""Most points of a curve of the probability."""
+
+_SIZE = 12_000
+"""Designs of the populations that integrate a curve's probabilities."""
+
+
+@dataclass(frozen=True)
+class FailureFindings:
+    """The failure probability of a campaign and how it came to be known.
+
+    Attributes:
+        simulations: (k,) numbers of simulations that were learned from.
+        probability: (k,) the classifier's probability of the target boundary's outcome or a more severe one.
+        low, high: (k,) 95 % interval under the classifier; NaN where the boundary was learned from outcomes.
+        seen: (k,) simulations beyond the boundary.
+        point: the most probable design beyond the boundary; None if there is none.
+        estimate: from fresh simulations at the last iteration; None if there are none.
+        bound: upper bound from the initial design alone, without a model, one-sided at 90 %.
+        is_known: whether the campaign met its stop rule for a probability.
+    """
+
+    simulations: Array
+    probability: Array
+    low: Array
+    high: Array
+    seen: Array
+    point: DesignPoint | None
+    estimate: ProbabilityEstimate | None
+    bound: float
+    is_known: bool
+
+    @property
+    def best(self) -> float:
+        """The best known value: from fresh simulations if there are any, else the classifier's."""
+        return self.estimate.probability if self.estimate else float(self.probability[-1])
+
+    @property
+    def is_rare(self) -> bool:
+        """Whether failure is so rare that accuracy says little."""
+        return self.best < RARE
+
+
+def failure_findings(
+    campaign: Campaign, store: Store, learned: Learned, stage: Callable[[str], None] = lambda _: None
+) -> FailureFindings | None:
+    """The findings; None unless the campaign learned from a margin, seeks a probability, or estimated one.
+
+    Args:
+        campaign: the campaign.
+        store: its record.
+        learned: from all simulations.
+        stage: called with each stage of the work.
+    """
+    history, outcome = History.of(store.batches), campaign.settings.acquisition.main_boundary
+    classifier, latent = learned.classifier, learned.classifier.latent(outcome)
+    stage("reading the estimate of the probability")
+    estimate = stored_estimate(campaign, store, classifier, history.last_iteration, outcome, 0.9)
+    if estimate is None and campaign.settings.probability_rule is None and not isinstance(latent, MarginLatent):
+        return None
+    rows, fitted = [], None
+    for n in _sizes(campaign, history):
+        stage(f"learning from the first {n} simulations")
+        fitted = classifier if n == len(history) else learn_from(campaign, history[:n], fitted)
+        rows.append((n, *_probability(campaign, fitted, outcome), _seen(campaign, history[:n])))
+    stage("searching the most probable failure")
+    point = design_point(standardised_latent(latent, campaign.features), campaign.space, np.random.default_rng(0))
+    simulations, probability, low, high, seen = np.array(rows, dtype=np.float64).T
+    return FailureFindings(
+        simulations=simulations,
+        probability=probability,
+        low=low,
+        high=high,
+        seen=seen,
+        point=point,
+        estimate=estimate,
+        bound=bound_without_model(campaign, history, outcome).high,
+        is_known=learned.looks.is_known,
+    )
+
+
+def _sizes(campaign: Campaign, history: History) -> list[int]:
+    """Numbers of simulations at the ends of some batches, from the initial design on."""
+    ends = 1 + np.flatnonzero(np.diff(history.iteration, append=history.last_iteration + 1))
+    initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
+    ends = ends[ends >= min(initial, len(history))]
+    shown = np.unique(np.linspace(0, len(ends) - 1, min(_POINTS, len(ends))).round().astype(int))
+    return [int(n) for n in ends[shown] if history[:n].answered.any()]
+
+
+def _probability(campaign: Campaign, classifier: Classifier, outcome: str) -> tuple[float, float, float]:
+    """The classifier's probability with its 95 % interval."""
+    latent, rng = classifier.latent(outcome), np.random.default_rng(0)
+    if isinstance(latent, MarginLatent):
+        known = model_probability(latent, campaign.features, campaign.space, _SIZE, rng)
+        return known.mean, *lognormal_interval(known.mean, float(np.hypot(known.sd, known.error)))
+    integral = integrated(standardised_latent(latent, campaign.features), campaign.space, rng)
+    return integral.probability, np.nan, np.nan
+
+
+def _seen(campaign: Campaign, history: History) -> int:
+    return int((history.training.outcome >= campaign.severity).sum())
