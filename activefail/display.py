@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from activefail.screen import terminal
 from activefail.shares import interval_percent, lognormal_interval, percent
+from activefail.space import REACH
 from activefail.visible import visible
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def probability_text(looks: "Looks", unseen: bool) -> str:
     """A probability under the classifier, with the interval of its posterior once every outcome was seen."""
     if unseen:
         return f"probability {looks.probability:.2g} under the classifier, without an interval"
-    low, high = lognormal_interval(looks.probability, looks.sd)
+    low, high = lognormal_interval(looks.probability, looks.sd, REACH)
     return f"probability {looks.probability:.3g} under the classifier, 95 % interval {low:.2g} to {high:.2g}"
 
 

@@ -3,8 +3,9 @@
 import json
 from collections.abc import Callable
 from contextlib import nullcontext
+from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self, SupportsIndex
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder, opened, read_campaign
@@ -173,12 +174,11 @@ class Run:
         """Check a budget that replaces the campaign's; None is valid.
 
         Raises:
-            InputError: if it is below 2 or below the number of recorded simulations.
+            InputError: if it is no whole number, below 2 or below the number of recorded simulations.
         """
         if budget is None:
             return
-        if budget < 2:
-            raise InputError(f"budget: must be at least 2, got {budget}.")
+        check_whole("budget", budget, 2)
         if budget < (done := len(self.history)):
             raise InputError(f"budget: must be at least the {done} recorded simulations, got {budget}.")
 
@@ -322,10 +322,11 @@ class Run:
             executor: as for `take`.
 
         Raises:
-            InputError: if the initial design is not finished.
+            InputError: if the number is out of range or the initial design is not finished.
         """
         from activefail.verification.error import verify
 
+        check_whole("simulations", simulations, 1)
         self._check_initial_design("verify")
         classifier, iteration = self.classifier, self.history.last_iteration
         with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
@@ -336,6 +337,7 @@ class Run:
         simulations: int = 50,
         confidence: float = 0.9,
         outcome: str | None = None,
+        question: Path | None = None,
         executor: "Executor | None" = None,
     ) -> "ProbabilityFindings":
         """Estimate the probability of an outcome or a more severe one, from fresh simulations.
@@ -344,22 +346,27 @@ class Run:
             simulations: number of fresh simulations, outside the budget.
             confidence: of the interval.
             outcome: its name; that of the (main) target boundary if None.
+            question: file with other distributions of the variables (docs/probability.md).
             executor: as for `take`.
 
         Raises:
-            InputError: if a number is out of range, the initial design is not finished, or the outcome has no boundary.
+            InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary, or
+                the question's file is invalid.
         """
+        from activefail.campaign.question import Question, read_question
         from activefail.findings.probability import ProbabilityFindings
         from activefail.verification.probability import estimate_probability
 
         boundaries = self.campaign.simulator.outcomes[1:]
         outcome = self.boundary if outcome is None else outcome
-        if simulations < 2:
-            raise InputError(f"simulations: must be at least 2, got {simulations}.")
+        check_whole("simulations", simulations, 2)
         if not 0.0 < confidence < 1.0:
             raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
         if outcome not in boundaries:
             raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
+        asked = Question.of_space(self.space)
+        if question is not None:
+            asked = read_question(question, self.settings, self.space)
         self._check_initial_design("estimate")
         history, classifier = self.history, self.classifier
         with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
@@ -372,9 +379,10 @@ class Run:
                 outcome,
                 simulations,
                 confidence,
+                asked,
             )
-        findings = ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate)
-        if self._write:
+        findings = ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate, asked)
+        if self._write and question is None:
             target = self.folder / ESTIMATE
             with writing_to(target), replacing(target) as file:
                 file.write(
@@ -464,6 +472,20 @@ class Run:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+def check_whole(name: str, number: SupportsIndex, least: int) -> None:
+    """Check an argument that is a whole number.
+
+    Raises:
+        InputError: naming the argument, the rule and the value.
+    """
+    try:
+        whole = index(number)
+    except TypeError:
+        raise InputError(f"{name}: must be a whole number, got {number!r}.") from None
+    if whole < least:
+        raise InputError(f"{name}: must be at least {least}, got {whole}.")
 
 
 def create_run(folder: Path, campaign: Campaign | Path) -> Run:

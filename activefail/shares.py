@@ -21,12 +21,17 @@ def percent(share: float, digits: int = 1) -> str:
     return "< 0.000001 %" if share < 0.5 else "> 99.999999 %"
 
 
-def lognormal_interval(mean: float, sd: float) -> tuple[float, float]:
-    """Central 95 % interval of a probability with a mean and a standard deviation, as if lognormal; at most 1."""
+def lognormal_interval(mean: float, sd: float, unreached: float = 0.0) -> tuple[float, float]:
+    """Central 95 % interval of a probability with a mean and a standard deviation, as if lognormal; at most 1.
+
+    Args:
+        mean, sd: of the probability.
+        unreached: probability that was not searched; the upper end includes it.
+    """
     if not mean > 0.0:
         return 0.0, 1.0
     spread = 1.96 * math.sqrt(math.log1p((sd / mean) ** 2))
-    return mean * math.exp(-spread), min(1.0, mean * math.exp(spread))
+    return mean * math.exp(-spread), min(1.0, mean * math.exp(spread) + unreached)
 
 
 def interval_percent(low: float, high: float, digits: int = 2) -> str:

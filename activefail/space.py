@@ -19,6 +19,10 @@ LEAST_SHARE = 2.0**-53
 """Least distance from a face of the unit cube at which standard normal values are taken."""
 
 
+REACH = 1e-8
+"""Probability outside the ball in standard normal space in which failure is searched and integrated."""
+
+
 def radius(outside: float, dimension: int) -> float:
     """Radius of the ball in standard normal space outside which the probability is `outside`."""
     from scipy.stats import chi

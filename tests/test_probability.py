@@ -10,8 +10,10 @@ from commandline import activefail, refused
 from scipy.special import ndtr
 from scipy.stats import beta
 
+from activefail.errors import InputError
 from activefail.findings.probability import rounded_up, upper_bound
 from activefail.findings.status import read_status
+from activefail.run import open_run
 
 CAMPAIGN = """
 simulator = {{ python = "limit:{name}", margins = ["g"] }}
@@ -60,7 +62,7 @@ def test_the_command_tells_the_probability_with_its_interval_and_the_bound_witho
     assert "probability of failure: 0.00" in result.out
     assert "with 90 % confidence" in result.out
     assert "bound      0.18 without a model, one-sided at 90 %, from the 12 simulations" in result.out
-    assert "The interval assumes that no failure is hidden" in result.out
+    assert "The interval assumes a limit state that is smooth" in result.out
 
 
 def test_its_json_has_the_same_numbers_each_time(ended: Path) -> None:
@@ -205,3 +207,27 @@ def test_a_campaign_without_margins_is_told_that_its_rule_is_never_met(tmp_path:
     result = activefail("run", file, "--out", tmp_path / "run")
     assert result.code == 0, result.err
     assert "a boundary that is learned from outcomes alone never meets this rule" in result.err
+
+
+def test_whole_numbers_are_checked_in_python_too(ended: Path, tmp_path: Path) -> None:
+    shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
+    with open_run(tmp_path / "run", code=tmp_path) as opened:
+        for number, fault in ((float("nan"), "a whole number, got nan"), (30.5, "a whole number"), (1, "at least 2")):
+            with pytest.raises(InputError, match=f"budget: must be {fault}"):
+                opened.take(budget=number)
+            with pytest.raises(InputError, match=f"simulations: must be {fault}"):
+                opened.probability(number)
+
+
+def test_a_probability_that_no_design_reaches_is_not_certified(tmp_path: Path) -> None:
+    # The search ends where the probability outside is 1e-8, though the bounds allow designs farther out.
+    (tmp_path / "limit.py").write_text('def far(design):\n    return 6.8 - (design["x"] + design["y"]) / 2**0.5\n')
+    text = CAMPAIGN.format(name="far", budget=40).replace("[sampling]", "[sampling]\nreach = 1e-12")
+    (tmp_path / "far.toml").write_text("seed = 2\n" + text)
+    result = activefail("run", tmp_path / "far.toml", "--out", tmp_path / "run")
+    assert result.code == 0, result.err
+    assert "stop rule" not in result.out
+    result = activefail("probability", tmp_path / "run", "--code", tmp_path, "--json")
+    numbers = json.loads(result.out)["outcomes"]["failure"]
+    assert numbers["low"] <= ndtr(-6.8) <= numbers["high"]
+    assert numbers["high"] >= 1e-8

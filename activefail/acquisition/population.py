@@ -13,10 +13,7 @@ import numpy as np
 
 from activefail.errors import InputError
 from activefail.features import FeatureMap
-from activefail.space import Array, DesignSpace, radius
-
-REACH = 1e-8
-"""Probability outside the ball in standard normal space that a population fills."""
+from activefail.space import REACH, Array, DesignSpace, radius
 
 _PER_PARENT, _PARENTS = 400, 100
 """Designs of a population for each parent of its local part, and most parents."""

@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 import tomli_w
@@ -164,21 +164,62 @@ class CampaignSettings(Section):
             for part in sections:
                 section = section[part]
             section[name] = value
-        return _checked(values, "command line")
+        return checked(CampaignSettings, values, "command line")
 
+
+SectionType = TypeVar("SectionType", bound=Section)
 
 _MOST_RULES = 50
 """Most broken rules listed in one message."""
 
 
-def _checked(values: dict[str, Any], source: str) -> CampaignSettings:
+def checked(section: type[SectionType], values: dict[str, Any], source: str) -> SectionType:
+    """The settings with these values.
+
+    Raises:
+        InputError: naming the source, and for each error the key path, the rule and the value.
+    """
     try:
-        return CampaignSettings.model_validate(values)
+        return section.model_validate(values)
     except ValidationError as invalid:
         errors = invalid.errors()
-        rules = [f"  {visible(broken_rule(CampaignSettings, error))}" for error in errors[:_MOST_RULES]]
+        rules = [f"  {visible(broken_rule(section, error))}" for error in errors[:_MOST_RULES]]
         rest = [f"  and {len(errors) - _MOST_RULES} more"] if len(errors) > _MOST_RULES else []
         raise InputError("\n".join([f"{source}:", *rules, *rest])) from None
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """The values of TOML.
+
+    Raises:
+        InputError: naming the source and the fault.
+    """
+    try:
+        check_dots(text)
+    except ValueError as error:
+        raise InputError(f"{source}: {error}") from None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{source}: not valid TOML: tables or lists are nested hundreds of levels deep.") from None
+    except ValueError:
+        raise InputError(f"{source}: not valid TOML: an integer has thousands of digits.") from None
+
+
+def read_text(path: Path) -> str:
+    """The text of a TOML file.
+
+    Raises:
+        InputError: if the file cannot be read or is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
 
 
 def parse_settings(text: str, source: str, frozen: bool = False) -> CampaignSettings:
@@ -193,21 +234,10 @@ def parse_settings(text: str, source: str, frozen: bool = False) -> CampaignSett
     Raises:
         InputError: naming the source, and for each error the key path, the rule and the value.
     """
-    try:
-        check_dots(text)
-    except ValueError as error:
-        raise InputError(f"{source}: {error}") from None
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{source}: not valid TOML: tables or lists are nested hundreds of levels deep.") from None
-    except ValueError:
-        raise InputError(f"{source}: not valid TOML: an integer has thousands of digits.") from None
+    values = parse_toml(text, source)
     if frozen and isinstance(classifier := values.setdefault("classifier", {}), dict):
         classifier.setdefault("learns", "outcomes")
-    return _checked(values, source)
+    return checked(CampaignSettings, values, source)
 
 
 def read_settings(path: Path, frozen: bool = False) -> CampaignSettings:
@@ -216,10 +246,4 @@ def read_settings(path: Path, frozen: bool = False) -> CampaignSettings:
     Raises:
         InputError: if the file cannot be read, is not UTF-8 TOML, or breaks a rule.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
-    return parse_settings(text, str(path), frozen)
+    return parse_settings(read_text(path), str(path), frozen)

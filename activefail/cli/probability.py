@@ -1,6 +1,7 @@
 """The command `probability`."""
 
 import json
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,6 +21,10 @@ def probability(
         str | None, typer.Option(help="Outcome; that of the target boundary by default.", show_default=False)
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    question: Annotated[
+        Path | None,
+        typer.Option(help="File with other distributions of the variables (docs/probability.md).", show_default=False),
+    ] = None,
     code: Code = None,
 ) -> None:
     """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
@@ -27,7 +32,7 @@ def probability(
     from activefail.findings.quantities import words
 
     with opened_run(folder, write=True, code=code) as opened:
-        findings = opened.probability(simulations, confidence, outcome)
+        findings = opened.probability(simulations, confidence, outcome, question)
         summary = opened.summary
         boundaries = opened.campaign.simulator.outcomes
     show_unseen(summary)
@@ -38,7 +43,8 @@ def probability(
     name = visible(words(findings.outcome)) + ("" if findings.outcome == boundaries[-1] else " or worse")
     learned = f"the margin {visible(findings.learned_from)}" if findings.learned_from else "the outcomes"
     failed = f", {estimate.unanswered} of them numerical failures" if estimate.unanswered else ""
-    print(f"probability of {name}: {estimate.probability:.3g}")
+    under = f" under {visible(findings.question)}" if findings.question else ""
+    print(f"probability of {name}{under}: {estimate.probability:.3g}")
     interval = f"{estimate.low:.3g} to {estimate.high:.3g}"
     if findings.is_extrapolated:
         print(f"interval   0 to {rounded_up(findings.high)}, without a model; {interval} under the classifier")
@@ -58,7 +64,7 @@ def probability(
     )
     print(
         f"bound      {rounded_up(findings.bound.high)} without a model, one-sided at 90 %, from the "
-        f"{findings.bound.simulations} simulations of the initial design alone"
+        f"{findings.bound.in_words} alone"
     )
     for sentence in findings.assumptions:
         print(f"note       {sentence}")

@@ -16,7 +16,7 @@ from activefail.reliability.design_point import DesignPoint, design_point
 from activefail.reliability.estimate import ProbabilityEstimate, integrated, standardised_latent
 from activefail.reliability.probability import model_probability
 from activefail.shares import lognormal_interval
-from activefail.space import Array
+from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 from activefail.verification.probability import stored_estimate
@@ -119,7 +119,7 @@ def _probability(campaign: Campaign, classifier: Classifier, outcome: str) -> tu
     latent, rng = classifier.latent(outcome), np.random.default_rng(0)
     if isinstance(latent, MarginLatent):
         known = model_probability(latent, campaign.features, campaign.space, _SIZE, rng)
-        return known.mean, *lognormal_interval(known.mean, float(np.hypot(known.sd, known.error)))
+        return known.mean, *lognormal_interval(known.mean, float(np.hypot(known.sd, known.error)), REACH)
     integral = integrated(standardised_latent(latent, campaign.features), campaign.space, rng)
     return integral.probability, np.nan, np.nan
 

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
 from activefail.findings.quantities import words
 from activefail.loop.history import History
-from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
+from activefail.shares import percent
+from activefail.space import REACH
 from activefail.surrogate.choice import OUTCOMES
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.stratified import largest_unseen_share
@@ -30,25 +33,46 @@ def rounded_up(share: float) -> str:
 
 
 class Bound(NamedTuple):
-    """An upper bound on a probability, one-sided at 90 %, from the initial design alone, without a model.
+    """An upper bound on a probability, one-sided at 90 %, without a model.
 
     Attributes:
         high: the bound.
-        simulations: of the initial design, a sample of the design measure.
+        simulations: that it rests on.
+        source: what these are.
     """
 
     high: float
     simulations: int
+    source: str
+
+    @property
+    def in_words(self) -> str:
+        """What the bound rests on."""
+        of = "simulations of the initial design" if self.source == "initial design" else self.source
+        return f"{self.simulations} {of}"
 
 
 def bound_without_model(campaign: Campaign, history: History, outcome: str) -> Bound:
-    """The bound on the probability of an outcome or a more severe one."""
+    """The bound on the probability of an outcome or a more severe one, from the initial design alone.
+
+    Only the initial design is a sample of the design measure.
+    """
     # Failures before the first outcome came from a simulator that has been fixed since.
     initial = history[history.leading_failures :]
     initial = initial[initial.initial]
     # A numerical failure may hide either outcome; the bound counts it as beyond.
     hits = int(((initial.outcome >= campaign.simulator.outcomes.index(outcome)) | ~initial.answered).sum())
-    return Bound(upper_bound(hits, len(initial), BOUND_CONFIDENCE), len(initial))
+    return Bound(upper_bound(hits, len(initial), BOUND_CONFIDENCE), len(initial), "initial design")
+
+
+def bound_of_fresh(estimate: ProbabilityEstimate) -> Bound:
+    """The bound from fresh simulations alone.
+
+    A fresh simulation is drawn beyond the boundary at least 1/`LARGEST_RATIO` times as often as the probability says.
+    """
+    hits = estimate.beyond + estimate.unanswered
+    high = min(1.0, LARGEST_RATIO * upper_bound(hits, estimate.simulations, BOUND_CONFIDENCE))
+    return Bound(high, estimate.simulations, "fresh simulations")
 
 
 @dataclass(frozen=True)
@@ -63,6 +87,8 @@ class ProbabilityFindings:
         seen: how many of these ended beyond the boundary.
         bound: without a model.
         outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
+        question: title of the distribution; empty for the campaign's design measure.
+        extrapolated: share of the distribution outside the campaign's design space.
     """
 
     outcome: str
@@ -72,10 +98,18 @@ class ProbabilityFindings:
     seen: int
     bound: Bound
     outside: float
+    question: str
+    extrapolated: float
 
     @classmethod
     def of(
-        cls, campaign: Campaign, history: History, classifier: Classifier, outcome: str, estimate: ProbabilityEstimate
+        cls,
+        campaign: Campaign,
+        history: History,
+        classifier: Classifier,
+        outcome: str,
+        estimate: ProbabilityEstimate,
+        question: Question,
     ) -> Self:
         """The findings of a campaign with this estimate."""
         severity = campaign.simulator.outcomes.index(outcome)
@@ -90,8 +124,10 @@ class ProbabilityFindings:
             learned_from="" if choice == OUTCOMES else campaign.simulator.margins[choice],
             learned=len(history),
             seen=int(beyond.sum()),
-            bound=bound_without_model(campaign, history, outcome),
-            outside=campaign.space.outside,
+            bound=bound_of_fresh(estimate) if question.digest else bound_without_model(campaign, history, outcome),
+            outside=question.space.outside,
+            question=question.title if question.digest else "",
+            extrapolated=question.share_outside(campaign.space) if question.digest else 0.0,
         )
 
     @property
@@ -120,10 +156,20 @@ class ProbabilityFindings:
                 "missed something: continue the campaign before this estimate is used."
             )
         sentences.append(
-            "The interval assumes that no failure is hidden where neither the classifier nor the fresh simulations "
-            "looked. In five dimensions and more nothing finds such a region reliably."
+            "The interval assumes a limit state that is smooth between simulations: no failure is hidden where neither "
+            "the classifier nor the fresh simulations looked, in one region or scattered. In five dimensions and more "
+            "nothing finds such a region reliably. Only the bound without a model needs no such assumption."
         )
-        if self.outside > 0.0:
+        if self.question:
+            sentences.append(
+                f"{percent(self.extrapolated)} of the question lies outside the campaign's design space, where the "
+                "classifier extrapolates. The fresh simulations are drawn there too."
+            )
+        sentences.append(
+            f"The outermost designs, with a probability of {REACH:g}, are not tried; the upper end of the interval "
+            "counts them as failures."
+        )
+        if self.outside > REACH:
             sentences.append(
                 f"Designs outside the variables' bounds, with a probability of up to {self.outside:.1g}, are left out."
             )
@@ -142,6 +188,8 @@ class ProbabilityFindings:
             "numerical_failures": estimate.unanswered,
             "contradictions": estimate.wrong,
             "failures_seen": self.seen + estimate.beyond,
+            "question": self.question or None,
+            "outside_design_space": self.extrapolated,
             "method": "classifier corrected by importance sampling of its mistakes",
             "learned_from": self.learned_from or "outcomes",
             "campaign_simulations": self.learned,
@@ -151,6 +199,7 @@ class ProbabilityFindings:
                 "confidence": BOUND_CONFIDENCE,
                 "one_sided": True,
                 "simulations": self.bound.simulations,
+                "from": self.bound.source,
             },
             "recall": None if math.isnan(estimate.recall) else estimate.recall,
             "recall_low": estimate.recall_low,

@@ -14,6 +14,7 @@ from activefail.findings.summary import Summary, is_verified, read_summary
 from activefail.record.attachments import decode_state
 from activefail.record.layout import ESTIMATE, state_file
 from activefail.shares import lognormal_interval, percent
+from activefail.space import REACH
 from activefail.visible import quoted, visible, words
 
 _LARGEST_STATE, _LARGEST_ESTIMATE = 100_000_000, 100_000
@@ -124,7 +125,7 @@ class Status:
     def _by_classifier(self) -> list[tuple[str, str]]:
         try:
             _, probability, sd, error = self._state["stop/looks"][-1].tolist()
-            low, high = lognormal_interval(probability, math.hypot(sd, error))
+            low, high = lognormal_interval(probability, math.hypot(sd, error), REACH)
         except (LookupError, ValueError, TypeError, ArithmeticError):
             return []
         seen = all(self.summary.counts[:-1])

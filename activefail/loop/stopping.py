@@ -18,7 +18,7 @@ from activefail.record.batch import CHECK
 from activefail.reliability.hidden import hidden_places
 from activefail.reliability.probability import model_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.space import Array
+from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 
@@ -59,8 +59,11 @@ class Looks:
         return float(np.hypot(*self.table[-1, 2:]))
 
     def is_narrow(self, cov: float) -> bool:
-        """Whether the last look and one at least four simulations before it found a narrow posterior."""
-        narrow = (self.table[:, 2] <= _SURE * cov * self.table[:, 1]) & (self.table[:, 1] > 0.0)
+        """Whether the last look and one at least four simulations before it found a narrow posterior.
+
+        A probability that is not much larger than `space.REACH` is never known: nothing is searched farther out.
+        """
+        narrow = np.maximum(self.table[:, 2], REACH) <= _SURE * cov * self.table[:, 1]
         before = np.flatnonzero(self.table[:, 0] <= self.table[-1, 0] - _BETWEEN)
         return bool(narrow[-1] and len(before) and narrow[before[-1]])
 

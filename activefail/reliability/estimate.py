@@ -20,7 +20,7 @@ from scipy.stats import t
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import finite, population
 from activefail.features import FeatureMap
-from activefail.space import Array, DesignSpace
+from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.margin import MarginLatent
 
@@ -29,6 +29,10 @@ _RADIAL = 20_000
 
 _UNIFORM = 0.3
 """Share of the simulations that are drawn without regard to the classifier's doubt."""
+
+LARGEST_RATIO = 2.0 / _UNIFORM
+"""Largest density of the design measure over that of a fresh simulation. A radial population has at least half the
+density of the measure everywhere."""
 
 _WIDER = 2.0
 """Factor of the latent's standard deviation."""
@@ -84,7 +88,8 @@ class ProbabilityEstimate:
 
     Attributes:
         probability: the estimate, at least 0.
-        low, high: two-sided interval, with equal tails.
+        low, high: two-sided interval, with equal tails; `high` includes the probability `space.REACH` that no design
+            reaches.
         confidence: of the interval.
         model: the classifier's own probability, without an interval.
         simulations: fresh simulations, including numerical failures.
@@ -190,7 +195,8 @@ def estimated(
     return ProbabilityEstimate(
         probability=min(1.0, max(0.0, middle)),
         low=min(1.0, max(0.0, low)),
-        high=min(1.0, max(0.0, high)),
+        # No design is drawn farther out; all of them may fail.
+        high=min(1.0, max(0.0, high) + REACH),
         confidence=confidence,
         model=min(1.0, plan.probability),
         simulations=len(beyond),

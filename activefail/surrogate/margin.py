@@ -75,8 +75,10 @@ def is_truncated(margin: Array) -> bool:
     failed, others = margin[margin <= 0.0], margin[margin > 0.0]
     if len(failed) == 0 or len(others) < 2:
         return False
-    reach = np.ptp(failed) if len(failed) > 1 else -failed[0]
-    return bool(reach <= _CENSORED_SPREAD * others.std())
+    # In units of the largest: squares of huge margins would overflow.
+    largest = others.max()
+    reach = np.ptp(failed / largest) if len(failed) > 1 else -failed[0] / largest
+    return bool(reach <= _CENSORED_SPREAD * (others / largest).std())
 
 
 class Sites(NamedTuple):

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
 from activefail.campaign.random_streams import stream
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
@@ -16,6 +17,7 @@ from activefail.reliability.estimate import (
     standardised_latent,
 )
 from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
 
@@ -29,6 +31,7 @@ def estimate_probability(
     outcome: str,
     simulations: int,
     confidence: float,
+    question: Question,
 ) -> ProbabilityEstimate:
     """The probability of an outcome or a more severe one, with the classifier of an iteration.
 
@@ -41,14 +44,15 @@ def estimate_probability(
         outcome: its name.
         simulations: number of fresh simulations; at least 2.
         confidence: of the interval.
+        question: the distribution of the variables.
 
     Raises:
         SimulationError: if none of the simulations gives an outcome.
     """
     severity = campaign.simulator.outcomes.index(outcome)
-    plan = _planned(campaign, classifier, iteration, outcome, simulations)
-    name = name_of_estimate(severity, iteration, simulations)
-    outcomes = simulated_outcomes(campaign, store, executor, name, plan.designs)
+    plan = _planned(campaign, classifier, iteration, outcome, simulations, question)
+    name = name_of_estimate(severity, iteration, simulations, question.digest)
+    outcomes = simulated_outcomes(campaign, store, executor, name, question.designs(plan.designs))
     assert outcomes is not None  # no stop was requested
     return _estimated(plan, outcomes, severity, confidence)
 
@@ -56,25 +60,33 @@ def estimate_probability(
 def stored_estimate(
     campaign: Campaign, store: Store, classifier: Classifier, iteration: int, outcome: str, confidence: float
 ) -> ProbabilityEstimate | None:
-    """The estimate from the largest stored set of fresh simulations; None if there is none. It simulates nothing.
+    """The estimate from the largest stored set of fresh simulations under the design measure, or None.
+
+    It simulates nothing.
 
     Args:
         campaign, store, classifier, iteration, outcome, confidence: as for `estimate_probability`.
     """
     severity = campaign.simulator.outcomes.index(outcome)
     for simulations in estimate_sizes(store, severity, iteration):
-        plan = _planned(campaign, classifier, iteration, outcome, simulations)
+        plan = _planned(campaign, classifier, iteration, outcome, simulations, Question.of_space(campaign.space))
         outcomes = stored_outcomes(store, name_of_estimate(severity, iteration, simulations), plan.designs)
         if outcomes is not None:
             return _estimated(plan, outcomes, severity, confidence)
     return None
 
 
-def _planned(campaign: Campaign, classifier: Classifier, iteration: int, outcome: str, simulations: int) -> Plan:
+def _planned(
+    campaign: Campaign, classifier: Classifier, iteration: int, outcome: str, simulations: int, question: Question
+) -> Plan:
     rng = stream(campaign.settings.seed, "estimate", iteration)
-    standardised = standardised_latent(classifier.latent(outcome), campaign.features)
-    integral = integrated(standardised, campaign.space, rng)
-    return plan_estimate(standardised, campaign.space, integral, simulations, rng)
+    of_designs = standardised_latent(classifier.latent(outcome), campaign.features)
+
+    def standardised(X: Array) -> Array:
+        return of_designs(question.designs(X))
+
+    integral = integrated(standardised, question.space, rng)
+    return plan_estimate(standardised, question.space, integral, simulations, rng)
 
 
 def _estimated(plan: Plan, outcomes: NDArray[np.int8], severity: int, confidence: float) -> ProbabilityEstimate:

@@ -9,6 +9,7 @@ A set is stored in parts, `<name>-<part>`, so that an interruption loses at most
     look-<iteration>-<designs>          fresh simulations of a look of the stop rule
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
     probability-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability
+    question-<digest>-<number of outcome>-<iteration>-<designs>  the same under a question
 """
 
 import re
@@ -58,9 +59,17 @@ def name_of_verification(iteration: int, designs: int) -> str:
     return f"verification-{iteration}-{designs}"
 
 
-def name_of_estimate(severity: int, iteration: int, designs: int) -> str:
-    """Name of the fresh simulations that estimate the probability of an outcome, by its number."""
-    return f"probability-{severity}-{iteration}-{designs}"
+def name_of_estimate(severity: int, iteration: int, designs: int, question: str = "") -> str:
+    """Name of the fresh simulations that estimate the probability of an outcome, by its number.
+
+    Args:
+        severity: number of the outcome.
+        iteration: of the classifier.
+        designs: number of simulations.
+        question: digest of the question; empty for the design measure.
+    """
+    of = f"{severity}-{iteration}-{designs}"
+    return f"question-{question[:16]}-{of}" if question else f"probability-{of}"
 
 
 def first_part(name: str) -> str:

@@ -1,0 +1,139 @@
+"""A question: another distribution of a campaign's variables, under which a probability is asked for."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from activefail.campaign.sections import AnyVariable, FixedVariable, Section, Variable
+from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
+from activefail.errors import InputError
+from activefail.space import Array, DesignSpace, radius
+
+_SHARE = 2**14
+"""Designs that estimate which share of a question lies outside the design space."""
+
+
+class QuestionSettings(Section):
+    """The file of a question.
+
+    Attributes:
+        description: in words.
+        reach: as `sampling.reach`, for variables whose bounds the file leaves out.
+        space: distributions and fixed values of variables; a variable that is left out keeps the campaign's.
+        correlation: as in a campaign; the campaign's among the uncertain variables if it is left out.
+    """
+
+    description: str = ""
+    reach: float = Field(1e-8, ge=1e-12, le=0.1)
+    space: dict[str, AnyVariable] = Field(min_length=1)
+    correlation: list[Annotated[tuple[str, str, float], Field(strict=False)]] | None = None
+
+    @model_validator(mode="after")
+    def _has_known_pairs(self) -> "QuestionSettings":
+        for first, second, _ in self.correlation or ():
+            for name in (first, second):
+                if isinstance(self.space.get(name), FixedVariable):
+                    raise ValueError(f"correlation: {name!r} has a fixed value, so it cannot be correlated")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """A distribution of a campaign's variables.
+
+    Attributes:
+        title: in words.
+        space: of the k uncertain variables.
+        columns: (k,) their columns among the campaign's variables.
+        values: (d,) values of the campaign's variables; those of uncertain ones mean nothing.
+        digest: SHA-256 of what the question defines; empty for the campaign's own design measure.
+    """
+
+    title: str
+    space: DesignSpace
+    columns: tuple[int, ...]
+    values: Array
+    digest: str = ""
+
+    @classmethod
+    def of_space(cls, space: DesignSpace) -> "Question":
+        """The campaign's own design measure."""
+        return cls("the design measure", space, tuple(range(space.dimension)), np.zeros(space.dimension))
+
+    def designs(self, X: Array) -> Array:
+        """Designs of the campaign, (n, d), from values of the uncertain variables, (n, k)."""
+        if len(self.columns) == len(self.values):
+            return X
+        designs = np.tile(self.values, (len(X), 1))
+        designs[:, list(self.columns)] = X
+        return designs
+
+    def share_outside(self, space: DesignSpace) -> float:
+        """The share of the question outside a campaign's design space, where its classifier extrapolates.
+
+        Estimated by 16,384 designs of a scrambled Sobol' sequence.
+        """
+        X = self.space.sobol(_SHARE, np.random.default_rng(0))
+        return float(1.0 - space.contains(self.designs(X)).mean())
+
+
+def read_question(path: Path, settings: CampaignSettings, space: DesignSpace) -> Question:
+    """Read the question of a file.
+
+    Args:
+        path: the file.
+        settings, space: of the campaign.
+
+    Raises:
+        InputError: naming the file, the key, the rule and the value.
+    """
+    asked = checked(QuestionSettings, parse_toml(read_text(path), str(path)), str(path))
+    try:
+        return _question(asked, path, settings, space)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _question(asked: QuestionSettings, path: Path, settings: CampaignSettings, space: DesignSpace) -> Question:
+    for name, entry in asked.space.items():
+        _check_variable(name, entry, settings, space)
+    fixed = {name: entry.value for name, entry in asked.space.items() if isinstance(entry, FixedVariable)}
+    changed = {name: entry for name, entry in asked.space.items() if isinstance(entry, Variable)}
+    uncertain = [name for name in space.names if name not in fixed]
+    if not uncertain:
+        raise InputError("space: fixes every variable; `activefail predict` and `simulate` answer a single design.")
+    unbounded = sum(not variable.is_bounded for variable in changed.values())
+    distance = radius(asked.reach, unbounded) if unbounded else np.inf
+    own = dict(zip(space.names, space.parameters, strict=True))
+    parameters = tuple(changed[name].parameter(name, distance) if name in changed else own[name] for name in uncertain)
+    correlation = asked.correlation
+    if correlation is None:
+        correlation = [pair for pair in settings.correlation if pair[0] in uncertain and pair[1] in uncertain]
+    values = np.array([fixed.get(name, 0.0) for name in space.names])
+    digest = hashlib.sha256(repr((parameters, tuple(correlation), values.tolist())).encode()).hexdigest()
+    return Question(
+        asked.description or path.stem,
+        DesignSpace(parameters, correlation=tuple(correlation)),
+        tuple(space.names.index(name) for name in uncertain),
+        values,
+        digest,
+    )
+
+
+def _check_variable(name: str, entry: Variable | FixedVariable, settings: CampaignSettings, space: DesignSpace) -> None:
+    """Check one variable of a question.
+
+    Raises:
+        InputError: naming the key, the rule and the value.
+    """
+    if name in space.fixed:
+        raise InputError(f"space.{name}: has the fixed value {space.fixed[name]:g} in the campaign; leave it out.")
+    if name not in space.names:
+        raise InputError(f"space.{name}: is no variable of the campaign; it has {', '.join(space.names)}.")
+    unit = settings.space[name].unit
+    if entry.unit and entry.unit != unit:
+        raise InputError(f"space.{name}.unit: must be {unit or 'left out'}, as in the campaign, got {entry.unit!r}.")

@@ -1,0 +1,145 @@
+"""Probabilities under other distributions than a campaign's own: the number, what is kept, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+from scipy.special import ndtr
+
+from activefail.campaign.question import Question, read_question
+from activefail.campaign.settings import parse_settings
+from activefail.findings.probability import bound_of_fresh
+from activefail.reliability.estimate import ProbabilityEstimate
+
+CAMPAIGN = """
+simulator = { python = "limit:plane", margins = ["g"] }
+stop = { probability = "failure" }
+correlation = [["x", "y", 0.5]]
+[space]
+x = { distribution = "normal", mean = 0, sd = 1, unit = "m" }
+y = { distribution = "normal", mean = 0, sd = 1 }
+z = { low = -1, high = 1 }
+w = { value = 2.0 }
+[sampling]
+budget = 60
+"""
+
+LIMIT = """
+def plane(design):
+    return 3.0 - design["x"] + 0.1 * design["y"] + 0.2 * design["z"]
+"""
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("questions")
+    (folder / "limit.py").write_text(LIMIT)
+    (folder / "made.toml").write_text(CAMPAIGN)
+    result = activefail("run", folder / "made.toml", "--out", folder / "run")
+    assert result.code == 0, result.err
+    return folder
+
+
+def asked(folder: Path, text: str) -> Path:
+    path = folder / "asked.toml"
+    path.write_text(text)
+    return path
+
+
+def question(folder: Path, text: str) -> Question:
+    settings = parse_settings(CAMPAIGN, "made.toml")
+    return read_question(asked(folder, text), settings, settings.design_space())
+
+
+def test_the_probability_is_that_of_the_question(ended: Path, tmp_path: Path) -> None:
+    file = asked(
+        tmp_path,
+        'description = "a worse site"\n[space]\nx = { distribution = "normal", mean = 1, sd = 1.2, unit = "m" }\n'
+        "y = { value = 0.5 }\nz = { value = 0.0 }\n",
+    )
+    options = ("--code", ended, "--question", file, "--simulations", "40")
+    result = activefail("probability", ended / "run", *options)
+    assert result.code == 0, result.err
+    true = float(ndtr(-(3.0 + 0.05 - 1.0) / 1.2))
+    assert "probability of failure under a worse site: 0.04" in result.out
+    numbers = json.loads(activefail("probability", ended / "run", *options, "--json").out)["outcomes"]["failure"]
+    assert numbers["low"] <= true <= numbers["high"]
+    assert numbers["high"] - numbers["low"] < 0.02
+    assert numbers["question"] == "a worse site"
+    assert numbers["bound_without_model"]["from"] == "fresh simulations"
+    # The estimate of the campaign's own measure is another set of simulations, and status shows that alone.
+    own = activefail("probability", ended / "run", "--code", ended, "--simulations", "40")
+    assert "under a worse site" not in own.out
+    assert len([path for path in (ended / "run" / "sets").iterdir() if path.name.startswith("question-")]) == 1
+
+
+def test_what_a_question_leaves_out_keeps_the_campaigns_distribution_and_correlation(tmp_path: Path) -> None:
+    kept = question(tmp_path, "[space]\nz = { value = 0.5 }\n")
+    assert kept.space.names == ("x", "y")
+    assert kept.space.correlation == (("x", "y", 0.5),)
+    assert question(tmp_path, "[space]\ny = { value = 0.5 }\n").space.correlation == ()
+    X = kept.designs(np.array([[1.0, 2.0], [3.0, 4.0]]))
+    assert X.tolist() == [[1.0, 2.0, 0.5], [3.0, 4.0, 0.5]]
+
+
+def test_the_share_outside_the_design_space_is_counted(tmp_path: Path) -> None:
+    space = parse_settings(CAMPAIGN, "made.toml").design_space()
+    wider = question(tmp_path, "[space]\nz = { low = -2, high = 2 }\n")
+    assert wider.share_outside(space) == pytest.approx(0.5, abs=0.01)
+    assert question(tmp_path, "[space]\nx = { value = 1.0 }\n").share_outside(space) == 0.0
+    assert question(tmp_path, "[space]\nx = { value = 50.0 }\n").share_outside(space) == 1.0
+
+
+def test_two_questions_differ_by_what_they_define_not_by_their_words(tmp_path: Path) -> None:
+    one = question(tmp_path, 'description = "one"\n[space]\nz = { low = -2, high = 2 }\n')
+    same = question(tmp_path, 'description = "another"\n[space]\nz = { low = -2.0, high = 2.0 }\n')
+    other = question(tmp_path, "[space]\nz = { low = -2, high = 2.001 }\n")
+    assert one.digest == same.digest != other.digest
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[space]\nq = { low = 0, high = 1 }\n", "space.q: is no variable of the campaign; it has x, y, z."),
+        ("[space]\nw = { value = 1 }\n", "space.w: has the fixed value 2 in the campaign; leave it out."),
+        (
+            '[space]\nx = { low = 0, high = 100, unit = "cm" }\n',
+            "space.x.unit: must be m, as in the campaign, got 'cm'.",
+        ),
+        ('[space]\ny = { low = 0, high = 1, unit = "m" }\n', "space.y.unit: must be left out, as in the campaign"),
+        ("[space]\nx = { value = 1 }\ny = { value = 1 }\nz = { value = 0 }\n", "space: fixes every variable"),
+        ("[space]\nx = { low = 2, high = 1 }\n", "space.x: `low < high` must hold"),
+        ('[space]\nx = { distribution = "lognormal", mean = -1, sd = 1 }\n', "space.x: "),
+        ('[space]\nx = { distribution = "normal", mean = 1, sd = 0 }\n', "space.x: "),
+        ("", "space: required, but missing"),
+        ("[space]\n", "space: must hold at least 1"),
+        ("[spaces]\n", "spaces: unknown key; did you mean 'space'?"),
+        ("[space\n", "not valid TOML"),
+        (
+            'correlation = [["x", "z", 0.5]]\n[space]\nz = { value = 0 }\n',
+            "correlation: 'z' has a fixed value, so it cannot be correlated",
+        ),
+        ('correlation = [["x", "y", 1.5]]\n[space]\nz = { value = 0 }\n', "correlation"),
+    ],
+)
+def test_a_wrong_question_is_refused_with_file_key_and_rule(
+    ended: Path, tmp_path: Path, text: str, message: str
+) -> None:
+    file = asked(tmp_path, text)
+    refused(activefail("probability", ended / "run", "--code", ended, "--question", file), str(file), message)
+
+
+def test_a_question_that_cannot_be_read_is_refused(ended: Path, tmp_path: Path) -> None:
+    result = activefail("probability", ended / "run", "--code", ended, "--question", tmp_path / "none.toml")
+    refused(result, "none.toml: cannot be read: No such file or directory")
+
+
+def test_the_bound_of_fresh_simulations_holds_for_the_rarest_allowed_draws() -> None:
+    # Each of the draws hits with at least 3/20 of the probability; this is the least favourable case.
+    rng, probability, missed = np.random.default_rng(0), 0.3, 0
+    for hits in rng.binomial(50, probability * 0.15, size=2000):
+        estimate = ProbabilityEstimate(0.0, 0.0, 0.0, 0.9, 0.0, 50, 0, int(hits), 0, 0, 1.0, 1.0)
+        missed += bound_of_fresh(estimate).high < probability
+    assert missed / 2000 < 0.1 + 3.0 * (0.1 * 0.9 / 2000) ** 0.5
