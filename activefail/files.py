@@ -247,7 +247,7 @@ def _write_temporary(path: Path, data: bytes) -> Path:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         try:
             _write_all(descriptor, data)
-            _sync_file(descriptor, path)
+            sync_file(descriptor, path)
             size = os.fstat(descriptor).st_size
         finally:
             os.close(descriptor)
@@ -271,7 +271,12 @@ def _write_all(descriptor: int, data: bytes) -> None:
         rest = rest[written:]
 
 
-def _sync_file(descriptor: int, path: Path) -> None:
+def sync_file(descriptor: int, path: Path) -> None:
+    """Make the content of an open file durable.
+
+    Raises:
+        SyncError: if the system cannot.
+    """
     try:
         os.fsync(descriptor)
     except OSError as error:

@@ -168,7 +168,7 @@ def rosenbrock(tableau: Tableau) -> Any:
 
 def measure(name: str, run: Any, X: Array, relative: float, reference: Responses) -> None:
     """Simulate all designs with a kernel in place of activefail's, and print its cost."""
-    with patch.object(simulation, "_run", run):
+    with patch.object(simulation, "integrate", run):
         simulate(X[:1], threads=1)  # compiled before the clock runs
         began = time.process_time()
         answers = simulate(X, tolerance=Tolerance(relative=relative), threads=1)
@@ -193,7 +193,7 @@ def main() -> None:
         heads = "".join(f"{head:>9}" for head in ("steps", "rejected", "rhs"))
         print(f"{'':<14}{'rtol':>8}{heads}{'ms':>8}{'outcomes':>14}   energy error: median, 99 %, largest")
         for relative in arguments.tolerances:
-            measure("activefail", simulation._run, X, relative, reference)
+            measure("activefail", simulation.integrate, X, relative, reference)
         for name in arguments.only:
             method = {key: frozen(value) for key, value in methods[name].items()}
             if "C" in method:
@@ -201,7 +201,7 @@ def main() -> None:
             else:
                 order = method.pop("error_order")
                 advance = advancing(esdirk(**method), order)
-            run = njit(nogil=True, **KERNEL)(recompiled(simulation._run, advance=advance))
+            run = njit(nogil=True, **KERNEL)(recompiled(simulation.integrate, advance=advance))
             for relative in arguments.tolerances:
                 measure(name, run, X, relative, reference)
 

@@ -30,7 +30,7 @@ from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.sites import Sites, solve_sites
 
 PROBIT = sites.probit_expectations
-NODES, WEIGHTS = sites._NODES, sites._WEIGHTS
+NODES, WEIGHTS = sites.NODES, sites.WEIGHTS
 
 
 def density(z, log_scale):

@@ -996,7 +996,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 ) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
     words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.comparison.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
+    with holding("activefail.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
         wait_for(running.process.stderr, "campaigns and classifiers")
         err = struck_as_by_a_terminal(running.process, running.release)
     assert err.splitlines()[-1] == f"stopped; scores are kept in {tmp_path / 'compared'}. The same command continues."
@@ -1008,7 +1008,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 def test_a_second_ctrl_c_ends_a_comparison_over_seeds_in_the_middle_of_its_arms(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
     words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.comparison.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
+    with holding("activefail.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
         running.wait()
         running.process.send_signal(signal.SIGINT)
         wait_for(running.process.stderr, "stopping after this batch")

@@ -112,7 +112,7 @@ class DaskExecutor:
         return self._collect(self._arrivals, seconds)
 
     def _submit(self, simulator: Simulator, ticket: int, x: Array, arrivals: "_Arrivals") -> None:
-        future = self._client.submit(_answer_there, simulator, x[None], self._time_limit, self._expected, pure=False)
+        future = self._client.submit(answer_on_worker, simulator, x[None], self._time_limit, self._expected, pure=False)
         self._in_flight[future.key] = future, simulator, x
 
         async def gather() -> None:
@@ -216,7 +216,7 @@ def _guards(time_limit: float | None) -> Guards:
     return Guards(answer, time_limit)
 
 
-def _answer_there(
+def answer_on_worker(
     simulator: Simulator, X: Array, time_limit: float | None, expected: tuple[Versions, _Expected] | None
 ) -> Results:
     """Simulate a design, (1, d), on a Dask worker.

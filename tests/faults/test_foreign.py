@@ -372,7 +372,7 @@ def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     """The newest state of a run folder changed, under a right digest."""
     path = sorted((folder / "state").iterdir())[-1]
     with FolderStore.open(folder, write=False) as store:
-        digests = {digest for segment in store._segments for digest in segment.chain.values()}
+        digests = {digest for segment in store.segments for digest in segment.chain.values()}
         state = decode_state(path.read_bytes(), int(path.stem), digests)
         change(state)
         path.write_bytes(encode_state(int(path.stem), state, store.digest))
