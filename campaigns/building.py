@@ -222,13 +222,13 @@ def rosenbrock_step(building, t, q, v, h, q_end, v_end):
 @njit(error_model="numpy")
 def largest(matrix, x):
     """Largest magnitude of a matrix times a vector."""
-    found = 0.0
+    magnitude = 0.0
     for i in range(len(matrix)):
         total = 0.0
         for j in range(len(x)):
             total += matrix[i, j] * x[j]
-        found = max(found, abs(total))
-    return found
+        magnitude = max(magnitude, abs(total))
+    return magnitude
 
 
 @njit(error_model="numpy")

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -57,9 +58,8 @@ def simulate(
 
     for option, path in {"--out": out, "--plot": plot, "--animate": animate}.items():
         check_output(option, path)
-    values = (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p)
     options = (f"--{name.lower().replace('_', '-')}" for name in TABLE_1.names)
-    design = dict(zip(options, values, strict=True))
+    design = dict(zip(options, (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p), strict=True))
     model = Model(
         slider_diameter=slider_diameter,
         restitution_coefficient=restitution_coefficient,
@@ -69,21 +69,23 @@ def simulate(
         loss_of_confinement=loss_of_confinement,
     )
     integration = Tolerance(relative=tolerance)
-    design_options = [option for option, value in design.items() if value is not None]
-    if csv is not None:
-        if design_options or plot or animate:
-            single = [*design_options, "--plot" if plot else "--animate"][0]
-            raise InputError(f"--csv cannot be combined with {single}, which is for one design.")
-        if out is None:
-            raise InputError("--csv needs --out FILE for the results.")
-        _simulate_table(csv, out, model, integration)
+    given = {option: value for option, value in design.items() if value is not None}
+    if csv is None:
+        _check_single(design, out)
+        _simulate_one(list(given.values()), model, integration, plot, animate)
         return
+    if given or plot or animate:
+        single = [*given, "--plot" if plot else "--animate"][0]
+        raise InputError(f"--csv cannot be combined with {single}, which is for one design.")
+    _simulate_table(csv, out, model, integration)
+
+
+def _check_single(design: Mapping[str, float | None], out: Path | None) -> None:
     missing = [option for option, value in design.items() if value is None]
     if missing:
         raise InputError(f"A design needs all nine variables; missing: {', '.join(missing)}. (Or use --csv and --out.)")
     if out is not None:
         raise InputError("--out requires --csv; for one design use --plot or --animate.")
-    _simulate_one([value for value in design.values() if value is not None], model, integration, plot, animate)
 
 
 def _simulate_one(
@@ -116,9 +118,11 @@ def _simulate_one(
         raise typer.Exit(1)
 
 
-def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:
+def _simulate_table(source: Path, target: Path | None, model: "Model", tolerance: "Tolerance") -> None:
     from activefail.findings.tables import simulate_table
 
+    if target is None:
+        raise InputError("--csv needs --out FILE for the results.")
     start = time.monotonic()
     with progress_bar("simulating") as begin:
         counts = simulate_table(source, target, model, tolerance, begin)
