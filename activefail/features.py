@@ -237,7 +237,7 @@ def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
     if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
         raise InputError(
             f"classifier.features: {custom.name} must return the same features for a design, "
-            "whatever the other designs are."
+            "regardless of the other designs."
         )
     return scaled
 
@@ -307,7 +307,7 @@ def _scaled(
         # Squares of tiny differences underflow, and those of huge ones overflow.
         if not (np.finfo(np.float64).tiny <= spread[column] < np.inf and np.isfinite(scaled[:, column]).all()):
             raise InputError(
-                f"classifier.features: {visible(name)} must vary over the space by a standard deviation that a float64 "
-                f"holds, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
+                f"classifier.features: {visible(name)} must have a standard deviation over the space that fits a "
+                f"float64, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
             )
     return FeatureMap(names, raw, mask, center, spread, formula)

@@ -1,4 +1,4 @@
-"""The simulator with other integrators in place of its own: steps, time, outcomes and energy errors.
+"""The simulator with other integrators: steps, time, outcomes and energy errors.
 
 A Rosenbrock method is another tableau for the simulator's own step. A diagonally implicit method has its own attempt of
 a step and a copy of the step control. The loop, its events and the weights of errors are the simulator's. The outcomes
@@ -37,7 +37,7 @@ from activefail.bearing.tuples import axpy, axpy_rows, error_sum, factorise, sca
 from activefail.space import Array
 
 NEWTON_SHARE, MOST_ITERATIONS = 0.05, 8
-"""Newton's method is done when its error is this share of the tolerance; it is given up after so many iterations."""
+"""Newton's method ends when its error is this share of the tolerance, or fails after this number of iterations."""
 
 
 class Attempt(NamedTuple):

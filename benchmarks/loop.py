@@ -183,8 +183,8 @@ class Variational(gpytorch.models.ApproximateGP):
 
     def log_prior(self):
         scales = [(density, closure(module)) for _, module, density, closure, _ in self.named_priors()]
-        own = -0.5 * self.mean_module.constant.squeeze() ** 2
-        return own + sum((density.log_prob(scale) + scale.log()).sum() for density, scale in scales)
+        of_mean = -0.5 * self.mean_module.constant.squeeze() ** 2
+        return of_mean + sum((density.log_prob(scale) + scale.log()).sum() for density, scale in scales)
 
     def objective(self, F, y, n):
         """Bound plus log prior, estimated from some of n points."""

@@ -142,7 +142,7 @@ class AEPsych:
         from aepsych.models import GPClassificationModel
 
         torch.set_default_dtype(torch.float64)
-        logging.disable(logging.INFO)  # it tells of each fit
+        logging.disable(logging.INFO)  # it logs each fit
         if not self.scaled:
             return GPClassificationModel(dim=m)
         box = {"lb": str([0] * m), "ub": str([1] * m), "fixed_kernel_amplitude": "False"}
@@ -364,7 +364,7 @@ class Sizes:
 
 
 def campaign(entry: Entry, features: FeatureMap, seed: int, sizes: Sizes) -> tuple[Peer, float]:
-    """A peer that has spent its budget, and the seconds of its own that it took."""
+    """A peer that has spent its budget, and the seconds that it took itself."""
     torch.manual_seed(seed)  # AEPsych draws from torch's generator
     peer, clock = entry.make(seed), Clock()
     if entry.static is not None:

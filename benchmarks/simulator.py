@@ -197,7 +197,7 @@ def events(t, y, p, touched, levels):
 def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
     """One design by LSODA as a user would call it: one call of solve_ivp, with the compiled functions of `solve`.
 
-    `derivative` says whether it is given the Jacobian or finds it by differences.
+    `derivative`: whether it uses the analytical Jacobian or finite differences.
 
     An event function for each way in which a run ends, and one for the touch, which says from when on the outcome is
     settled by another energy. solve_ivp calls each at the end of every step and refines the roots.
@@ -238,8 +238,8 @@ def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
 def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
     """A function that solves one design with numbalsoda; None if it is not installed.
 
-    It integrates to given times, without a Jacobian, a bound on its steps or events. So the end is given: 0.1 s after
-    the end of our own run, whose time does not count. Events are looked for in the states every `OUTPUT_STEP`. The
+    It integrates to given times, without a Jacobian, a bound on its steps or events. It therefore gets an end time,
+    0.1 s after the end of our run, which is not timed. Events are detected in the states every `OUTPUT_STEP`. The
     state is in units of `SCALE`, for it takes one absolute tolerance for all coordinates.
     """
     try:
@@ -383,7 +383,7 @@ def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[
     if compiled_lsoda is None:
         print("  numbalsoda is not installed: skipped")
     else:
-        print("  numbalsoda is told when to end, 0.1 s after the end of our run")
+        print("  numbalsoda gets its end time from us: 0.1 s after the end of our run")
     if best:
         ratio, name = min(best)
         print(f"At equal outcomes ours takes a {ratio:.0f}th of the time of the fastest of these, {name}.")

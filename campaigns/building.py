@@ -1,6 +1,6 @@
 """A base-isolated shear building on double friction pendulum bearings: the simulator of `building.toml`.
 
-The bearing is activefail's own: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
+The bearing is activefail's: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
 carries a base slab and storeys instead of a rigid mass, and their horizontal motion acts back on the bearing.
 docs/building.md gives the equations and their sources. SI units, unless a name says otherwise.
 """

@@ -605,7 +605,7 @@ def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Pat
         ("--out", folder / own, ("paper",)),
     ):
         result = activefail(*words, option, path)
-        refused(result, f"{option}: {path} is a file of the run folder itself; name another.")
+        refused(result, f"{option}: {path} is one of the run folder's own files; choose another.")
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == own_files
 
 

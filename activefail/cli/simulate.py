@@ -47,7 +47,7 @@ def simulate(
     restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of a rim impact.")] = 0.65,
     slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m3].")] = 7850.0,
     loss_of_confinement: Annotated[
-        bool, typer.Option(help="Count a slider that no rim restrains any more as failed.")
+        bool, typer.Option(help="Count the bearing as failed once no rim restrains the slider.")
     ] = True,
     restitution: Annotated[str, typer.Option(help="Mass in the contact damper: pairwise or assembly.")] = "pairwise",
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,

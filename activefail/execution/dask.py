@@ -34,9 +34,9 @@ _LOOK = 0.5
 class DaskExecutor:
     """Simulates on the workers of a Dask scheduler, which need the same activefail and libraries.
 
-    A compiled simulator runs in the threads of a worker. Any other runs in a process beside the worker's thread, as on
-    this machine, so that a crash or a hang fails one simulation and not the worker. If a worker is lost, Dask gives its
-    design to another one; a design that has lost several workers is abandoned.
+    A compiled simulator runs in the threads of a worker. Any other simulator runs in a separate process for each worker
+    thread, as on this machine, so that a crash or a hang fails one simulation and not the worker. If a
+    worker is lost, Dask gives its design to another one; a design that has lost several workers is abandoned.
 
     Args:
         scheduler: its address, such as "tcp://head:8786".

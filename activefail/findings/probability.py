@@ -117,11 +117,11 @@ class ProbabilityFindings:
         if estimate.surprising:
             sentences.append(
                 f"{estimate.surprising} of the fresh simulations contradict the classifier where it was sure. It has "
-                "missed something: continue the campaign before this estimate is used."
+                "missed something: continue the campaign before you use this estimate."
             )
         sentences.append(
             "The interval assumes that no failure is hidden where neither the classifier nor the fresh simulations "
-            "looked. In five dimensions and more nothing finds such a region reliably."
+            "looked. In five or more dimensions, no method finds such a region reliably."
         )
         if self.outside > 0.0:
             sentences.append(

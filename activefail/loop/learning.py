@@ -133,7 +133,7 @@ def _looks(state: Mapping[str, NDArray[Any]]) -> Looks:
     if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
         raise DamagedError("holds looks of the stop rule that are not rows of four finite numbers")
     if known.dtype != np.int64 or known.shape != () or int(known) not in (0, 1):
-        raise DamagedError("holds a stop rule that is neither met nor not met")
+        raise DamagedError("holds a state of the stop rule that is neither 0 nor 1")
     return Looks(table, bool(known))
 
 

@@ -517,7 +517,9 @@ class FolderStore:
         ]
         if changed:
             again = "" if self._refusal else " Its designs are simulated again when they are needed."
-            self._warn(f"sets/{path.name} was simulated with other code ({'; '.join(changed)}); it is not used.{again}")
+            self._warn(
+                f"sets/{path.name} was simulated with different code ({'; '.join(changed)}); it is not used.{again}"
+            )
             return None
         return X, results
 

@@ -104,7 +104,7 @@ def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -
         or not 1 <= len(np.unique(inducing)) == len(inducing) <= MOST
         or not 0 <= inducing.min() <= inducing.max() < n
     ):
-        raise DamagedError(f"holds inducing points that are not up to {MOST} different ones of {n} designs")
+        raise DamagedError(f"holds inducing points that are not at most {MOST} distinct rows of {n} designs")
 
 
 def classifier_from_state(

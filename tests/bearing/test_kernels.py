@@ -94,7 +94,7 @@ def test_without_compilation_the_bearing_is_refused_with_the_reason() -> None:
         text=True,
     )
     assert done.returncode == 2, done.stderr
-    assert "NUMBA_DISABLE_JIT is set, but the kernels of the bearing run only compiled" in done.stderr
+    assert "NUMBA_DISABLE_JIT is set, but the bearing's kernels run only when compiled" in done.stderr
 
 
 ON_A_COPY = """

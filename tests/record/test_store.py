@@ -655,7 +655,7 @@ def test_a_set_that_other_code_simulated_is_not_used_and_the_difference_is_named
     with opened(write, model="b" * 64) as store:
         assert store.read_set("test") is None
         (warning,) = store.warnings
-        says = "sets/test.h5 was simulated with other code (model aaaaaaaa -> bbbbbbbb); it is not used."
+        says = "sets/test.h5 was simulated with different code (model aaaaaaaa -> bbbbbbbb); it is not used."
         assert warning == says + (" Its designs are simulated again when they are needed." if write else "")
         assert snapshot(tmp_path / "run" / "sets") == kept
         if write:
