@@ -71,7 +71,7 @@ def hearing_every_ctrl_c() -> Iterator[None]:
 def end_without_waiting() -> None:
     """End the process after Ctrl-C without waiting for its threads.
 
-    If Ctrl-C interrupts the start of a thread, Python may wait for it for ever, or abort while compiled code still runs
+    If Ctrl-C interrupts the start of a thread, Python may wait for it forever, or abort while compiled code still runs
     in it.
     """
     # The exit functions also end child processes.

@@ -199,8 +199,8 @@ def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
 
     `derivative`: whether it uses the analytical Jacobian or finite differences.
 
-    An event function for each way in which a run ends, and one for the touch, which says from when on the outcome is
-    settled by another energy. solve_ivp calls each at the end of every step and refines the roots.
+    One event function for each way in which a run ends, and one for the touch, after which another energy settles the
+    outcome. solve_ivp calls each at the end of every step and refines the roots.
     """
     began = time.process_time()
     constants, levels, end = problem(row)
@@ -299,9 +299,9 @@ def solve_by_euler(row: Array, step: float) -> Answer:
 
 
 def least_of(repeats: int, X: Array, tolerance: Tolerance) -> tuple[Responses, float]:
-    """Responses with the least wall time of each row, and the least processor time of all [s].
+    """Responses with the minimum wall time of each row, and the minimum total processor time [s].
 
-    Other programs on the machine only ever add.
+    Other programs on the machine can only add to the times.
     """
     runs, processor = [], []
     for _ in range(repeats):
@@ -404,7 +404,7 @@ def print_settled(n: int) -> None:
 
 
 def print_scaling(X: Array, threads: int) -> None:
-    """Wall time on one thread over that on several, the least of five each, in turn."""
+    """Wall time on one thread over that on several: the minimum of five each, in turn."""
     times = np.empty((5, 2))
     for turn in times:
         for place, count in enumerate((1, threads)):

@@ -344,7 +344,7 @@ class Response(NamedTuple):
 
 
 def simulate(design, tolerance=TOLERANCE, rows=0):
-    """The `Response` of a design, by the names and in the units of `building.toml`, with a history of so many rows.
+    """The `Response` of a design, by the names and in the units of `building.toml`, with a history of `rows` rows.
 
     Raises:
         RuntimeError: if the integration fails.

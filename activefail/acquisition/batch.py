@@ -175,7 +175,7 @@ def propose(
     if pending is not None and len(pending) > 0:
         latent = fantasised(latent, features(pending))
     if isinstance(criterion, LookAhead):
-        # Its candidates are drawn anew for each batch, so none is an earlier design.
+        # It draws new candidates for each batch, so none is an earlier design.
         return _propose_ahead(latent, features, space, criterion, q, rng)
     return _propose_pointwise(latent, features, space, criterion, q, rng, failed)
 

@@ -46,7 +46,7 @@ _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 
 
 _ALWAYS, _GROWTH = 30, 0.05
-"""Points up to which hyperparameters are always learned anew, and the growth after which they are beyond."""
+"""Number of points up to which hyperparameters are always relearned, and the growth that triggers it beyond."""
 
 _ROWS_AT_ONCE = 4096
 """Most points per call of a prediction, which limits its memory."""

@@ -162,7 +162,7 @@ def solve_sites(
 ) -> tuple[Sites, Posterior]:
     """Iterate the sites until the bound changes by less than `tolerance` [nats], for at most `most` steps.
 
-    A step that lowers the bound is halved: with large output scales, fixed damping can cycle for ever. Near the
+    A step that lowers the bound is halved: with large output scales, fixed damping can cycle forever. Near the
     optimum, where plain steps converge linearly, they are extrapolated [Anderson1965]; an extrapolation that lowers the
     bound is rejected.
     """
