@@ -69,13 +69,13 @@ def simulate(
         loss_of_confinement=loss_of_confinement,
     )
     integration = Tolerance(relative=tolerance)
-    given = {option: value for option, value in design.items() if value is not None}
+    present = {option: value for option, value in design.items() if value is not None}
     if csv is None:
         _check_single(design, out)
-        _simulate_one(list(given.values()), model, integration, plot, animate)
+        _simulate_one(list(present.values()), model, integration, plot, animate)
         return
-    if given or plot or animate:
-        single = [*given, "--plot" if plot else "--animate"][0]
+    if present or plot or animate:
+        single = [*present, "--plot" if plot else "--animate"][0]
         raise InputError(f"--csv cannot be combined with {single}, which is for one design.")
     _simulate_table(csv, out, model, integration)
 
