@@ -493,7 +493,7 @@ def campaign_for(folder: Path, file: Path, seed: int | None = None, budget: int 
         seed, budget: replace those of the file.
 
     Raises:
-        InputError: if the file is invalid, or the folder holds a campaign already.
+        InputError: if the file is invalid, or the folder already holds a campaign.
     """
     campaign = read_campaign(file, seed, budget, code=file.absolute().parent, run=folder)
     _check_unused(folder, campaign)

@@ -330,7 +330,7 @@ def test_an_existing_run_folder_is_refused_with_the_command_that_goes_on(
     tiny: Path, ran: tuple[Path, CommandResult]
 ) -> None:
     result = activefail("run", tiny, "--out", ran[0])
-    refused(result, f"{ran[0]}: holds a campaign already", f"`activefail resume {ran[0]}`")
+    refused(result, f"{ran[0]}: already holds a campaign", f"`activefail resume {ran[0]}`")
 
 
 def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tiny: Path, tmp_path: Path) -> None:

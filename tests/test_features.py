@@ -208,7 +208,7 @@ def test_a_function_of_ones_own_cannot_change_the_designs() -> None:
             r"mine\[0\] must be finite over the space, got nan for \{'x': 2\.",
         ),
         (lambda X, space: np.zeros((len(X), 1)), r"mine\[0\] must vary over the space, got 0\.0 everywhere"),
-        (lambda X, space: X - X.mean(axis=0), r"the same features for a design, whatever the other designs are"),
+        (lambda X, space: X - X.mean(axis=0), r"the same features for a design, regardless of the other designs"),
     ],
 )
 def test_a_function_that_gives_no_features_is_refused_with_key_rule_and_value(function: object, says: str) -> None:

@@ -607,5 +607,5 @@ def test_a_file_of_a_run_folder_is_known_by_the_file_system_and_not_by_its_spell
     assert run_folder_owning(folder / "mine.csv") is None
     assert run_folder_owning(tmp_path / "elsewhere" / "campaign.toml") is None
     result = activefail("export", folder, "--csv", folder / "Campaign.toml")
-    assert (result.code, "is a file of the run folder itself" in result.err) == (2, True)
+    assert (result.code, "is one of the run folder's own files" in result.err) == (2, True)
     survived(1)
