@@ -42,7 +42,7 @@ def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Cal
 
 
 @contextmanager
-def hearing_every_ctrl_c() -> Iterator[None]:
+def repeating_missed_ctrl_c() -> Iterator[None]:
     """Repeat a Ctrl-C that arrives in a callback from compiled code, where Python cannot raise it.
 
     After the block the program is ending: a Ctrl-C during cleanup loses nothing and ends it without a traceback.

@@ -246,7 +246,7 @@ class Answers:
         except InputError:
             return answer | {"frames": None}
         bearing = response.bearing
-        frames = np.linspace(motion.stirs, motion.end, _FRAMES)
+        frames = np.linspace(motion.onset, motion.end, _FRAMES)
         at_frames = motion.position(frames)
         low, high = extent(motion)
         return answer | {
