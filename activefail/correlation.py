@@ -42,7 +42,7 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
     except np.linalg.LinAlgError:
         least = np.linalg.eigvalsh(R)[0]
         raise InputError(
-            f"correlation: no joint distribution has these correlations together; the least eigenvalue of their matrix "
+            f"correlation: no joint distribution has all these correlations; the smallest eigenvalue of their matrix "
             f"in standard normal space is {least:.2g} and must be positive."
         ) from None
 

@@ -115,7 +115,9 @@ def _reading(path: Path) -> Iterator[Any]:
     lines = None
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise InputError(f"{path}: must be a regular file, because it is read twice: to check it, then to use it.")
+            raise InputError(
+                f"{path}: must be a regular file, because it is read twice: first to check it, then to use it."
+            )
         # utf-8-sig: spreadsheets write a byte order mark.
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file, strict=True)

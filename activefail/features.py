@@ -160,57 +160,58 @@ def feature_map(
         InputError: if "paper", "sliding" or "collision" is requested for a space without the paper's nine variables, or
             if a feature is not finite over the space, or constant, or varies too little or too much to be scaled.
     """
-    if features in ("paper", "sliding", "collision"):
-        for name in TABLE_1.names:
-            if name not in (*space.names, *space.fixed):
-                raise InputError(
-                    f"classifier.features: {features!r} needs the variables of a bearing, but space lacks the variable "
-                    f"{name!r}; it has {', '.join((*space.names, *space.fixed))}."
-                )
     match features:
         case "design":
             return _scaled(space.names, np.asarray, space, _logarithms(space), list)
-
         case "paper":
-            if np.any(space.table(space.low[None], TABLE_1.names) <= 0.0):
-                raise InputError("The paper's features need positive variables, but a lower bound is not positive.")
-            return _scaled(
-                PAPER_FEATURES,
-                lambda X: paper_features(space.table(X, TABLE_1.names)),
-                space,
-                PAPER_LOGARITHMIC,
-                lambda variables: _paper_formula(space.pick(variables, TABLE_1.names)),
-            )
-
+            _check_bearing(features, space)
+            return _of_paper(space)
         case "sliding":
-            return _scaled(
-                (*space.names, *SLIDING_FEATURES),
-                lambda X: np.column_stack(
-                    [X, _on_all_cores(lambda table: sliding_features(table, model), space.table(X, TABLE_1.names))]
-                ),
-                space,
-                _logarithms(space),
-            )
-
+            _check_bearing(features, space)
+            return _with_physics(SLIDING_FEATURES, lambda table: sliding_features(table, model), space)
         case "collision":
-
-            def physics(table: Array) -> Array:
-                return np.column_stack([sliding_features(table, model), collision_features(table, model)])
-
-            def with_collision(X: Array) -> Array:
-                return np.column_stack([X, _on_all_cores(physics, space.table(X, TABLE_1.names))])
-
-            names = (*space.names, *SLIDING_FEATURES, *COLLISION_FEATURES)
-            return _scaled(names, with_collision, space, _logarithms(space))
-
+            _check_bearing(features, space)
+            return _with_physics(
+                (*SLIDING_FEATURES, *COLLISION_FEATURES),
+                lambda table: np.column_stack([sliding_features(table, model), collision_features(table, model)]),
+                space,
+            )
         case CustomFeatures():
             return _custom(features, space)
-
         case ExpressionFeatures():
             return _of_expressions(features, space)
-
         case _:
             raise InputError(f"`features` must be paper, design, sliding or collision, got {features!r}.")
+
+
+def _check_bearing(features: str, space: DesignSpace) -> None:
+    for name in TABLE_1.names:
+        if name not in (*space.names, *space.fixed):
+            raise InputError(
+                f"classifier.features: {features!r} needs the variables of a bearing, but space lacks the variable "
+                f"{name!r}; it has {', '.join((*space.names, *space.fixed))}."
+            )
+
+
+def _of_paper(space: DesignSpace) -> FeatureMap:
+    if np.any(space.table(space.low[None], TABLE_1.names) <= 0.0):
+        raise InputError("The paper's features need positive variables, but a lower bound is not positive.")
+    return _scaled(
+        PAPER_FEATURES,
+        lambda X: paper_features(space.table(X, TABLE_1.names)),
+        space,
+        PAPER_LOGARITHMIC,
+        lambda variables: _paper_formula(space.pick(variables, TABLE_1.names)),
+    )
+
+
+def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], space: DesignSpace) -> FeatureMap:
+    """The variables and features of the physics, a function of designs in Table 1's order and units."""
+
+    def raw(X: Array) -> Array:
+        return np.column_stack([X, _on_all_cores(physics, space.table(X, TABLE_1.names))])
+
+    return _scaled((*space.names, *names), raw, space, _logarithms(space))
 
 
 def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
@@ -236,7 +237,7 @@ def _custom(custom: CustomFeatures, space: DesignSpace) -> FeatureMap:
     if not np.allclose(scaled(X)[:7], scaled(X[:7]), rtol=1e-9, atol=1e-9):
         raise InputError(
             f"classifier.features: {custom.name} must return the same features for a design, "
-            "whatever the other designs are."
+            "regardless of the other designs."
         )
     return scaled
 
@@ -306,7 +307,7 @@ def _scaled(
         # Squares of tiny differences underflow, and those of huge ones overflow.
         if not (np.finfo(np.float64).tiny <= spread[column] < np.inf and np.isfinite(scaled[:, column]).all()):
             raise InputError(
-                f"classifier.features: {visible(name)} must vary over the space by a standard deviation that a float64 "
-                f"holds, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
+                f"classifier.features: {visible(name)} must have a standard deviation over the space that fits a "
+                f"float64, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
             )
     return FeatureMap(names, raw, mask, center, spread, formula)

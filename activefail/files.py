@@ -27,7 +27,7 @@ _NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
 """The system's errors where a folder cannot be synchronised, whatever the disk."""
 
 
-def temporary_beside(path: Path, prefix: str = TEMPORARY) -> Path:
+def temporary_next_to(path: Path, prefix: str = TEMPORARY) -> Path:
     """A new name in the folder of a path; short, because the path's name may have the maximal length."""
     return path.with_name(f"{prefix}{secrets.token_hex(8)}")
 
@@ -41,7 +41,7 @@ def replacing(path: Path, mode: Literal["x", "xb"] = "x") -> Iterator[IO[Any]]:
     Raises:
         OSError: if the file cannot be written.
     """
-    temporary = temporary_beside(path, _NEW)
+    temporary = temporary_next_to(path, _NEW)
     try:
         encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
         with open(temporary, mode, encoding=encoding, newline=newline) as file:
@@ -242,12 +242,12 @@ def sync_folder(folder: Path) -> None:
 
 def _write_temporary(path: Path, data: bytes) -> Path:
     """Write and fsync `data` under a temporary name in the folder of `path`; removed if that fails."""
-    temporary = temporary_beside(path)
+    temporary = temporary_next_to(path)
     try:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         try:
             _write_all(descriptor, data)
-            _sync_file(descriptor, path)
+            sync_file(descriptor, path)
             size = os.fstat(descriptor).st_size
         finally:
             os.close(descriptor)
@@ -271,7 +271,12 @@ def _write_all(descriptor: int, data: bytes) -> None:
         rest = rest[written:]
 
 
-def _sync_file(descriptor: int, path: Path) -> None:
+def sync_file(descriptor: int, path: Path) -> None:
+    """Make the content of an open file durable.
+
+    Raises:
+        SyncError: if the system cannot.
+    """
     try:
         os.fsync(descriptor)
     except OSError as error:

@@ -42,7 +42,7 @@ def stop_on_signals(stopping: str = "stopping after this batch") -> Iterator[Cal
 
 
 @contextmanager
-def hearing_every_ctrl_c() -> Iterator[None]:
+def repeating_missed_ctrl_c() -> Iterator[None]:
     """Repeat a Ctrl-C that arrives in a callback from compiled code, where Python cannot raise it.
 
     After the block the program is ending: a Ctrl-C during cleanup loses nothing and ends it without a traceback.
@@ -71,7 +71,7 @@ def hearing_every_ctrl_c() -> Iterator[None]:
 def end_without_waiting() -> None:
     """End the process after Ctrl-C without waiting for its threads.
 
-    If Ctrl-C interrupts the start of a thread, Python may wait for it for ever, or abort while compiled code still runs
+    If Ctrl-C interrupts the start of a thread, Python may wait for it forever, or abort while compiled code still runs
     in it.
     """
     # The exit functions also end child processes.

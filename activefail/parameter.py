@@ -206,8 +206,8 @@ class Parameter:
     def standardised(self, x: Array) -> Array:
         """Values in standard deviations from the middle.
 
-        That of a truncated normal is its mean before truncation; a log-uniform variable counts by its logarithm, one
-        without bounds of its own by its standard normal value.
+        The middle of a truncated normal is its mean before truncation. A log-uniform variable enters as its logarithm,
+        and a variable whose bounds are left out as its standard normal value.
         """
         if self.distribution in ("truncated_normal", "normal"):
             assert self.mean is not None

@@ -515,7 +515,7 @@ def campaign_for(folder: Path, file: Path, seed: int | None = None, budget: int 
         seed, budget: replace those of the file.
 
     Raises:
-        InputError: if the file is invalid, or the folder holds a campaign already.
+        InputError: if the file is invalid, or the folder already holds a campaign.
     """
     campaign = read_campaign(file, seed, budget, code=file.absolute().parent, run=folder)
     _check_unused(folder, campaign)
@@ -525,7 +525,7 @@ def campaign_for(folder: Path, file: Path, seed: int | None = None, budget: int 
 def _check_unused(folder: Path, campaign: Campaign) -> None:
     if (folder / SETTINGS).exists():
         command = resume_command(folder, campaign)
-        raise InputError(f"{folder}: holds a campaign already; `{command}` continues it.")
+        raise InputError(f"{folder}: already holds a campaign; `{command}` continues it.")
 
 
 def open_run(folder: Path, *, write: bool = False, code: Path | None = None, features: bool = True) -> Run:

@@ -1,4 +1,4 @@
-"""The simulator with other integrators in place of its own: steps, time, outcomes and energy errors.
+"""The simulator with other integrators: steps, time, outcomes and energy errors.
 
 A Rosenbrock method is another tableau for the simulator's own step. A diagonally implicit method has its own attempt of
 a step and a copy of the step control. The loop, its events and the weights of errors are the simulator's. The outcomes
@@ -37,7 +37,7 @@ from activefail.bearing.tuples import axpy, axpy_rows, error_sum, factorise, sca
 from activefail.space import Array
 
 NEWTON_SHARE, MOST_ITERATIONS = 0.05, 8
-"""Newton's method is done when its error is this share of the tolerance; it is given up after so many iterations."""
+"""Newton's method ends when its error is this share of the tolerance, or fails after this number of iterations."""
 
 
 class Attempt(NamedTuple):
@@ -168,7 +168,7 @@ def rosenbrock(tableau: Tableau) -> Any:
 
 def measure(name: str, run: Any, X: Array, relative: float, reference: Responses) -> None:
     """Simulate all designs with a kernel in place of activefail's, and print its cost."""
-    with patch.object(simulation, "_run", run):
+    with patch.object(simulation, "integrate", run):
         simulate(X[:1], threads=1)  # compiled before the clock runs
         began = time.process_time()
         answers = simulate(X, tolerance=Tolerance(relative=relative), threads=1)
@@ -193,7 +193,7 @@ def main() -> None:
         heads = "".join(f"{head:>9}" for head in ("steps", "rejected", "rhs"))
         print(f"{'':<14}{'rtol':>8}{heads}{'ms':>8}{'outcomes':>14}   energy error: median, 99 %, largest")
         for relative in arguments.tolerances:
-            measure("activefail", simulation._run, X, relative, reference)
+            measure("activefail", simulation.integrate, X, relative, reference)
         for name in arguments.only:
             method = {key: frozen(value) for key, value in methods[name].items()}
             if "C" in method:
@@ -201,7 +201,7 @@ def main() -> None:
             else:
                 order = method.pop("error_order")
                 advance = advancing(esdirk(**method), order)
-            run = njit(nogil=True, **KERNEL)(recompiled(simulation._run, advance=advance))
+            run = njit(nogil=True, **KERNEL)(recompiled(simulation.integrate, advance=advance))
             for relative in arguments.tolerances:
                 measure(name, run, X, relative, reference)
 

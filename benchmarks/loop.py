@@ -183,8 +183,8 @@ class Variational(gpytorch.models.ApproximateGP):
 
     def log_prior(self):
         scales = [(density, closure(module)) for _, module, density, closure, _ in self.named_priors()]
-        own = -0.5 * self.mean_module.constant.squeeze() ** 2
-        return own + sum((density.log_prob(scale) + scale.log()).sum() for density, scale in scales)
+        of_mean = -0.5 * self.mean_module.constant.squeeze() ** 2
+        return of_mean + sum((density.log_prob(scale) + scale.log()).sum() for density, scale in scales)
 
     def objective(self, F, y, n):
         """Bound plus log prior, estimated from some of n points."""
@@ -269,7 +269,7 @@ def aepsych(problem, target, limit):
     peer.bounds = F.min(axis=0), F.max(axis=0)
     y = torch.from_numpy((problem.y[:n].numpy() > 0.0).astype(float))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of its optimiser: it is the result that counts
+        warnings.simplefilter("ignore")  # warnings of its optimiser; only the result counts
         peer.model = peer._fresh(F.shape[1])
         _, seconds = timed(lambda: peer.model.fit(peer._unit(F), y, max_fit_time=limit))
         with torch.no_grad():

@@ -119,7 +119,7 @@ class Activefail:
 
 @dataclass
 class AEPsych:
-    """GPClassificationModel as it comes (inducing points, priors), EAVC at the level 0.5.
+    """GPClassificationModel with its default inducing points and priors, EAVC at the level 0.5.
 
     Attributes:
         scaled: whether the kernel's amplitude is learned (`fixed_kernel_amplitude = False`); by default it is 1.
@@ -142,7 +142,7 @@ class AEPsych:
         from aepsych.models import GPClassificationModel
 
         torch.set_default_dtype(torch.float64)
-        logging.disable(logging.INFO)  # it tells of each fit
+        logging.disable(logging.INFO)  # it logs each fit
         if not self.scaled:
             return GPClassificationModel(dim=m)
         box = {"lb": str([0] * m), "ub": str([1] * m), "fixed_kernel_amplitude": "False"}
@@ -169,7 +169,7 @@ class AEPsych:
 
         X, F = pool(features, rng)
         unit = self._unit(F)
-        # A Sobol' sequence without its first points is one: the references are no candidates.
+        # The rest of a Sobol' sequence is one too, so no reference is a candidate.
         some, query = unit[: self.candidates], unit[self.candidates : self.candidates + self.references]
         cube = torch.zeros(unit.shape[1]), torch.ones(unit.shape[1])
         eavc = EAVC(*cube, model=self.model, target=0.5, query_set_size=len(query), Xq=query)
@@ -264,7 +264,7 @@ class AdaptiveKriging:
         from UQpy.sampling import UFunction
 
         X, F = pool(features, rng)
-        # UQpy answers with rows, not with their numbers: these ride along as a last column.
+        # UQpy returns rows, not their indices, so a last column holds the indices.
         numbered = np.column_stack([F, np.arange(len(F))])
         rows, _, _ = UFunction().evaluate_function(None, q, self, numbered)
         return X[rows[:, -1].astype(int)]
@@ -364,7 +364,7 @@ class Sizes:
 
 
 def campaign(entry: Entry, features: FeatureMap, seed: int, sizes: Sizes) -> tuple[Peer, float]:
-    """A peer that has spent its budget, and the seconds of its own that it took."""
+    """A peer that has spent its budget, and the seconds that it took itself."""
     torch.manual_seed(seed)  # AEPsych draws from torch's generator
     peer, clock = entry.make(seed), Clock()
     if entry.static is not None:
@@ -495,7 +495,7 @@ def run(
                 if (name, features, seed) in done:
                     continue
                 with one_thread(), warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # of the peers' optimisers: it is their result that counts
+                    warnings.simplefilter("ignore")  # warnings of the peers' optimisers; only their results count
                     peer, seconds = campaign(named[name], maps[features], seed, sizes)
                     verdict = judged(peer, F[features], fresh.failed)
                 line = {"peer": name, "features": features, "seed": seed, **setting, **verdict, "seconds": seconds}

@@ -1,4 +1,4 @@
-"""Failure probabilities of reliability problems: simulations to a campaign's own stop, and what it then says.
+"""Failure probabilities of reliability problems: simulations until a campaign stops, and its estimate then.
 
     python benchmarks/reliability.py                                  all problems, 20 seeds, margins
     python benchmarks/reliability.py --problems RP22 --seeds 3        a quick look

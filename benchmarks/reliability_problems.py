@@ -36,7 +36,7 @@ class Problem:
         limit: limit state of designs, (n, d) -> (n,).
         probability: of failure, from `reliability.py --references`.
         truncated: whether simulations end at failure, so that no margin is below 0.
-        labels: whether the simulator tells no margin.
+        labels: whether the simulator reports no margin.
     """
 
     variables: tuple[Variable, ...]
@@ -57,9 +57,9 @@ class Problem:
     def run(self, X: Array) -> Results:
         """Simulate designs, (n, d)."""
         g = self.limit(X)
-        told = np.maximum(g, 0.0) if self.truncated else g
+        margin = np.maximum(g, 0.0) if self.truncated else g
         nothing = np.zeros(len(X))
-        margins = np.empty((len(X), 0)) if self.labels else told[:, None]
+        margins = np.empty((len(X), 0)) if self.labels else margin[:, None]
         return Results((g <= 0.0).astype(np.int8), nothing.astype(np.int8), margins, nothing)
 
     @property

@@ -197,10 +197,10 @@ def events(t, y, p, touched, levels):
 def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
     """One design by LSODA as a user would call it: one call of solve_ivp, with the compiled functions of `solve`.
 
-    `derivative` says whether it is given the Jacobian or finds it by differences.
+    `derivative`: whether it uses the analytical Jacobian or finite differences.
 
-    An event function for each way in which a run ends, and one for the touch, which says from when on the outcome is
-    settled by another energy. solve_ivp calls each at the end of every step and refines the roots.
+    One event function for each way in which a run ends, and one for the touch, after which another energy settles the
+    outcome. solve_ivp calls each at the end of every step and refines the roots.
     """
     began = time.process_time()
     constants, levels, end = problem(row)
@@ -238,8 +238,8 @@ def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
 def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
     """A function that solves one design with numbalsoda; None if it is not installed.
 
-    It integrates to given times, without a Jacobian, a bound on its steps or events. So the end is given: 0.1 s after
-    the end of our own run, whose time does not count. Events are looked for in the states every `OUTPUT_STEP`. The
+    It integrates to given times, without a Jacobian, a bound on its steps or events. It therefore gets an end time,
+    0.1 s after the end of our run, which is not timed. Events are detected in the states every `OUTPUT_STEP`. The
     state is in units of `SCALE`, for it takes one absolute tolerance for all coordinates.
     """
     try:
@@ -299,9 +299,9 @@ def solve_by_euler(row: Array, step: float) -> Answer:
 
 
 def least_of(repeats: int, X: Array, tolerance: Tolerance) -> tuple[Responses, float]:
-    """Responses with the least wall time of each row, and the least processor time of all [s].
+    """Responses with the minimum wall time of each row, and the minimum total processor time [s].
 
-    Other programs on the machine only ever add.
+    Other programs on the machine can only add to the times.
     """
     runs, processor = [], []
     for _ in range(repeats):
@@ -383,7 +383,7 @@ def print_peers(X: Array, ours: Responses, processor: float, reference: NDArray[
     if compiled_lsoda is None:
         print("  numbalsoda is not installed: skipped")
     else:
-        print("  numbalsoda is told when to end, 0.1 s after the end of our run")
+        print("  numbalsoda gets its end time from us: 0.1 s after the end of our run")
     if best:
         ratio, name = min(best)
         print(f"At equal outcomes ours takes a {ratio:.0f}th of the time of the fastest of these, {name}.")
@@ -404,7 +404,7 @@ def print_settled(n: int) -> None:
 
 
 def print_scaling(X: Array, threads: int) -> None:
-    """Wall time on one thread over that on several, the least of five each, in turn."""
+    """Wall time on one thread over that on several: the minimum of five each, in turn."""
     times = np.empty((5, 2))
     for turn in times:
         for place, count in enumerate((1, threads)):

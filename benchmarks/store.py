@@ -36,7 +36,7 @@ COMMITS = 192
 
 
 def batches(size: int, first: int) -> Iterator[Batch]:
-    """Batches without end; the first 250 simulations are the initial design."""
+    """An endless sequence of batches; the first 250 simulations are the initial design."""
     rng = np.random.default_rng(first)
     iteration = 0
     while True:
@@ -56,7 +56,7 @@ def batches(size: int, first: int) -> Iterator[Batch]:
 
 
 def laid_out(folder: Path, simulations: int, size: int) -> None:
-    """A run folder with so many simulations, in the files that compaction would have left."""
+    """A run folder with this number of simulations, in the files that compaction would have left."""
     settings = parse_settings(
         f"sampling = {{ initial = 250, budget = {simulations}, batch = {size} }}", "benchmark"
     ).text()
@@ -91,7 +91,7 @@ def commit_times(folders: list[Path], size: int) -> list[list[float]]:
 
 
 def timed(command: list[str]) -> tuple[float, float]:
-    """The least wall time of three runs of a command, and the least of the processor."""
+    """Minimum wall time of three runs of a command, and minimum processor time."""
     walls, processors = [], []
     for _ in range(3):
         before = _children()
@@ -119,7 +119,7 @@ with FolderStore.open(sys.argv[1], write=False) as store:
 
 
 def opening(folder: Path) -> tuple[float, float]:
-    """The least wall time of three openings, each in a new process, and the least of the processor."""
+    """Minimum wall time of three openings, each in a new process, and minimum processor time."""
     runs = []
     for _ in range(3):
         done = subprocess.run(

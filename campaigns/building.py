@@ -1,6 +1,6 @@
 """A base-isolated shear building on double friction pendulum bearings: the simulator of `building.toml`.
 
-The bearing is activefail's own: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
+The bearing is activefail's: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
 carries a base slab and storeys instead of a rigid mass, and their horizontal motion acts back on the bearing.
 docs/building.md gives the equations and their sources. SI units, unless a name says otherwise.
 """
@@ -222,13 +222,13 @@ def rosenbrock_step(building, t, q, v, h, q_end, v_end):
 @njit(error_model="numpy")
 def largest(matrix, x):
     """Largest magnitude of a matrix times a vector."""
-    found = 0.0
+    magnitude = 0.0
     for i in range(len(matrix)):
         total = 0.0
         for j in range(len(x)):
             total += matrix[i, j] * x[j]
-        found = max(found, abs(total))
-    return found
+        magnitude = max(magnitude, abs(total))
+    return magnitude
 
 
 @njit(error_model="numpy")
@@ -344,7 +344,7 @@ class Response(NamedTuple):
 
 
 def simulate(design, tolerance=TOLERANCE, rows=0):
-    """The `Response` of a design, by the names and in the units of `building.toml`, with a history of so many rows.
+    """The `Response` of a design, by the names and in the units of `building.toml`, with a history of `rows` rows.
 
     Raises:
         RuntimeError: if the integration fails.

@@ -76,11 +76,11 @@ def main() -> None:
     print(f"{np.abs(moved - X)[:, COLUMNS].mean(axis=0) / (TABLE_1.high - TABLE_1.low)[COLUMNS]} of the ranges")
     print(f"{'boundary':10} {'vote':>14} {'share':>16}")
     for name, beyond in (("failure", lambda of: of == FAILURE), ("impact", lambda of: of != NO_IMPACT)):
-        own, others = beyond(outcome), beyond(outcomes)
+        is_beyond, others = beyond(outcome), beyond(outcomes)
         p = others.mean(axis=0)
         # Where the copies are divided, half of such votes are right.
-        right = np.where(p == 0.5, 0.5, (p > 0.5) == own)
-        share = (others.sum(axis=0) + own) / (arguments.copies + 1)
+        right = np.where(p == 0.5, 0.5, (p > 0.5) == is_beyond)
+        share = (others.sum(axis=0) + is_beyond) / (arguments.copies + 1)
         print(f"{name:10} {percent(right)} {percent(np.maximum(share, 1.0 - share))}")
 
 

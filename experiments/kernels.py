@@ -30,7 +30,7 @@ from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.sites import Sites, solve_sites
 
 PROBIT = sites.probit_expectations
-NODES, WEIGHTS = sites._NODES, sites._WEIGHTS
+NODES, WEIGHTS = sites.NODES, sites.WEIGHTS
 
 
 def density(z, log_scale):
@@ -174,8 +174,8 @@ class Variant:
         for A in torch.from_numpy(F).split(2000):
             k = self.covariance(theta, self.F, A)
             V = torch.linalg.solve_triangular(self.state.cholesky_b, root.unsqueeze(1) * k, upper=False)
-            own = torch.cat([self.covariance(theta, rows, rows).diagonal() for rows in A.split(50)])
-            variance = (own - (V * V).sum(0)).clamp_min(0.0)
+            prior = torch.cat([self.covariance(theta, rows, rows).diagonal() for rows in A.split(50)])
+            variance = (prior - (V * V).sum(0)).clamp_min(0.0)
             z.append((theta[0] + k.T @ self.state.alpha - threshold) / (1.0 + variance).sqrt())
         return torch.cat(z).numpy()
 

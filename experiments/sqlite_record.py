@@ -4,7 +4,7 @@
 
 Both keep the same batches of 10 designs with 9 variables and 13 margins. In SQLite a simulation is a row, a batch a
 transaction with `synchronous=FULL`, in a rollback journal and in a write-ahead log. `checked` is SQLite whose opening
-also computes the run folder's chain of digests anew and compares it with the one in a table.
+also recomputes the run folder's chain of digests and compares it with the one in a table.
 """
 
 import argparse
@@ -94,7 +94,7 @@ class SqliteRecord:
         self.batches += 1
 
     def fill(self, batches: int) -> None:
-        """So many batches in one transaction."""
+        """This number of batches in one transaction."""
         self._base.execute("BEGIN")
         for number in range(batches):
             self.insert(batch(number))
@@ -153,7 +153,7 @@ def read_folder(folder: Path) -> bytes:
 
 
 def lay_out(folder: Path, batches: int) -> None:
-    """A run folder with so many batches, in the files that compaction would have left."""
+    """A run folder with this number of batches, in the files that compaction would have left."""
     FolderStore.create(folder, SETTINGS, SCHEMA).close()
     first, before, number = 0, chain_start(SETTINGS, SCHEMA), 0
     count = compaction.COMPACT_AT**2
@@ -175,7 +175,7 @@ KINDS: dict[str, tuple[Callable[[Path], Record], Callable[[Path], bytes]]] = {
 
 
 def made(place: Path, kind: str, batches: int) -> Path:
-    """A record with so many batches."""
+    """A record with this number of batches."""
     path = place / f"{kind.replace(', ', '-').replace(' ', '-')}-{batches}"
     if kind == "run folder":
         lay_out(path, batches)
@@ -193,7 +193,7 @@ def size_of(path: Path) -> int:
 
 
 def at_size(place: Path, simulations: int) -> None:
-    """Print commits, opening and size at so many simulations."""
+    """Print commits, opening and size at this number of simulations."""
     paths = {kind: made(place, kind, simulations // SIZE) for kind in KINDS}
     for kind, path in paths.items():
         megabytes, times = size_of(path) / 1e6, []
@@ -220,7 +220,7 @@ def at_size(place: Path, simulations: int) -> None:
 
 
 def commit_for_ever(kind: str, path: Path) -> None:
-    """Commit batches without end and print the number of each acknowledged one."""
+    """Commit batches endlessly and print the number of each acknowledged one."""
     record = KINDS[kind][0](path)
     number = 0
     while True:

@@ -330,7 +330,7 @@ def test_an_existing_run_folder_is_refused_with_the_command_that_goes_on(
     tiny: Path, ran: tuple[Path, CommandResult]
 ) -> None:
     result = activefail("run", tiny, "--out", ran[0])
-    refused(result, f"{ran[0]}: holds a campaign already", f"`activefail resume {ran[0]}`")
+    refused(result, f"{ran[0]}: already holds a campaign", f"`activefail resume {ran[0]}`")
 
 
 def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tiny: Path, tmp_path: Path) -> None:
@@ -431,7 +431,9 @@ def test_what_is_no_run_folder_is_refused_by_every_command_and_left_alone(comman
     (tmp_path / "file").touch()
     for name in ("none", "empty", "file"):
         result = activefail(command, tmp_path / name, *COMMANDS_ON_FOLDERS[command])
-        refused(result, f"{tmp_path / name}: is not a run folder")
+        # `compare` takes a campaign file too.
+        reason = "; it is a file" if name == "file" and command != "compare" else ""
+        refused(result, f"{tmp_path / name}: is not a run folder{reason}")
     assert sorted(os.listdir(tmp_path)) == ["empty", "file"]
     assert os.listdir(tmp_path / "empty") == []
     long = tmp_path / ("n" * 300)
@@ -605,7 +607,7 @@ def test_no_command_writes_over_a_run_folder_s_own_files(folder: Path, tiny: Pat
         ("--out", folder / own, ("paper",)),
     ):
         result = activefail(*words, option, path)
-        refused(result, f"{option}: {path} is a file of the run folder itself; name another.")
+        refused(result, f"{option}: {path} is one of the run folder's own files; choose another.")
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == own_files
 
 
@@ -996,7 +998,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 ) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
     words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.comparison.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
+    with holding("activefail.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
         wait_for(running.process.stderr, "campaigns and classifiers")
         err = struck_as_by_a_terminal(running.process, running.release)
     assert err.splitlines()[-1] == f"stopped; scores are kept in {tmp_path / 'compared'}. The same command continues."
@@ -1008,7 +1010,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
 def test_a_second_ctrl_c_ends_a_comparison_over_seeds_in_the_middle_of_its_arms(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")
     words = ("compare", tmp_path / "mine.toml", "--out", tmp_path / "compared", "--seeds", "1", "--test", "10")
-    with holding("activefail.comparison.seeds:_score_arm", *words, "--static", "20", "--jobs", "2") as running:
+    with holding("activefail.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
         running.wait()
         running.process.send_signal(signal.SIGINT)
         wait_for(running.process.stderr, "stopping after this batch")

@@ -215,7 +215,7 @@ def test_a_correlation_that_two_distributions_cannot_have_is_refused_with_the_ra
 
 def test_correlations_that_contradict_each_other_are_refused() -> None:
     three = tuple(Parameter(name, -9.0, 9.0, distribution="normal", mean=0.0, sd=1.0) for name in "abc")
-    with pytest.raises(InputError, match="no joint distribution has these correlations together; the least eigenvalue"):
+    with pytest.raises(InputError, match="no joint distribution has all these correlations; the smallest eigenvalue"):
         DesignSpace(three, correlation=(("a", "b", 0.9), ("b", "c", 0.9), ("a", "c", -0.9)))
 
 

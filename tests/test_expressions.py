@@ -147,9 +147,9 @@ def test_expressions_may_stand_without_the_variables() -> None:
         ({"a": "log(A_p - 1)"}, "a must be finite over the space, got nan for {'A_p'"),
         ({"a": "1 / (D - 0.9)"}, "a must be finite over the space, got inf"),
         ({"a": "2 * D"}, "a must vary over the space, got 1.8 everywhere"),
-        ({"a": "A_p * 1e-200"}, "a must vary over the space by a standard deviation that a float64 holds, got values"),
-        ({"a": "A_p * 1e-310"}, "a must vary over the space by a standard deviation that a float64 holds, got values"),
-        ({"a": "A_p * 1e200"}, "a must vary over the space by a standard deviation that a float64 holds, got values"),
+        ({"a": "A_p * 1e-200"}, "a must have a standard deviation over the space that fits a float64, got values"),
+        ({"a": "A_p * 1e-310"}, "a must have a standard deviation over the space that fits a float64, got values"),
+        ({"a": "A_p * 1e200"}, "a must have a standard deviation over the space that fits a float64, got values"),
     ],
 )
 def test_expressions_that_make_no_feature_are_refused(expressions: dict[str, str], says: str) -> None:

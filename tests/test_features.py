@@ -208,7 +208,7 @@ def test_a_function_of_ones_own_cannot_change_the_designs() -> None:
             r"mine\[0\] must be finite over the space, got nan for \{'x': 2\.",
         ),
         (lambda X, space: np.zeros((len(X), 1)), r"mine\[0\] must vary over the space, got 0\.0 everywhere"),
-        (lambda X, space: X - X.mean(axis=0), r"the same features for a design, whatever the other designs are"),
+        (lambda X, space: X - X.mean(axis=0), r"the same features for a design, regardless of the other designs"),
     ],
 )
 def test_a_function_that_gives_no_features_is_refused_with_key_rule_and_value(function: object, says: str) -> None:
@@ -218,7 +218,7 @@ def test_a_function_that_gives_no_features_is_refused_with_key_rule_and_value(fu
 
 def test_a_variable_whose_range_is_too_small_to_be_scaled_is_refused() -> None:
     space = DesignSpace((Parameter("x", 0.0, 6e-310), Parameter("y", 0.0, 1.0)))
-    with pytest.raises(InputError, match=r"^classifier\.features: x must vary over the space by a standard deviation"):
+    with pytest.raises(InputError, match=r"^classifier\.features: x must have a standard deviation over the space"):
         feature_map("design", space)
 
 

@@ -113,7 +113,7 @@ def test_a_folder_has_one_writer_and_holds_one_campaign(taken: Path, file: Path)
             af.open_run(taken, write=True, code=file.parent)
         with af.open_run(taken) as reader:
             assert len(reader.history) == 30
-    with pytest.raises(InputError, match="holds a campaign already; `activefail resume"):
+    with pytest.raises(InputError, match="already holds a campaign; `activefail resume"):
         af.create_run(taken, file)
 
 

@@ -30,7 +30,7 @@ REFERENCES = 1024
 _BY_BALD, _AT_RANDOM = 768, 256
 """Designs of the pool at which a look-ahead criterion is evaluated: the best by BALD, and a random part of the rest."""
 
-_LAZY_BLOCK = 64
+LAZY_BLOCK = 64
 """Candidates whose look-ahead values are updated together."""
 
 _REFINEMENTS = (0.05, 0.02, 0.008)
@@ -55,7 +55,7 @@ def expected_site_precision(mean: float, sd: float) -> float:
     return total
 
 
-def _fantasise(mean: Array, covariance: Array, chosen: int) -> float:
+def fantasise(mean: Array, covariance: Array, chosen: int) -> float:
     """Update the covariance, in place, for an unknown label at `chosen`; returns the precision of its site.
 
     The mean does not change; Σ loses Σ_·* Σ_*·/(Σ_** + 1/λ*).
@@ -74,7 +74,7 @@ def fantasised(latent: Latent, F: Array) -> Latent:
     """
     mean, covariance = latent.joint(F)
     covariance = covariance.copy()
-    added = torch.tensor([_fantasise(mean, covariance, i) for i in range(len(F))], dtype=torch.float64)
+    added = torch.tensor([fantasise(mean, covariance, i) for i in range(len(F))], dtype=torch.float64)
     at = torch.from_numpy(mean)
     trained = latent.trained
     return Latent(
@@ -108,7 +108,7 @@ def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -
         value[chosen] = -np.inf
         best = int(np.argmax(value))
         chosen.append(best)
-        _fantasise(mean, covariance, best)
+        fantasise(mean, covariance, best)
     return np.array(chosen, dtype=np.intp)
 
 
@@ -138,11 +138,11 @@ def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion:
     for _ in range(q):
         while not current[best := int(np.argmax(value))]:
             stale = np.where(current, -np.inf, value)
-            block = np.argsort(-stale, kind="stable")[: min(_LAZY_BLOCK, n - int(current.sum()))]
+            block = np.argsort(-stale, kind="stable")[: min(LAZY_BLOCK, n - int(current.sum()))]
             value[block] = evaluate(block)
             current[block] = True
         chosen.append(best)
-        _fantasise(mean, covariance, best)
+        fantasise(mean, covariance, best)
         current[:] = False
         value[chosen], current[chosen] = -np.inf, True
     return np.array(chosen, dtype=np.intp)
@@ -175,7 +175,7 @@ def propose(
     if pending is not None and len(pending) > 0:
         latent = fantasised(latent, features(pending))
     if isinstance(criterion, LookAhead):
-        # Its candidates are drawn anew for each batch, so none is an earlier design.
+        # It draws new candidates for each batch, so none is an earlier design.
         return _propose_ahead(latent, features, space, criterion, q, rng)
     return _propose_pointwise(latent, features, space, criterion, q, rng, failed)
 
@@ -201,12 +201,12 @@ def _propose_pointwise(
         pool = np.where(improved[:, None], moved, pool[best])
         values = np.where(improved, moved_values, values[best])
     F = features(pool)
-    new = _not_seen(pool, F, latent, failed)
+    new = new_rows(pool, F, latent, failed)
     if len(new) < q:
         # The searches ended at a few known corners; add other candidates.
         pool = np.concatenate([pool[new], space.sobol(POOL, rng)])
         F = features(pool)
-        new = _not_seen(pool, F, latent, failed)[:SHORTLIST]
+        new = new_rows(pool, F, latent, failed)[:SHORTLIST]
     if len(new) < q:
         # All values of discrete features are known; repeating some still adds information.
         others = np.setdiff1d(np.arange(len(pool)), new)
@@ -218,7 +218,7 @@ def _propose_pointwise(
     return np.asarray(pool[greedy_batch(mean, covariance, q, criterion)])
 
 
-def _not_seen(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArray[np.intp]:
+def new_rows(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArray[np.intp]:
     """Rows of designs X, (n, d), with features F, (n, m), that repeat no training point, failed design or earlier row.
 
     A search may end in a corner where a design was simulated or is in flight; repeating it would add nothing.

@@ -35,7 +35,7 @@ class TorchFeatures(torch.nn.Module):
         super().__init__()
         if features.formula is None:
             raise InputError(
-                f"Gradients need features with a formula; {', '.join(features.names)} are defined by a function only."
+                f"Gradients need features with a formula; {', '.join(features.names)} are defined by a function."
             )
         self._formula = features.formula
         self._logarithmic = torch.from_numpy(np.asarray(features.logarithmic, dtype=bool))

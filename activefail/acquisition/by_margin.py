@@ -1,8 +1,8 @@
 """Designs whose margins would teach most about a boundary (stepwise uncertainty reduction).
 
-Where a boundary is learned from a margin, a simulation tells a number, not a label. The design is chosen whose number
-would, on average, leave the least doubt Σ w √(p(1 − p)) over the design measure, which bounds the standard deviation of
-the probability beyond the boundary [BectEtAl2012].
+Where a boundary is learned from a margin, a simulation yields a number, not a label. The chosen design is the one whose
+number would, on average, leave the least doubt Σ w √(p(1 − p)) over the design measure, which bounds the standard
+deviation of the probability beyond the boundary [BectEtAl2012].
 """
 
 import math

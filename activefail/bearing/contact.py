@@ -56,17 +56,17 @@ def meets_rim(u, w, plate):
 def _contact_force(n_u, n_w, penetration, du, dw, damping, plate):
     """Force of one contact with inward normal n: Hertz, damped while approaching [Jankowski2006], and friction."""
     rate, slip = -(du * n_u + dw * n_w), du * n_w - dw * n_u
-    sunk = positive(penetration)
-    root = sqrt(sunk)
+    depth = positive(penetration)
+    root = sqrt(depth)
     damper = damping * sqrt(root) * positive(rate)
-    normal = plate.stiffness * sunk * root + damper
+    normal = plate.stiffness * depth * root + damper
     friction = -plate.mu * normal * slip / sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)
     return Force(
         normal * n_u + friction * n_w,
         normal * n_w - friction * n_u,
         normal,
         damper * rate - friction * slip,
-        0.4 * plate.stiffness * sunk * sunk * root,
+        0.4 * plate.stiffness * depth * depth * root,
     )
 
 
@@ -104,12 +104,12 @@ def _contact_jacobian(n_u, n_w, penetration, curvature, du, dw, damping, plate):
     """
     t_u, t_w = n_w, -n_u
     rate, slip = -(du * n_u + dw * n_w), du * t_u + dw * t_w
-    sunk = positive(penetration)
-    root = sqrt(sunk)
+    depth = positive(penetration)
+    root = sqrt(depth)
     normal_by_rate = where(rate, damping * sqrt(root))
-    normal = plate.stiffness * sunk * root + normal_by_rate * rate
+    normal = plate.stiffness * depth * root + normal_by_rate * rate
     # dN/dδ of the damper, c δ̇ / (4 δ^(3/4)), is singular at first touch.
-    floored = LEAST_PENETRATION + positive(sunk - LEAST_PENETRATION)
+    floored = LEAST_PENETRATION + positive(depth - LEAST_PENETRATION)
     singular = 0.25 * damping * positive(rate) * sqrt(sqrt(floored)) / floored
     normal_by_penetration = 1.5 * plate.stiffness * root + where(penetration, singular)
     norm = 1.0 / sqrt(slip * slip + plate.friction_velocity * plate.friction_velocity)

@@ -14,7 +14,7 @@ KERNEL: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """Options of every kernel: division by zero gives infinity; a product and a sum may be fused, with one rounding.
 
 Results then depend on the processor type, as they already do through the exponential. Kernels write squares as
-products, because numba compiles a power with a whole exponent as a function of its own, once in a process, with the
+products, because numba compiles a power with a whole exponent as a separate function, once per process, with the
 options of the first kernel that uses it.
 """
 
@@ -58,7 +58,7 @@ def kept_kernels(package: Path = _PACKAGE) -> Iterator[None]:
     have the same fault, if it cannot use this one, or if `NUMBA_CACHE_LOCATOR_CLASSES` names them. Therefore numba gets
     this folder alone. If it cannot be written, kernels are compiled for this process and not kept.
 
-    Kernels of earlier sources beside the package are deleted; their folders stay, because a process that began before
+    Kernels of earlier sources next to the package are deleted; their folders stay, because a process that began before
     the change may still save there.
     """
     from numba.core import config, dispatcher
@@ -67,13 +67,13 @@ def kept_kernels(package: Path = _PACKAGE) -> Iterator[None]:
 
     kernel_type: Any = dispatcher.Dispatcher
     before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES, kernel_type.enable_caching
-    beside = package / "__pycache__"
+    pycache = package / "__pycache__"
     writable = os.access(package, os.W_OK)
-    base = Path(config.CACHE_DIR or (beside if writable else AppDirs("numba", False).user_cache_dir))
+    base = Path(config.CACHE_DIR or (pycache if writable else AppDirs("numba", False).user_cache_dir))
     sources = f"kernels-{sources_digest(package)[:16]}"
     options = hashlib.sha256(compiler_options().encode()).hexdigest()[:8]
     with suppress(OSError):
-        for kernel in beside.glob("kernels-*/**/*.nb[ic]"):
+        for kernel in pycache.glob("kernels-*/**/*.nb[ic]"):
             if sources not in kernel.parts:
                 kernel.unlink(missing_ok=True)
     # Absolute, because the current folder may change before a kernel is compiled.
@@ -131,7 +131,7 @@ def check_compiled() -> None:
     from numba.core import config
 
     if config.DISABLE_JIT:
-        raise InputError("NUMBA_DISABLE_JIT is set, but the kernels of the bearing run only compiled. Unset it.")
+        raise InputError("NUMBA_DISABLE_JIT is set, but the bearing's kernels run only when compiled. Unset it.")
 
 
 def sources_digest(package: Path = _PACKAGE) -> str:

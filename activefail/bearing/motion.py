@@ -71,7 +71,7 @@ class Motion:
         return float(self.steps[-1])
 
     @property
-    def stirs(self) -> float:
+    def onset(self) -> float:
         """Time shortly before the top plate first moves by 1 % of the capacity [s]; the start if it never does."""
         moved = np.abs(self.response.q[:, 3]) > 0.01 * self.response.bearing.displacement_capacity
         if not moved.any():

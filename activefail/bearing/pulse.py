@@ -7,7 +7,7 @@ from numba import njit
 from activefail.bearing.kernels import KERNEL
 
 _SPREAD = 2.0 * math.pi / math.sqrt(3.0)
-_PEAK = 1.38
+PEAK = 1.38
 """The paper's rounded peak of |s² − 3|·s·exp(−s²/2); the exact value is 1.380119."""
 
 _ROOT = math.sqrt(3.0)
@@ -21,7 +21,7 @@ HALF_DURATION = 1.5
 def ground_acceleration(t, amplitude, period):
     """Ground acceleration ü_g [m/s²] at time t [s] of a pulse of amplitude A_p [m/s²] and period T_p [s]."""
     s = _SPREAD * t / period
-    return amplitude / _PEAK * (s * s - 3.0) * s * math.exp(-0.5 * s * s)
+    return amplitude / PEAK * (s * s - 3.0) * s * math.exp(-0.5 * s * s)
 
 
 @njit(cache=True, **KERNEL)
@@ -29,7 +29,7 @@ def ground_jerk(t, amplitude, period):
     """Time derivative of the ground acceleration [m/s³]."""
     s = _SPREAD * t / period
     s2 = s * s
-    return amplitude / _PEAK * _SPREAD / period * (6.0 * s2 - 3.0 - s2 * s2) * math.exp(-0.5 * s2)
+    return amplitude / PEAK * _SPREAD / period * (6.0 * s2 - 3.0 - s2 * s2) * math.exp(-0.5 * s2)
 
 
 @njit(cache=True, **KERNEL)
@@ -46,4 +46,4 @@ def impulse_to_come(t, amplitude, period):
         area = 2.0 * (at_root - at_zero) + primitive
     else:
         area = 4.0 * at_root - 2.0 * at_zero - primitive
-    return abs(amplitude) / _PEAK * period / _SPREAD * area
+    return abs(amplitude) / PEAK * period / _SPREAD * area

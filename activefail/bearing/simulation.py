@@ -64,7 +64,7 @@ def _record(history, row, system, state):
 
 
 @njit(cache=True, nogil=True, **KERNEL)
-def _run(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
+def integrate(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
     """Integrate one bearing from rest until it fails, its outcome is settled or, with `to_the_end`, its time is over.
 
     The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `KernelResult`.
@@ -166,7 +166,7 @@ def _simulate(
 ) -> KernelResult:
     # T_b as in the paper's eq. 2, without the slider's height.
     free_time = FREE_PERIODS * 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
-    run: KernelResult = _run(
+    run: KernelResult = integrate(
         system(bearing, pulse, model),
         bearing.displacement_capacity,
         free_time,
@@ -367,7 +367,7 @@ def simulate(
             seconds[row] = time.perf_counter() - began
         return len(rows)
 
-    if designs and not _run.signatures:
+    if designs and not integrate.signatures:
         # Compile on one thread, before timing starts.
         _simulate(*designs[0], model, Tolerance(most_steps=1), no_history)
     # Short chunks: a keyboard interrupt waits for the running ones only.

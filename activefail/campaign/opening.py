@@ -72,7 +72,8 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
     path = folder / SETTINGS
     refuse_links(folder)
     if not path.is_file():
-        raise InputError(f"{folder}: is not a run folder; it has no campaign.toml.")
+        reason = "it is a file" if folder.is_file() else f"it has no {SETTINGS}"
+        raise InputError(f"{folder}: is not a run folder; {reason}.")
     if path.stat().st_size > LARGEST_SETTINGS:
         raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
     campaign = read_campaign(path, code=code, run=folder, features=features, frozen=True)

@@ -255,8 +255,8 @@ class ExpressionFeaturesSettings(Section):
 class Stop(Section):
     """The stop rule: a campaign ends once its error is verified to be at most `error`, with `confidence`.
 
-    Verification takes `simulations` fresh designs outside the budget, `every` so many batches, once the classifier
-    itself expects no larger error.
+    Every `every` batches, verification takes `simulations` fresh designs outside the budget, once the classifier itself
+    expects no larger error.
     """
 
     error: float = Field(gt=0.0, lt=0.5)

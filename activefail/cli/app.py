@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand
 
 from activefail.errors import ActivefailError, InputError, place_of, reason_of
-from activefail.interrupts import INTERRUPTED, end_without_waiting, hearing_every_ctrl_c
+from activefail.interrupts import INTERRUPTED, end_without_waiting, repeating_missed_ctrl_c
 from activefail.screen import OUTPUT, visible_output
 
 app = typer.Typer(
@@ -48,7 +48,7 @@ def main() -> None:
 
 def _main() -> None:
     try:
-        with hearing_every_ctrl_c():
+        with repeating_missed_ctrl_c():
             app()
     except ActivefailError as error:
         _end(str(error), 2 if isinstance(error, InputError) else 1)

@@ -32,8 +32,10 @@ if TYPE_CHECKING:
 def run(
     campaign: Annotated[Path, typer.Argument(help="Campaign file.", metavar="CAMPAIGN.toml", show_default=False)],
     out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
-    seed: Annotated[int | None, typer.Option(help="Seed; overrides the file.", show_default=False)] = None,
-    budget: Annotated[int | None, typer.Option(help="Simulations; overrides the file.", show_default=False)] = None,
+    seed: Annotated[int | None, typer.Option(help="Random seed; overrides the file's.", show_default=False)] = None,
+    budget: Annotated[
+        int | None, typer.Option(help="Number of simulations; overrides the file's.", show_default=False)
+    ] = None,
     workers: Workers = None,
     executor: ExecutorName = "local",
     scheduler: Scheduler = None,
@@ -51,14 +53,19 @@ def run(
 def resume(
     folder: RunFolder,
     budget: Annotated[
-        int | None, typer.Option(help="Simulations in all; overrides the campaign.", show_default=False)
+        int | None, typer.Option(help="Total number of simulations; overrides the campaign's.", show_default=False)
     ] = None,
     workers: Workers = None,
     executor: ExecutorName = "local",
     scheduler: Scheduler = None,
     numerical_failures: Annotated[
         float | None,
-        typer.Option(help="Largest accepted share; overrides the campaign.", min=0.0, max=1.0, show_default=False),
+        typer.Option(
+            help="Largest accepted share of numerical failures; overrides the campaign's.",
+            min=0.0,
+            max=1.0,
+            show_default=False,
+        ),
     ] = None,
     ignore_stop: Annotated[
         bool, typer.Option("--ignore-stop", help="Continue even if the stop rule is already met.")
@@ -111,12 +118,12 @@ def status(folder: RunFolder) -> None:
     """Show the progress of a campaign; safe while it runs."""
     from activefail.findings.status import read_status
 
-    found = read_status(folder)
-    show_warnings(found.warnings)
-    for title, text in found.lines:
+    current = read_status(folder)
+    show_warnings(current.warnings)
+    for title, text in current.lines:
         print(f"{title:<10} {text}")
-    show_unseen(found.summary)
-    for title, text in found.continuation:
+    show_unseen(current.summary)
+    for title, text in current.continuation:
         print(f"{title:<10} {text}")
 
 

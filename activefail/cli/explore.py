@@ -11,7 +11,7 @@ from activefail.cli.common import Code, RunFolder, opened_run, show_stage, show_
 def explore(
     folder: RunFolder,
     host: Annotated[
-        str, typer.Option(help="Address to serve on; any other than this machine's requires a token.")
+        str, typer.Option(help="Address to listen on; visitors from other machines need a token.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; 0 for a free one.", min=0, max=65535)] = 8050,
     code: Code = None,

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,7 +47,7 @@ def simulate(
     restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of a rim impact.")] = 0.65,
     slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m3].")] = 7850.0,
     loss_of_confinement: Annotated[
-        bool, typer.Option(help="Count a slider that no rim restrains any more as failed.")
+        bool, typer.Option(help="Count the bearing as failed once no rim restrains the slider.")
     ] = True,
     restitution: Annotated[str, typer.Option(help="Mass in the contact damper: pairwise or assembly.")] = "pairwise",
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
@@ -57,9 +58,8 @@ def simulate(
 
     for option, path in {"--out": out, "--plot": plot, "--animate": animate}.items():
         check_output(option, path)
-    values = (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p)
     options = (f"--{name.lower().replace('_', '-')}" for name in TABLE_1.names)
-    design = dict(zip(options, values, strict=True))
+    design = dict(zip(options, (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p), strict=True))
     model = Model(
         slider_diameter=slider_diameter,
         restitution_coefficient=restitution_coefficient,
@@ -69,21 +69,23 @@ def simulate(
         loss_of_confinement=loss_of_confinement,
     )
     integration = Tolerance(relative=tolerance)
-    design_options = [option for option, value in design.items() if value is not None]
-    if csv is not None:
-        if design_options or plot or animate:
-            single = [*design_options, "--plot" if plot else "--animate"][0]
-            raise InputError(f"--csv cannot be combined with {single}, which is for one design.")
-        if out is None:
-            raise InputError("--csv needs --out FILE for the results.")
-        _simulate_table(csv, out, model, integration)
+    present = {option: value for option, value in design.items() if value is not None}
+    if csv is None:
+        _check_single(design, out)
+        _simulate_one(list(present.values()), model, integration, plot, animate)
         return
+    if present or plot or animate:
+        single = [*present, "--plot" if plot else "--animate"][0]
+        raise InputError(f"--csv cannot be combined with {single}, which is for one design.")
+    _simulate_table(csv, out, model, integration)
+
+
+def _check_single(design: Mapping[str, float | None], out: Path | None) -> None:
     missing = [option for option, value in design.items() if value is None]
     if missing:
         raise InputError(f"A design needs all nine variables; missing: {', '.join(missing)}. (Or use --csv and --out.)")
     if out is not None:
         raise InputError("--out requires --csv; for one design use --plot or --animate.")
-    _simulate_one([value for value in design.values() if value is not None], model, integration, plot, animate)
 
 
 def _simulate_one(
@@ -116,9 +118,11 @@ def _simulate_one(
         raise typer.Exit(1)
 
 
-def _simulate_table(source: Path, target: Path, model: "Model", tolerance: "Tolerance") -> None:
+def _simulate_table(source: Path, target: Path | None, model: "Model", tolerance: "Tolerance") -> None:
     from activefail.findings.tables import simulate_table
 
+    if target is None:
+        raise InputError("--csv needs --out FILE for the results.")
     start = time.monotonic()
     with progress_bar("simulating") as begin:
         counts = simulate_table(source, target, model, tolerance, begin)

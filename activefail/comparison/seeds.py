@@ -198,7 +198,7 @@ def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, History
             yield n, history[:n]
 
 
-def _score_arm(job: _Job) -> list[ArmScore] | None:
+def score_arm(job: _Job) -> list[ArmScore] | None:
     """Score an arm in a worker process; None if stopped."""
     campaign = Campaign.of(parse_settings(job.settings, job.arm.name), job.code)
     with one_thread():
@@ -329,7 +329,7 @@ def compare_seeds(
             futures = {}
             for arm in unscored:
                 job = _Job(arm, settings[arm].text(), checkpoints, folder, test, static.get(arm), plan.code)
-                futures[pool.submit(_score_arm, job)] = arm
+                futures[pool.submit(score_arm, job)] = arm
             pending, stop_requested = set(futures), False
             while pending and not stop_requested:
                 finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)

@@ -30,32 +30,32 @@ class Recall:
     """The recall of an outcome on a test set.
 
     Attributes:
-        found: designs with the outcome that are predicted to have it.
-        of: designs with the outcome.
+        recalled: designs with the outcome that are predicted to have it.
+        total: designs with the outcome.
     """
 
-    found: int
-    of: int
+    recalled: int
+    total: int
 
     @property
     def share(self) -> float:
-        """found/of; NaN if the test set has no such design."""
-        return self.found / self.of if self.of else float("nan")
+        """recalled/total; NaN if the test set has no such design."""
+        return self.recalled / self.total if self.total else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
         """Clopper and Pearson's exact 95 % interval; 0 to 1 without designs."""
-        if not self.of:
+        if not self.total:
             return 0.0, 1.0
-        interval = binomtest(self.found, self.of).proportion_ci(method="exact")
+        interval = binomtest(self.recalled, self.total).proportion_ci(method="exact")
         return float(interval.low), float(interval.high)
 
     @property
     def in_words(self) -> str:
         """For example "96.0 % (48 of 50; 86.3 to 99.5 %)"."""
-        if not self.of:
+        if not self.total:
             return "– (none in the test set)"
-        return f"{percent(self.share)} ({self.found} of {self.of}; {interval_percent(*self.interval, digits=1)})"
+        return f"{percent(self.share)} ({self.recalled} of {self.total}; {interval_percent(*self.interval, digits=1)})"
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Score:
 
     def row(self) -> list[str | int | float]:
         """The values of `columns`, then of `recall_columns`."""
-        counts = [number for one in self.recall.values() for number in (one.found, one.of)]
+        counts = [number for one in self.recall.values() for number in (one.recalled, one.total)]
         return [*(getattr(self, name) for name in self.columns()), *counts]
 
 

@@ -34,9 +34,9 @@ _LOOK = 0.5
 class DaskExecutor:
     """Simulates on the workers of a Dask scheduler, which need the same activefail and libraries.
 
-    A compiled simulator runs in the threads of a worker. Any other runs in a process beside the worker's thread, as on
-    this machine, so that a crash or a hang fails one simulation and not the worker. If a worker is lost, Dask gives its
-    design to another one; a design that has lost several workers is abandoned.
+    A compiled simulator runs in the threads of a worker. Any other simulator runs in a separate process for each worker
+    thread, as on this machine, so that a crash or a hang fails one simulation and not the worker. If a
+    worker is lost, Dask gives its design to another one; a design that has lost several workers is abandoned.
 
     Args:
         scheduler: its address, such as "tcp://head:8786".
@@ -112,7 +112,7 @@ class DaskExecutor:
         return self._collect(self._arrivals, seconds)
 
     def _submit(self, simulator: Simulator, ticket: int, x: Array, arrivals: "_Arrivals") -> None:
-        future = self._client.submit(_answer_there, simulator, x[None], self._time_limit, self._expected, pure=False)
+        future = self._client.submit(answer_on_worker, simulator, x[None], self._time_limit, self._expected, pure=False)
         self._in_flight[future.key] = future, simulator, x
 
         async def gather() -> None:
@@ -216,7 +216,7 @@ def _guards(time_limit: float | None) -> Guards:
     return Guards(answer, time_limit)
 
 
-def _answer_there(
+def answer_on_worker(
     simulator: Simulator, X: Array, time_limit: float | None, expected: tuple[Versions, _Expected] | None
 ) -> Results:
     """Simulate a design, (1, d), on a Dask worker.

@@ -41,7 +41,7 @@ _ERRORS = {error.__name__: error for error in (ActivefailError, InputError, Stor
 _SENDER = struct.Struct("=3i")
 """Linux's credentials of a message's sender: process, user, group."""
 
-_KERNEL_KNOWS = hasattr(socket, "SO_PASSCRED")
+KERNEL_NAMES_SENDER = hasattr(socket, "SO_PASSCRED")
 """Whether the kernel reports a message's sender, which only a privileged process can forge (Linux)."""
 
 
@@ -212,13 +212,13 @@ def unpack_answer(payload: bytes, simulator: Simulator) -> Results:
 
 def request_senders(connection: socket.socket) -> None:
     """Ask the kernel to report the sender of each message on a connection, if it can."""
-    if _KERNEL_KNOWS:
+    if KERNEL_NAMES_SENDER:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
 
 
 def receive(connection: socket.socket, most: int = 1 << 16) -> tuple[bytes, int | None]:
     """Bytes from a connection, b"" at its end, and the process that sent them; None if the kernel cannot report it."""
-    if not _KERNEL_KNOWS:
+    if not KERNEL_NAMES_SENDER:
         return connection.recv(most), None
     # No room for descriptors: the kernel closes any that are sent along.
     data, ancillary, _, _ = connection.recvmsg(most, socket.CMSG_SPACE(_SENDER.size))

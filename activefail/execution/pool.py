@@ -77,8 +77,8 @@ class ProcessPool:
 
 
 _stop: Connection | None = None
-"""In a process of a pool: readable once the process is asked to stop. A process of a pool can keep something between
-calls only in a module."""
+"""In a process of a pool: readable once the process is asked to stop. Such a process keeps data between calls only in a
+module."""
 
 
 def stopping() -> bool:

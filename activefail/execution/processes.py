@@ -60,7 +60,7 @@ _END_LIMIT = 20.0
 _LONGEST_WAIT = 3600.0
 """Most seconds per wait: the system counts milliseconds in a small integer."""
 
-_PROGRAM = (
+SUPERVISOR_PROGRAM = (
     "import sys; sys.path[:] = sys.argv[4:]; "
     "from activefail.execution.supervisor import main; main(*map(int, sys.argv[1:4]))"
 )
@@ -118,7 +118,14 @@ class _Worker:
             with worker_end, leash_end, ignoring_ctrl_c():
                 descriptors = (worker_end.fileno(), leash_end.fileno())
                 self._supervisor = subprocess.Popen(
-                    [*python_command(), "-c", _PROGRAM, str(os.getpid()), *map(str, descriptors), *search_path()],
+                    [
+                        *python_command(),
+                        "-c",
+                        SUPERVISOR_PROGRAM,
+                        str(os.getpid()),
+                        *map(str, descriptors),
+                        *search_path(),
+                    ],
                     stdin=subprocess.DEVNULL,
                     pass_fds=descriptors,
                     start_new_session=True,

@@ -44,7 +44,7 @@ def main(program: int, answers: int, leash: int) -> NoReturn:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     for descriptor in (answers, leash):
         os.set_inheritable(descriptor, False)
-    _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    prctl(_PR_SET_CHILD_SUBREAPER, 1)
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
     # Python writes a byte to the pipe on each signal that has a handler.
@@ -77,7 +77,7 @@ def _work(supervisor: int, answers: int) -> NoReturn:
     try:
         # A new session and process group, which can be killed as one.
         os.setsid()
-        _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() == supervisor:
             from activefail.execution.worker import serve
 
@@ -119,7 +119,7 @@ def _end(worker: int, alive: bool) -> None:
     processes = {worker} if alive else set()  # it may not have a group yet
     while time.monotonic() < deadline:
         # Children of a killed process are adopted, and appear in the next round.
-        for process in processes | _children():
+        for process in processes | children():
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(process, signal.SIGKILL)
         processes.clear()
@@ -131,20 +131,20 @@ def _end(worker: int, alive: bool) -> None:
         time.sleep(0.001)
 
 
-def _children() -> set[int]:
+def children() -> set[int]:
     """The child processes of this one, if the system lists processes."""
-    children: set[int] = set()
+    pids: set[int] = set()
     # Over all processes: not every kernel lists the children of one.
     with suppress(OSError):
         for process in filter(str.isdigit, os.listdir("/proc")):
             with suppress(OSError, ValueError, IndexError), open(f"/proc/{process}/stat", "rb") as file:
                 # State and parent follow the name in brackets, which may contain anything.
                 if int(file.read().rpartition(b")")[2].split()[1]) == os.getpid():
-                    children.add(int(process))
-    return children
+                    pids.add(int(process))
+    return pids
 
 
-def _prctl(option: int, value: int) -> None:
+def prctl(option: int, value: int) -> None:
     """Set an attribute of this process, if the system supports it."""
     if sys.platform == "linux":
         with suppress(ImportError, OSError, AttributeError):

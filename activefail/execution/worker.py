@@ -78,7 +78,7 @@ def _connection(descriptor: int) -> tuple[Callable[[], tuple[QuestionKind, bytes
     a simulator, which might replace it.
     """
     connection = socket.socket(fileno=descriptor)
-    # A simulator that reads from this descriptor by mistake must not wait for ever.
+    # A simulator that reads from this descriptor by mistake must not wait forever.
     connection.settimeout(_SEND_LIMIT)
     getpid, fstat, leave = os.getpid, os.fstat, os._exit
     process, original, question = getpid(), os.fstat(descriptor), Question(b"", b"")

@@ -63,7 +63,7 @@ class Answers:
         self.outcomes = findings.campaign.simulator.outcomes
         self._quantities = quantities.variables(findings.campaign)
         # All threads share the classifier and matplotlib's settings; separate locks, as predictions need no drawing.
-        self._next, self._learning, self._drawing = threading.Lock(), threading.Lock(), threading.Lock()
+        self.next_turn, self._learning, self._drawing = threading.Lock(), threading.Lock(), threading.Lock()
         middle = (0.5 * (self.space.low + self.space.high)).tolist()
         # Compile and load everything before the first request.
         self.predict(middle)
@@ -139,9 +139,9 @@ class Answers:
         }
 
     @contextmanager
-    def _turn(self) -> Iterator[None]:
+    def turn(self) -> Iterator[None]:
         """Exclusive use of the classifier; a waiting thread comes before one that has just had it."""
-        with self._next:
+        with self.next_turn:
             self._learning.acquire()
         try:
             yield
@@ -152,14 +152,14 @@ class Answers:
         """Predict many designs, (n, d), in parts, between which other threads get their turn."""
         parts = []
         for part in np.array_split(rows, math.ceil(len(rows) / _AT_ONCE)):
-            with self._turn():
+            with self.turn():
                 parts.append(astuple(predict(self.campaign, self._findings.classifier, part)))
         return Prediction(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     def predict(self, point: Sequence[float]) -> Answer:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
         classifier = self._findings.classifier
-        with self._turn():
+        with self.turn():
             F = self.campaign.features(np.array([point]))
             moments = [latent.moments(F) for latent in classifier.latents]
             probabilities = classifier.weighed(moments)[0]
@@ -246,7 +246,7 @@ class Answers:
         except InputError:
             return answer | {"frames": None}
         bearing = response.bearing
-        frames = np.linspace(motion.stirs, motion.end, _FRAMES)
+        frames = np.linspace(motion.onset, motion.end, _FRAMES)
         at_frames = motion.position(frames)
         low, high = extent(motion)
         return answer | {

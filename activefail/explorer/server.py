@@ -92,7 +92,7 @@ class ExplorerServer(ThreadingHTTPServer):
     def __init__(self, host: str, port: int, answers: Answers) -> None:
         self._host = host
         # Ordered by last activity, the oldest first.
-        self._connections: dict[socket.socket, None] = {}
+        self.connections: dict[socket.socket, None] = {}
         self._fewer = threading.Condition()
         self.turns = threading.BoundedSemaphore(MOST_QUESTIONS)
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(24)
@@ -137,7 +137,7 @@ class ExplorerServer(ThreadingHTTPServer):
         Raises:
             OSError: if there is no room for it yet; `serve_forever` tries again.
         """
-        if len(self._connections) >= MOST_CONNECTIONS:
+        if len(self.connections) >= MOST_CONNECTIONS:
             self._make_room()
         try:
             accepted = super().get_request()
@@ -155,7 +155,7 @@ class ExplorerServer(ThreadingHTTPServer):
             BlockingIOError: if no connection ended within half a second.
         """
         with self._fewer:
-            idle = next(iter(self._connections), None)
+            idle = next(iter(self.connections), None)
             if idle is not None:
                 # If this connection is slow to close, the next attempt takes another one.
                 self.heard_from(idle)
@@ -168,14 +168,14 @@ class ExplorerServer(ThreadingHTTPServer):
     def heard_from(self, connection: socket.socket) -> None:
         """Mark a connection as the most recently active."""
         with self._fewer:
-            self._connections.pop(connection, None)
-            self._connections[connection] = None
+            self.connections.pop(connection, None)
+            self.connections[connection] = None
 
     def shutdown_request(self, request: Any) -> None:
         """Close a connection."""
         super().shutdown_request(request)
         with self._fewer:
-            self._connections.pop(request, None)
+            self.connections.pop(request, None)
             self._fewer.notify()
 
     def handle_error(self, request: Any, client_address: Any) -> None:

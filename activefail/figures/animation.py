@@ -77,10 +77,10 @@ def save_animation(response: Response, path: str | Path, fps: float = 25.0, slow
 
     motion = Motion(response)
     if slow_motion is None:
-        slow_motion = default_slow_motion(motion.end - motion.stirs)
-    film = (motion.end - motion.stirs) * slow_motion  # [s]
+        slow_motion = default_slow_motion(motion.end - motion.onset)
+    film = (motion.end - motion.onset) * slow_motion  # [s]
     count = int(np.clip(round(fps * film) + 1, 12, MOST_FRAMES))
-    times = np.linspace(motion.stirs, motion.end, count)
+    times = np.linspace(motion.onset, motion.end, count)
     interval = film / (count - 1)
     frames = render(motion, times, slow_motion)
     if suffix == ".gif":

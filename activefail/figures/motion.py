@@ -107,7 +107,7 @@ def plot_histories(response: Response, width: float = 5.2) -> Figure:
             # A narrow figure has no room for titles next to the legend.
             panel.set(title="", ylabel=label)
         _legend_above(ground)
-        tilt.set_xlim(motion.stirs, motion.end + 0.01 * (motion.end - motion.stirs))
+        tilt.set_xlim(motion.onset, motion.end + 0.01 * (motion.end - motion.onset))
         tilt.set_xlabel("Time from the pulse's centre [s]")
         figure.align_ylabels()
     return figure

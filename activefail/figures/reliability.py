@@ -1,4 +1,4 @@
-"""Reliability diagrams: how often what a classifier predicts comes true."""
+"""Reliability diagrams: how often a classifier's predictions come true."""
 
 import numpy as np
 from matplotlib.figure import Figure

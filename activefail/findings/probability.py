@@ -153,12 +153,12 @@ class ProbabilityFindings:
         if estimate.surprising:
             sentences.append(
                 f"{estimate.surprising} of the fresh simulations contradict the classifier where it was sure. It has "
-                "missed something: continue the campaign before this estimate is used."
+                "missed something: continue the campaign before you use this estimate."
             )
         sentences.append(
             "The interval assumes a limit state that is smooth between simulations: no failure is hidden where neither "
-            "the classifier nor the fresh simulations looked, in one region or scattered. In five dimensions and more "
-            "nothing finds such a region reliably. Only the bound without a model needs no such assumption."
+            "the classifier nor the fresh simulations looked, in one region or scattered. In five or more dimensions, "
+            "no method finds such a region reliably. Only the bound without a model needs no such assumption."
         )
         if self.question:
             sentences.append(

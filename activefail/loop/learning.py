@@ -13,7 +13,7 @@ from activefail.loop.history import History
 from activefail.loop.stopping import Looks, looked
 from activefail.record.store import Store
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Margins, train
+from activefail.surrogate.classifier import Classifier, LearnableMargins, train
 from activefail.surrogate.state import classifier_from_state, classifier_state
 
 
@@ -40,14 +40,14 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
     )
 
 
-def margins_of(campaign: Campaign, known: History) -> Margins | None:
+def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     """The margins that a campaign's classifier may learn from; None if it learns from outcomes alone."""
     names, learns = campaign.simulator.margins, campaign.settings.classifier.learns
     if learns == "outcomes" or not names:
         return None
     if learns == "auto":
-        return Margins(known.margins, tuple(range(len(names))))
-    return Margins(known.margins, (names.index(learns),), required=True)
+        return LearnableMargins(known.margins, tuple(range(len(names))))
+    return LearnableMargins(known.margins, (names.index(learns),), required=True)
 
 
 Saved = tuple[int, dict[str, NDArray[Any]], Classifier]
@@ -133,7 +133,7 @@ def _looks(state: Mapping[str, NDArray[Any]]) -> Looks:
     if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
         raise DamagedError("holds looks of the stop rule that are not rows of four finite numbers")
     if known.dtype != np.int64 or known.shape != () or int(known) not in (0, 1):
-        raise DamagedError("holds a stop rule that is neither met nor not met")
+        raise DamagedError("holds a state of the stop rule that is neither 0 nor 1")
     return Looks(table, bool(known))
 
 

@@ -72,7 +72,7 @@ def next_designs(
 def search_for_unseen(campaign: Campaign, history: History, classifier: Classifier) -> Search | None:
     """A search for the outcomes without a simulation; None if every outcome has one.
 
-    An outcome whose boundary is learned from a margin needs no search: the margin tells where it may begin.
+    An outcome whose boundary is learned from a margin needs no search: the margin shows where it may begin.
     """
     outcomes = campaign.simulator.outcomes
     unseen = tuple(

@@ -16,15 +16,15 @@ from scipy.special import erfcx, expit, log_expit, log_ndtr
 
 from activefail.space import Array
 
-_NEWTON_TOLERANCE, _NEWTON_STEPS, _HALVINGS = 1e-12, 100, 40
+_NEWTON_TOLERANCE, NEWTON_STEPS, _HALVINGS = 1e-12, 100, 40
 """Laplace's method stops once a further step promises less gain than this [nat]; limits of its two loops."""
 
-_EP_TOLERANCE, _EP_SWEEPS, _LEAST_SHARE = 1e-6, 400, 0.05
+_EP_TOLERANCE, EP_SWEEPS, _LEAST_SHARE = 1e-6, 400, 0.05
 """Expectation propagation stops once sites change less than this, in marginal standard deviations; limits."""
 
 
-class Hyperparameters(NamedTuple):
-    """Hyperparameters of a constant mean and a squared-exponential ARD covariance."""
+class SquaredExponentialPrior(NamedTuple):
+    """Hyperparameters of a GP prior with a constant mean and a squared-exponential ARD covariance."""
 
     mean: float
     signal_variance: float
@@ -44,17 +44,17 @@ Likelihood = Callable[[Array, Array], Terms]
 """Maps labels, (n,) of -1 and 1, and latents, (n,), to the terms of the log likelihood."""
 
 
-class Sites(NamedTuple):
-    """A Gaussian factor for each training point: exp(linear f − precision f²/2)."""
+class SiteParameters(NamedTuple):
+    """Natural parameters of a Gaussian factor for each training point: exp(linear f − precision f²/2)."""
 
     linear: Array  # (n,) ν
     precision: Array  # (n,) τ, not negative
 
 
-class Posterior(NamedTuple):
+class GaussianApproximation(NamedTuple):
     """A Gaussian approximation of the posterior at n training points, with terms for predictions and gradients."""
 
-    sites: Sites
+    sites: SiteParameters
     alpha: Array  # (n,) K⁻¹ (posterior mean − m)
     cholesky_b: Array  # (n, n) lower factor of B = I + T^½ K T^½
     log_evidence: float  # log Z, the approximate log marginal likelihood
@@ -63,7 +63,7 @@ class Posterior(NamedTuple):
     converged: bool
 
 
-def covariance(F: Array, G: Array, hyperparameters: Hyperparameters) -> Array:
+def covariance(F: Array, G: Array, hyperparameters: SquaredExponentialPrior) -> Array:
     """k(f, g) = s² exp(−½ Σ (f_d − g_d)²/ℓ_d²) of features, (n, m) and (l, m) -> (n, l); R&W eq. 5.1."""
     scales = hyperparameters.length_scales
     return np.asarray(hyperparameters.signal_variance * np.exp(-0.5 * cdist(F / scales, G / scales, "sqeuclidean")))
@@ -88,7 +88,7 @@ def logistic(y: Array, f: Array) -> Terms:
     return Terms(log_expit(y * f), y * expit(-y * f), p * q, p * q * (p - q))
 
 
-def _factor(K: Array, sites: Sites) -> tuple[Array, Array]:
+def _factor(K: Array, sites: SiteParameters) -> tuple[Array, Array]:
     """T^½, (n,), and the lower Cholesky factor of B, (n, n)."""
     root = np.sqrt(sites.precision)
     B = root[:, None] * K * root
@@ -108,7 +108,7 @@ def _shrunk(x: Array, K: Array, root: Array, L: Array) -> Array:
     return np.asarray(rest + root * cho_solve((L, True), inner, check_finite=False))
 
 
-def _solve(K: Array, mean: float, sites: Sites, root: Array, L: Array) -> Array:
+def _solve(K: Array, mean: float, sites: SiteParameters, root: Array, L: Array) -> Array:
     """α = K⁻¹ (posterior mean − m) of given sites, (n,)."""
     return _shrunk(sites.linear - sites.precision * mean, K, root, L)
 
@@ -120,8 +120,8 @@ def _variances(K: Array, root: Array, L: Array) -> Array:
 
 
 def laplace_posterior(
-    K: Array, mean: float, y: Array, likelihood: Likelihood = probit, start: Sites | None = None
-) -> Posterior:
+    K: Array, mean: float, y: Array, likelihood: Likelihood = probit, start: SiteParameters | None = None
+) -> GaussianApproximation:
     """Laplace's approximation: a Gaussian at the posterior mode; R&W Algorithms 3.1 and 5.1.
 
     Newton's method on the concave ψ(f) = log p(y | f) − ½ (f − m)ᵀ K⁻¹ (f − m), with steps halved until ψ increases.
@@ -145,11 +145,11 @@ def laplace_posterior(
             alpha, f, value = warm, mean + K @ warm, from_warm
 
     converged = False
-    for iteration in range(_NEWTON_STEPS + 1):
+    for iteration in range(NEWTON_STEPS + 1):
         terms = likelihood(y, f)
-        sites = Sites(terms.slope + terms.curvature * f, terms.curvature)
+        sites = SiteParameters(terms.slope + terms.curvature * f, terms.curvature)
         root, L = _factor(K, sites)
-        if converged or iteration == _NEWTON_STEPS:
+        if converged or iteration == NEWTON_STEPS:
             break
         step = _solve(K, mean, sites, root, L) - alpha
         step_f = K @ step
@@ -165,14 +165,14 @@ def laplace_posterior(
 
     log_evidence = value - np.log(L.diagonal()).sum()
     implicit = _shrunk(0.5 * _variances(K, root, L) * terms.third, K, root, L)
-    return Posterior(sites, alpha, L, float(log_evidence), implicit, iteration, converged)
+    return GaussianApproximation(sites, alpha, L, float(log_evidence), implicit, iteration, converged)
 
 
 class _Tilted(NamedTuple):
     """The tilted distributions of expectation propagation, (n,) each."""
 
     log_evidence: Array  # log Ẑᵢ
-    target: Sites  # sites that match their moments
+    target: SiteParameters  # sites that match their moments
 
 
 def _match(mean: Array, precision: Array, y: Array) -> _Tilted:
@@ -187,10 +187,10 @@ def _match(mean: Array, precision: Array, y: Array) -> _Tilted:
     ratio = normal_ratio(z)
     slope, curvature = y * ratio / scale, ratio * (z + ratio) / scale**2
     shrink = 1.0 - curvature * variance  # tilted over cavity variance
-    return _Tilted(log_ndtr(z), Sites((slope + curvature * mean) / shrink, curvature / shrink))
+    return _Tilted(log_ndtr(z), SiteParameters((slope + curvature * mean) / shrink, curvature / shrink))
 
 
-def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) -> Posterior:
+def ep_posterior(K: Array, mean: float, y: Array, start: SiteParameters | None = None) -> GaussianApproximation:
     """Expectation propagation for the probit likelihood; R&W Algorithm 3.5, with the evidence of eq. 3.65.
 
     Updates all sites in parallel instead of in turn; the fixed point is the same. Full steps can oscillate around it,
@@ -202,9 +202,9 @@ def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) ->
         y: labels, (n,) of -1 and 1.
         start: sites of a similar problem, to start from.
     """
-    sites = Sites(np.zeros(len(y)), np.zeros(len(y))) if start is None else start
+    sites = SiteParameters(np.zeros(len(y)), np.zeros(len(y))) if start is None else start
     share, last_change, converged = 1.0, np.zeros(2 * len(y)), False
-    for iteration in range(_EP_SWEEPS + 1):
+    for iteration in range(EP_SWEEPS + 1):
         root, L = _factor(K, sites)
         alpha = _solve(K, mean, sites, root, L)
         variance, offset = _variances(K, root, L), K @ alpha
@@ -215,16 +215,16 @@ def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) ->
         # The change of the sites around the marginal mean, in marginal standard deviations.
         change = np.concatenate([(linear - precision * (mean + offset)) * np.sqrt(variance), precision * variance])
         converged = bool(np.abs(change).max() < _EP_TOLERANCE)
-        if converged or iteration == _EP_SWEEPS:
+        if converged or iteration == EP_SWEEPS:
             break
         if iteration > 0:
             # Along the last step, change = (1 − share r) last_change; a share of 1/r would have made it zero.
             r = float(1.0 - (change @ last_change) / (last_change @ last_change)) / share
             share = min(1.0, max(_LEAST_SHARE, 1.0 / r)) if r > 0.0 else 1.0
         last_change = change
-        sites = Sites(sites.linear + share * linear, sites.precision + share * precision)
+        sites = SiteParameters(sites.linear + share * linear, sites.precision + share * precision)
 
-    return Posterior(
+    return GaussianApproximation(
         sites,
         alpha,
         L,
@@ -236,7 +236,13 @@ def ep_posterior(K: Array, mean: float, y: Array, start: Sites | None = None) ->
 
 
 def _ep_log_evidence(
-    mean: float, sites: Sites, L: Array, offset: Array, cavity_linear: Array, cavity_precision: Array, tilted: Array
+    mean: float,
+    sites: SiteParameters,
+    L: Array,
+    offset: Array,
+    cavity_linear: Array,
+    cavity_precision: Array,
+    tilted: Array,
 ) -> float:
     """log Z of expectation propagation, R&W eq. 3.65, in terms of f − m and without cancellation.
 
@@ -250,7 +256,7 @@ def _ep_log_evidence(
 
 
 def evidence_gradient(
-    F: Array, K: Array, hyperparameters: Hyperparameters, posterior: Posterior
+    F: Array, K: Array, hyperparameters: SquaredExponentialPrior, posterior: GaussianApproximation
 ) -> tuple[float, float, Array]:
     """Gradient of log Z by the mean, log signal variance and log length scales, (m,); R&W Algorithms 5.1 and 5.2.
 
@@ -269,7 +275,9 @@ def evidence_gradient(
     return float((alpha + u).sum()), float(weights.sum()), np.asarray(by_scale)
 
 
-def predict(F: Array, hyperparameters: Hyperparameters, posterior: Posterior, at: Array) -> tuple[Array, Array]:
+def predict(
+    F: Array, hyperparameters: SquaredExponentialPrior, posterior: GaussianApproximation, at: Array
+) -> tuple[Array, Array]:
     """Latent mean and variance at features, (l, m) -> (l,) each; R&W Algorithms 3.2 and 3.6 before averaging."""
     Ks = covariance(F, at, hyperparameters)
     root = np.sqrt(posterior.sites.precision)

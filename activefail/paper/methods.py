@@ -12,14 +12,14 @@ from statsmodels.discrete.discrete_model import Logit
 
 from activefail.errors import InputError
 from activefail.paper import gpml
-from activefail.paper.gpml import Hyperparameters, Posterior, Sites
+from activefail.paper.gpml import GaussianApproximation, SiteParameters, SquaredExponentialPrior
 from activefail.space import Array
 from activefail.surrogate.classifier import Moments
 
 Labels = NDArray[np.bool_]
 Method = Literal["laplace", "expectation propagation"]
 
-_SIGNAL_VARIANCE = (1e-4, 1e4)
+SIGNAL_VARIANCE = (1e-4, 1e4)
 """Bounds of the signal variance. For separable classes the evidence tends to a constant as the latent widens, so only a
 bound stops the search. At a latent sd of 100 the evidence of expectation propagation is within 0.1 nat of it; that of
 Laplace's method keeps rising above the true evidence, towards overconfident predictions.
@@ -28,13 +28,13 @@ Laplace's method keeps rising above the true evidence, towards overconfident pre
 LENGTH_SCALE = (1e-2, 1e3)
 """Bounds of the length scales, in the features' units: at 1000 a standardised feature changes no covariance by 1e-4."""
 
-_PRIOR_PROBIT = (-8.0, 8.0)
+PRIOR_PROBIT = (-8.0, 8.0)
 """Bounds of the prior probit m/√(1 + s²): beyond them, a training set with both classes is practically impossible."""
 
-_STARTS = ((1.0, 1.0), (10.0, 2.0), (100.0, 1.0))
+STARTS = ((1.0, 1.0), (10.0, 2.0), (100.0, 1.0))
 """Starting signal variances and length scales, in units of √m; the best optimum is kept."""
 
-_ROWS_AT_ONCE = 4096
+ROWS_AT_ONCE = 4096
 """Points predicted in one call, which limits its memory to n x 4096 numbers."""
 
 
@@ -145,18 +145,18 @@ class GaussianProcessFit:
     """
 
     method: Method
-    hyperparameters: Hyperparameters
+    hyperparameters: SquaredExponentialPrior
     log_marginal_likelihood: float
     iterations: int
     converged: bool
     features: Array
-    posterior: Posterior
+    posterior: GaussianApproximation
 
     def moments(self, F: Array) -> Moments:
         """Mean and standard deviation of the latent at features, (n, m) -> (n,) each."""
         blocks = [
-            gpml.predict(self.features, self.hyperparameters, self.posterior, F[i : i + _ROWS_AT_ONCE])
-            for i in range(0, len(F), _ROWS_AT_ONCE)
+            gpml.predict(self.features, self.hyperparameters, self.posterior, F[i : i + ROWS_AT_ONCE])
+            for i in range(0, len(F), ROWS_AT_ONCE)
         ]
         mean, variance = (np.concatenate([np.empty(0), *parts]) for parts in zip(*blocks, strict=True))
         return Moments(mean, np.sqrt(variance))
@@ -170,7 +170,7 @@ class GaussianProcessFit:
         return float(np.mean((self.probability(F) > 0.5) == y))
 
 
-def condition(F: Array, y: Labels, hyperparameters: Hyperparameters, method: Method) -> GaussianProcessFit:
+def condition(F: Array, y: Labels, hyperparameters: SquaredExponentialPrior, method: Method) -> GaussianProcessFit:
     """The approximate posterior of features, (n, m), and labels, (n,), for fixed hyperparameters.
 
     Raises:
@@ -206,7 +206,7 @@ def _signs(y: Labels) -> Array:
     return np.where(y, 1.0, -1.0)
 
 
-def _infer(method: Method, K: Array, mean: float, signs: Array, start: Sites | None) -> Posterior:
+def _infer(method: Method, K: Array, mean: float, signs: Array, start: SiteParameters | None) -> GaussianApproximation:
     match method:
         case "laplace":
             return gpml.laplace_posterior(K, mean, signs, start=start)
@@ -214,7 +214,7 @@ def _infer(method: Method, K: Array, mean: float, signs: Array, start: Sites | N
             return gpml.ep_posterior(K, mean, signs, start)
 
 
-def pack(hyperparameters: Hyperparameters) -> Array:
+def pack(hyperparameters: SquaredExponentialPrior) -> Array:
     """Hyperparameters in the coordinates of the search, (2 + m,): m/√(1 + s²), log s², log ℓ.
 
     For large s² the evidence is flat along log s² in these coordinates; with the mean itself it would be a ridge.
@@ -223,15 +223,15 @@ def pack(hyperparameters: Hyperparameters) -> Array:
     return np.array([mean / math.sqrt(1.0 + s), math.log(s), *np.log(scales)])
 
 
-def unpack(packed: Array) -> Hyperparameters:
+def unpack(packed: Array) -> SquaredExponentialPrior:
     """The inverse of `pack`."""
     s = math.exp(packed[1])
-    return Hyperparameters(float(packed[0]) * math.sqrt(1.0 + s), s, np.exp(packed[2:]))
+    return SquaredExponentialPrior(float(packed[0]) * math.sqrt(1.0 + s), s, np.exp(packed[2:]))
 
 
 def evaluate(
-    packed: Array, F: Array, signs: Array, method: Method, start: Sites | None = None
-) -> tuple[Posterior, Array]:
+    packed: Array, F: Array, signs: Array, method: Method, start: SiteParameters | None = None
+) -> tuple[GaussianApproximation, Array]:
     """The posterior at packed hyperparameters and the gradient of its log evidence, (2 + m,).
 
     Args:
@@ -248,15 +248,15 @@ def evaluate(
 
 
 def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
-    """Type-II maximum likelihood without priors, like GPML's `minimize`: the best local maximum over `_STARTS`."""
+    """Type-II maximum likelihood without priors, like GPML's `minimize`: the best local maximum over `STARTS`."""
     _checked(F, y)
     if y.all() or not y.any():
         raise InputError(f"The training set must contain both classes, got {len(y)} labels of one.")
     signs, m = _signs(y), F.shape[1]
-    bounds = [_PRIOR_PROBIT] + [tuple(np.log(limits)) for limits in [_SIGNAL_VARIANCE] + [LENGTH_SCALE] * m]
+    bounds = [PRIOR_PROBIT] + [tuple(np.log(limits)) for limits in [SIGNAL_VARIANCE] + [LENGTH_SCALE] * m]
 
     def climb(signal_variance: float, scale: float) -> OptimizeResult:
-        sites: Sites | None = None
+        sites: SiteParameters | None = None
 
         def objective(packed: Array) -> tuple[float, Array]:
             nonlocal sites
@@ -269,6 +269,6 @@ def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
         options = {"ftol": 1e-10, "gtol": 1e-4, "maxiter": 500, "maxcor": 20}
         return minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
 
-    optimum = min((climb(*start) for start in _STARTS), key=lambda end: float(end.fun))
+    optimum = min((climb(*start) for start in STARTS), key=lambda end: float(end.fun))
     trained = condition(F, y, unpack(optimum.x), method)
     return replace(trained, iterations=int(optimum.nit), converged=trained.converged and bool(optimum.success))

@@ -54,7 +54,7 @@ def encode(content: Mapping[str, NDArray[Any] | str], attributes: Mapping[str, s
             root.attrs.create(name, value, dtype=value.dtype)
         root.flush()
         image: bytes = root.id.get_file_image()
-    return _block(image) + image
+    return user_block(image) + image
 
 
 def _fixed_length(text: str) -> NDArray[Any]:
@@ -69,7 +69,8 @@ def _chunks(array: NDArray[Any]) -> tuple[int, ...]:
     return (max(1, min(len(array), CHUNK_BYTES // row)), *array.shape[1:])
 
 
-def _block(image: bytes | memoryview) -> bytes:
+def user_block(image: bytes | memoryview) -> bytes:
+    """The user block of a file with this HDF5 image."""
     text = f"{MAGIC}\nformat {FORMAT}\nlength {len(image)}\nsha256 {hashlib.sha256(image).hexdigest()}\n"
     head = text.encode().ljust(BLOCK_BYTES - DIGEST_BYTES)
     return head + hashlib.sha256(head).hexdigest().encode()
@@ -83,7 +84,7 @@ def verify(data: bytes) -> None:
         StoreError: if the block is valid but of another format version.
     """
     block = data[:BLOCK_BYTES]
-    if len(data) > BLOCK_BYTES and block == _block(memoryview(data)[BLOCK_BYTES:]):
+    if len(data) > BLOCK_BYTES and block == user_block(memoryview(data)[BLOCK_BYTES:]):
         return
     head, digest = block[:-DIGEST_BYTES], block[-DIGEST_BYTES:]
     # Trust the version only in a block with a valid digest: a flipped bit can turn a 1 into a 3.

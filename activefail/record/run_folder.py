@@ -320,8 +320,13 @@ class FolderStore:
         return self._batches_read
 
     @property
+    def segments(self) -> tuple[Segment, ...]:
+        """The chain of segments that hold the batches, in order."""
+        return tuple(self._segments)
+
+    @property
     def digest(self) -> str:
-        """The chain's digest after all batches."""
+        """The chain's digest after all batches; without batches, that of the settings and the schema."""
         return self._segments[-1].after if self._segments else self._start
 
     def _writable(self) -> Schema:
@@ -512,7 +517,9 @@ class FolderStore:
         ]
         if changed:
             again = "" if self._refusal else " Its designs are simulated again when they are needed."
-            self._warn(f"sets/{path.name} was simulated with other code ({'; '.join(changed)}); it is not used.{again}")
+            self._warn(
+                f"sets/{path.name} was simulated with different code ({'; '.join(changed)}); it is not used.{again}"
+            )
             return None
         return X, results
 

@@ -104,7 +104,7 @@ class Store(Protocol):
     def read_set(self, name: str) -> tuple[Array, Results] | None:
         """The set, or None without an intact set of this campaign.
 
-        None too if other code simulated the set than the present one; a warning then says so.
+        Also None if other code than the current code simulated the set; a warning then reports this.
 
         Raises:
             StoreError: if it cannot be read, or is damaged and cannot be put aside.

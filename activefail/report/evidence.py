@@ -125,10 +125,10 @@ def _plausible(score: Score) -> Score:
         raise ValueError(f"outcome_accuracy {score.outcome_accuracy} and log_score {score.log_score}")
     if score.sampling not in ("active", "static"):
         raise ValueError(f"sampling: must be active or static, got {visible(score.sampling)!r}")
-    recalled = [number for one in score.recall.values() for number in (one.found, one.of)]
+    recalled = [number for one in score.recall.values() for number in (one.recalled, one.total)]
     if not all(0 <= n <= _MOST_DESIGNS for n in (score.simulations, score.test_designs, *recalled)):
         raise ValueError(f"numbers of designs must be between 0 and {_MOST_DESIGNS}")
-    if any(one.found > one.of for one in score.recall.values()):
+    if any(one.recalled > one.total for one in score.recall.values()):
         raise ValueError("`recalled <= test` must hold for each outcome")
     return score
 

@@ -57,13 +57,13 @@ def _of_limit_state(answer: object, outcomes: tuple[str, ...], margin: str) -> o
     """The outcome and the margin of an answer that is the margin alone, at most 0 at failure; otherwise the answer.
 
     Raises:
-        UnusableAnswerError: if it is not a number (NaN).
+        UnusableAnswerError: if it is NaN.
     """
     if isinstance(answer, bool) or not isinstance(answer, int | float | np.integer | np.floating):
         return answer
     value = _number(margin, answer)
     if np.isnan(value):
-        raise UnusableAnswerError(f"the margin {margin} is NaN; without an outcome it must tell the side")
+        raise UnusableAnswerError(f"the margin {margin} is NaN; without an outcome it must be a number")
     return {"outcome": outcomes[1] if value <= 0.0 else outcomes[0], "margins": {margin: value}}
 
 

@@ -107,7 +107,7 @@ class Simulator(Protocol):
     towards the time limit.
 
     **Optional attributes.** `renew` (int or None) is the most simulations of one worker process. `isolated` (bool)
-    tells that each simulation runs in a process of its own, so that an error is not repeated in a fresh worker.
+    means that each simulation runs in its own process, so that an error is not repeated in a fresh worker.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 

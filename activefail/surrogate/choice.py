@@ -1,7 +1,7 @@
-"""What a boundary is learned from: a margin that the simulator tells, or the outcomes alone.
+"""What a boundary is learned from: a margin that the simulator reports, or the outcomes alone.
 
-A margin tells more than its sign, unless the simulation ends at failure or the margin jumps there. Evidence decides:
-the log probability that each model gives to the side of a design that was left out.
+A margin carries more information than its sign, unless the simulation ends at failure or the margin jumps there.
+Evidence decides: the log probability that each model gives to the side of a design that was left out.
 """
 
 from collections.abc import Sequence

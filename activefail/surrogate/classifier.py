@@ -137,7 +137,7 @@ def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Margins:
+class LearnableMargins:
     """The margins that a classifier may learn from.
 
     Attributes:
@@ -158,7 +158,7 @@ def train(
     features: FeatureMap,
     kernel: Kernel,
     warm: Classifier | None = None,
-    margins: Margins | None = None,
+    margins: LearnableMargins | None = None,
 ) -> Classifier:
     """Train a classifier on designs, (n, d), and their outcomes, (n,), without numerical failures.
 
@@ -195,7 +195,9 @@ def train(
     return Classifier(tuple(outcomes), features, latents, () if margins is None else choices)
 
 
-def _choice(F: Array, beyond: NDArray[np.bool_], margins: Margins, kernel: str, previous: Choice | None) -> Choice:
+def _choice(
+    F: Array, beyond: NDArray[np.bool_], margins: LearnableMargins, kernel: str, previous: Choice | None
+) -> Choice:
     """What a boundary is learned from: as before, unless the models must be compared again."""
     n = len(F)
     if margins.required:

@@ -33,10 +33,10 @@ EXACT = 1000
 LEARNED_ON = 1000
 """Most points for learning hyperparameters."""
 
-_COARSE = 250
+COARSE = 250
 """Points on which hyperparameters are learned first; with more, inducing points are used while they are learned."""
 
-_HALFWAY = 4000
+HALFWAY = 4000
 """Points whose posterior predicts the sites of many more, and whose inducing points are used for these."""
 
 _ROUNDS = 3
@@ -332,11 +332,11 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
             inducing=warm.inducing,
         )
     learned, evaluations = warm, 0
-    for size in sorted({min(n, size) for size in ((_COARSE, LEARNED_ON) if warm is None else (LEARNED_ON,))}):
+    for size in sorted({min(n, size) for size in ((COARSE, LEARNED_ON) if warm is None else (LEARNED_ON,))}):
         rows = _spread(n, size)
         # On a subset the objective is uncertain by several nats anyway.
         subset_tolerance = tolerance if size == n else 10.0 * tolerance
-        learned = _learned(features[rows], labels[rows], kernel, learned, subset_tolerance)
+        learned = learn(features[rows], labels[rows], kernel, learned, subset_tolerance)
         evaluations += learned.evaluations
     assert learned is not None
     h = learned.hyperparameters
@@ -345,7 +345,7 @@ def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, 
     )
     if n <= LEARNED_ON:
         return conditioned(h, learned.sites)
-    if n > 2 * _HALFWAY:
+    if n > 2 * HALFWAY:
         return _fit_many(features, labels, kernel, warm, learned, accuracy, evaluations)
     updated = conditioned(h, _predicted_sites(learned, features, labels))
     if warm is None:
@@ -363,7 +363,7 @@ def _fit_many(
     The subset decides whether the learned hyperparameters improve on the previous ones. Its posterior predicts the
     sites and inducing points of all.
     """
-    rows = _spread(len(labels), _HALFWAY)
+    rows = _spread(len(labels), HALFWAY)
     subset = features[rows], labels[rows]
 
     def on_subset(trained: Fit) -> Fit:
@@ -398,7 +398,7 @@ def _spread(n: int, size: int) -> Tensor:
     return torch.arange(n) if n <= size else torch.linspace(0, n - 1, size).round().long()
 
 
-def _learned(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None, tolerance: float) -> Fit:
+def learn(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None, tolerance: float) -> Fit:
     """Hyperparameters learned on points, starting from an earlier fit to any points, with their sites."""
     if warm is None:
         start, sites = _default_start(features, labels)
@@ -406,7 +406,7 @@ def _learned(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None, to
         start, sites = warm.hyperparameters, _predicted_sites(warm, features, labels)
     evaluations, inducing = 0, None
     for _ in range(_ROUNDS):
-        if len(labels) > _COARSE:
+        if len(labels) > COARSE:
             inducing, sites, _ = _induced(features, labels, kernel, start, sites, 0.1 * LEFT, inducing)
         start, sites, count = _learn_hyperparameters(features, labels, kernel, start, sites, tolerance, inducing)
         evaluations += count

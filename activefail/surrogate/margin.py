@@ -46,7 +46,7 @@ _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 
 
 _ALWAYS, _GROWTH = 30, 0.05
-"""Points up to which hyperparameters are always learned anew, and the growth after which they are beyond."""
+"""Number of points up to which hyperparameters are always relearned, and the growth that triggers it beyond."""
 
 _ROWS_AT_ONCE = 4096
 """Most points per call of a prediction, which limits its memory."""
@@ -81,21 +81,21 @@ def is_truncated(margin: Array) -> bool:
     return bool(reach <= _CENSORED_SPREAD * (others / largest).std())
 
 
-class Sites(NamedTuple):
+class CensoredSites(NamedTuple):
     """Gaussian sites of the k censored points: exp(linear f − precision f²/2)."""
 
     linear: Array  # (k,)
     precision: Array  # (k,)
 
 
-class _Censored(NamedTuple):
+class CensoredPosterior(NamedTuple):
     """Expectation propagation's result for the censored points, given the others."""
 
-    sites: Sites
+    sites: CensoredSites
     log_evidence: float
 
 
-def _censored(mean: Array, S: Array, sites: Sites) -> _Censored:
+def censored_posterior(mean: Array, S: Array, sites: CensoredSites) -> CensoredPosterior:
     """Expectation propagation for f ~ N(mean, S), (k,) and (k, k), with f ≤ 0 in every entry, from initial sites.
 
     All sites take a damped step at once: a site after the other needs k times the algebra.
@@ -122,7 +122,7 @@ def _censored(mean: Array, S: Array, sites: Sites) -> _Censored:
     scale = log_ndtr(z) + 0.5 * np.log1p(precision / cavity_precision)
     tilted = (cavity_precision * cavity_mean + linear) ** 2 / (cavity_precision + precision)
     scale += 0.5 * (cavity_precision * cavity_mean**2 - tilted)
-    return _Censored(Sites(linear, precision), float(scale.sum()) + quadratic - 0.5 * log_determinant)
+    return CensoredPosterior(CensoredSites(linear, precision), float(scale.sum()) + quadratic - 0.5 * log_determinant)
 
 
 def _with_sites(mean: Array, S: Array, linear: Array, precision: Array) -> tuple[float, Array, Array, float]:
@@ -169,14 +169,14 @@ class MarginFit:
     warping: str
     unit: float
     hyperparameters: Hyperparameters
-    sites: Sites
+    sites: CensoredSites
     log_likelihood: float
     learned_on: int
 
     @cached_property
     def _solved(self) -> tuple[Array, Array, Array, float]:
         """The factor L of A = K + site variances, A⁻¹(target − mean), A⁻¹1 and 1ᵀA⁻¹1."""
-        A, target = _system(self)
+        A, target = linear_system(self)
         L = cholesky(A, lower=True)
         ones = cho_solve((L, True), np.ones(len(A)))
         return L, cho_solve((L, True), target - self.hyperparameters.mean), ones, float(ones.sum())
@@ -217,7 +217,7 @@ class MarginFit:
 
         In closed form [RasmussenWilliams2006, section 5.4.2]. A censored point's own site is left out too.
         """
-        A, target = _system(self)
+        A, target = linear_system(self)
         L, _, ones, total = self._solved
         Q = cho_solve((L, True), np.eye(len(A))) - np.outer(ones, ones) / total
         diagonal = Q.diagonal()
@@ -237,7 +237,7 @@ class MarginFit:
         return float(log_ndtr(side * mean / sd).mean())
 
 
-def _system(trained: MarginFit) -> tuple[Array, Array]:
+def linear_system(trained: MarginFit) -> tuple[Array, Array]:
     """A = K + site variances, (n, n), and the sites' means, (n,): the warped margins where they are not censored."""
     X = torch.from_numpy(trained.features)
     A = covariance(KERNEL, trained.hyperparameters, X, X).numpy()
@@ -252,13 +252,17 @@ def _system(trained: MarginFit) -> tuple[Array, Array]:
     return A, target
 
 
-class _Evaluation(NamedTuple):
+class PenalisedLikelihood(NamedTuple):
+    """The objective of the hyperparameters' search."""
+
     value: float
-    gradient: Array
-    sites: Sites
+    gradient: Array  # by `packed`
+    sites: CensoredSites
 
 
-def _evaluate(features: Array, y: Array, censored: NDArray[np.bool_], packed: Array, sites: Sites) -> _Evaluation:
+def penalised_likelihood(
+    features: Array, y: Array, censored: NDArray[np.bool_], packed: Array, sites: CensoredSites
+) -> PenalisedLikelihood:
     """Log likelihood of warped margins plus the log prior of the length scales, and its gradient."""
     h = unpack(packed)
     X = torch.from_numpy(features)
@@ -275,7 +279,7 @@ def _evaluate(features: Array, y: Array, censored: NDArray[np.bool_], packed: Ar
     if censored.any():
         cross = K[np.ix_(exact, censored)]
         S = K[np.ix_(censored, censored)] - cross.T @ cho_solve((L, True), cross)
-        result = _censored(h.mean + cross.T @ alpha, S, sites)
+        result = censored_posterior(h.mean + cross.T @ alpha, S, sites)
         sites, value = result.sites, value + result.log_evidence
         precision = np.maximum(sites.precision, 1e-12)
         A, target = K.copy(), target.copy()
@@ -291,7 +295,7 @@ def _evaluate(features: Array, y: Array, censored: NDArray[np.bool_], packed: Ar
     offset = (packed[2:] - center) / sd
     value -= 0.5 * float(offset @ offset) + len(offset) * (math.log(sd) + 0.5 * math.log(2.0 * math.pi))
     by_scales[1:] -= offset / sd
-    return _Evaluation(value, np.concatenate([[b.sum()], by_scales]), sites)
+    return PenalisedLikelihood(value, np.concatenate([[b.sum()], by_scales]), sites)
 
 
 def fit_margin(
@@ -326,13 +330,15 @@ def _solved_at(features: Array, margin: Array, warm: MarginFit) -> MarginFit:
     censored = (margin <= 0.0) & warm.truncated
     y = WARPINGS[warm.warping][0](margin / warm.unit)
     packed = pack(warm.hyperparameters)
-    final = _evaluate(features, y, censored, packed, _first_sites(censored, max(float(y[~censored].std()), 1e-3)))
+    final = penalised_likelihood(
+        features, y, censored, packed, _first_sites(censored, max(float(y[~censored].std()), 1e-3))
+    )
     return replace(warm, features=features, margin=margin, sites=final.sites, log_likelihood=math.nan)
 
 
-def _first_sites(censored: NDArray[np.bool_], scale: float) -> Sites:
+def _first_sites(censored: NDArray[np.bool_], scale: float) -> CensoredSites:
     k = int(censored.sum())
-    return Sites(np.full(k, -0.1 / scale), np.full(k, 0.1 / scale**2))
+    return CensoredSites(np.full(k, -0.1 / scale), np.full(k, 0.1 / scale**2))
 
 
 def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, warm: MarginFit | None) -> MarginFit:
@@ -351,7 +357,7 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
 
     def negative(packed: Array) -> tuple[float, Array]:
         nonlocal sites
-        evaluation = _evaluate(features, y, censored, packed, sites)
+        evaluation = penalised_likelihood(features, y, censored, packed, sites)
         sites = evaluation.sites
         return -evaluation.value, -evaluation.gradient
 
@@ -360,7 +366,7 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
     mean_bounds = (float(exact_y.min()) - 20.0 * scale, float(exact_y.max()) + 3.0 * scale)
     bounds = [mean_bounds, (spread - 4.0, spread + 14.0)] + [(-4.0, 8.0)] * features.shape[1]
     optimum = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
-    final = _evaluate(features, y, censored, optimum.x, sites)
+    final = penalised_likelihood(features, y, censored, optimum.x, sites)
     jacobian = float((log_slope(exact / unit) - math.log(unit)).sum())
     return MarginFit(
         features=features,

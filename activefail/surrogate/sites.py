@@ -28,8 +28,8 @@ _MEMORY = 6
 _WEAK_SITE = 1e-6
 """Precision of a site times the prior variance below which a point's variance is the prior's to six digits."""
 
-_NODES, _WEIGHTS = (torch.from_numpy(a) for a in np.polynomial.hermite_e.hermegauss(20))
-_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
+NODES, WEIGHTS = (torch.from_numpy(a) for a in np.polynomial.hermite_e.hermegauss(20))
+WEIGHTS = WEIGHTS / WEIGHTS.sum()
 
 
 class Sites(NamedTuple):
@@ -66,13 +66,13 @@ def probit_expectations(labels: Tensor, mean: Tensor, variance: Tensor) -> tuple
     the nodes resolve poorly where the latent is wide.
     """
     sd = variance.sqrt()
-    f = mean.unsqueeze(-1) + sd.unsqueeze(-1) * _NODES  # n -> n x 20
+    f = mean.unsqueeze(-1) + sd.unsqueeze(-1) * NODES  # n -> n x 20
     y = labels.unsqueeze(-1)
     log_cdf = torch.special.log_ndtr(y * f)
     slope = y * torch.exp(-0.5 * f * f - 0.5 * math.log(2.0 * math.pi) - log_cdf)  # yφ/Φ
     # Negative only by rounding: the slope decreases with f.
-    curvature = (-(slope @ (_WEIGHTS * _NODES)) / sd).clamp_min(0.0)
-    return log_cdf @ _WEIGHTS, slope @ _WEIGHTS, curvature
+    curvature = (-(slope @ (WEIGHTS * NODES)) / sd).clamp_min(0.0)
+    return log_cdf @ WEIGHTS, slope @ WEIGHTS, curvature
 
 
 def posterior(prior: Tensor | Projection, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:
@@ -162,7 +162,7 @@ def solve_sites(
 ) -> tuple[Sites, Posterior]:
     """Iterate the sites until the bound changes by less than `tolerance` [nats], for at most `most` steps.
 
-    A step that lowers the bound is halved: with large output scales, fixed damping can cycle for ever. Near the
+    A step that lowers the bound is halved: with large output scales, fixed damping can cycle forever. Near the
     optimum, where plain steps converge linearly, they are extrapolated [Anderson1965]; an extrapolation that lowers the
     bound is rejected.
     """

@@ -12,12 +12,11 @@ from activefail.errors import DamagedError
 from activefail.features import FeatureMap
 from activefail.space import Array
 from activefail.surrogate.choice import OUTCOMES, Choice, defined, usable
-from activefail.surrogate.classifier import Classifier, Kernel, Latent, Margins
+from activefail.surrogate.classifier import Classifier, Kernel, Latent, LearnableMargins
 from activefail.surrogate.covariance import Hyperparameters
 from activefail.surrogate.fitting import EXACT, Fit
 from activefail.surrogate.inducing import MOST
-from activefail.surrogate.margin import WARPINGS, MarginFit, MarginLatent
-from activefail.surrogate.margin import Sites as MarginSites
+from activefail.surrogate.margin import WARPINGS, CensoredSites, MarginFit, MarginLatent
 from activefail.surrogate.sites import Sites
 
 AnyLatent = TypeVar("AnyLatent", Latent, MarginLatent)
@@ -105,7 +104,7 @@ def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -
         or not 1 <= len(np.unique(inducing)) == len(inducing) <= MOST
         or not 0 <= inducing.min() <= inducing.max() < n
     ):
-        raise DamagedError(f"holds inducing points that are not up to {MOST} different ones of {n} designs")
+        raise DamagedError(f"holds inducing points that are not at most {MOST} distinct rows of {n} designs")
 
 
 def classifier_from_state(
@@ -115,7 +114,7 @@ def classifier_from_state(
     outcomes: Sequence[str],
     features: FeatureMap,
     kernel: Kernel,
-    margins: Margins | None = None,
+    margins: LearnableMargins | None = None,
 ) -> Classifier:
     """The classifier from its `classifier_state`.
 
@@ -145,7 +144,7 @@ def classifier_from_state(
     return Classifier(tuple(outcomes), features, tuple(latents), tuple(choices))
 
 
-def _choice(array: NDArray[Any], margins: Margins, beyond: NDArray[np.bool_]) -> Choice:
+def _choice(array: NDArray[Any], margins: LearnableMargins, beyond: NDArray[np.bool_]) -> Choice:
     """The choice in a state.
 
     Raises:
@@ -219,7 +218,7 @@ def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margi
             warping=list(WARPINGS)[warping],
             unit=float(state[f"{name}/unit"]),
             hyperparameters=_hyperparameters(state, name),
-            sites=MarginSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"]),
+            sites=CensoredSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"]),
             log_likelihood=math.nan,
             learned_on=learned_on,
         )

@@ -45,7 +45,7 @@ def name_of_static_set(designs: int, seed: int | None = None) -> str:
 
 
 def name_of_neighbours(designs: int) -> str:
-    """Name of the designs around those of a test set of so many."""
+    """Name of the set of designs around those of a test set of this size."""
     return f"around-{designs}"
 
 

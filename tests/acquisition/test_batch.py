@@ -158,12 +158,12 @@ def test_bringing_values_up_to_date_lazily_loses_next_to_nothing(name, monkeypat
         after, total = covariance.copy(), 0.0
         for row in chosen:
             total += gains(mean, after, n, name)[row]
-            batch._fantasise(mean, after, row)
+            batch.fantasise(mean, after, row)
         return total
 
-    monkeypatch.setattr(batch, "_LAZY_BLOCK", 20)
+    monkeypatch.setattr(batch, "LAZY_BLOCK", 20)
     lazy = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
-    monkeypatch.setattr(batch, "_LAZY_BLOCK", n)
+    monkeypatch.setattr(batch, "LAZY_BLOCK", n)
     always = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
     # Eight factors drive all 400 points here: after a choice many a candidate is worth more than before.
     assert worth(lazy) > 0.97 * worth(always)
@@ -351,7 +351,7 @@ def test_a_design_that_was_simulated_or_is_in_flight_is_not_proposed_again(monke
         assert len(set(chosen(q))) == q
         assert not known & set(chosen(q))
     # The searches do end in corners: nothing else keeps these from being proposed.
-    monkeypatch.setattr(batch, "_not_seen", lambda X, F, latent, failed: np.arange(len(F)))
+    monkeypatch.setattr(batch, "new_rows", lambda X, F, latent, failed: np.arange(len(F)))
     assert known & set(chosen(40))
 
 

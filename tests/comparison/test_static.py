@@ -206,10 +206,10 @@ def test_a_score_has_a_column_for_each_of_its_values(first: tuple[list[Score], i
     columns = [*Score.columns(), *Score.recall_columns(("safe", "broken"))]
     values = dict(zip(columns, row.row(), strict=True))
     assert {name: values.pop(name) for name in ("recalled_safe", "test_safe", "recalled_broken", "test_broken")} == {
-        "recalled_safe": row.recall["safe"].found,
-        "test_safe": row.recall["safe"].of,
-        "recalled_broken": row.recall["broken"].found,
-        "test_broken": row.recall["broken"].of,
+        "recalled_safe": row.recall["safe"].recalled,
+        "test_safe": row.recall["safe"].total,
+        "recalled_broken": row.recall["broken"].recalled,
+        "test_broken": row.recall["broken"].total,
     }
     assert values | {"recall": row.recall} == vars(row)
 
@@ -218,7 +218,7 @@ def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted
     outcome = np.array([0] * 6 + [1] * 3, dtype=np.int8)
     predicted = np.array([0, 0, 0, 0, 0, 1, 1, 0, 0])
     recall = recalls(("safe", "broken", "lost"), predicted, outcome)
-    assert (recall["safe"].found, recall["safe"].of, recall["broken"].found, recall["broken"].of) == (
+    assert (recall["safe"].recalled, recall["safe"].total, recall["broken"].recalled, recall["broken"].total) == (
         5,
         6,
         1,

@@ -474,11 +474,13 @@ def test_leaving_an_executor_by_an_exception_waits_for_nothing_and_begins_nothin
             assert begun.wait(600)
             raise KeyError
 
-    executor = ThreadExecutor(1)
+    before = set(threading.enumerate())
     with within(600), pytest.raises(KeyError):
-        leave(executor)
+        leave(ThreadExecutor(1))
+    started = set(threading.enumerate()) - before
+    assert started
     go.set()
-    for thread in executor._pool._threads:
+    for thread in started:
         thread.join()
     assert rows == [1]
 

@@ -364,7 +364,7 @@ def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds
     cluster.workers["two"].wait()
     folder = str(tmp_path)
     monkeypatch.setattr(
-        "activefail.execution.dask._answer_there",
+        "activefail.execution.dask.answer_on_worker",
         lambda simulator, X, *_: replace(simulator.run(X), faults={0: Grave(folder)}),
     )
     x = np.array([0.0, 20.0])

@@ -41,4 +41,4 @@ def served(answers: Answers, host: str = "127.0.0.1") -> Iterator[ExplorerServer
             server.shutdown()
             thread.join()
             # Who is still being answered would compete for the classifier with the next test.
-            until(lambda: not server._connections, "the end of all connections")
+            until(lambda: not server.connections, "the end of all connections")

@@ -108,7 +108,7 @@ def test_a_plane_says_where_its_axes_are_and_names_their_units(answers):
 def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
     turns = []
     visitor = threading.Thread(target=answers.predict, args=(FAILING,))
-    turn = answers._turn
+    turn = answers.turn
 
     @contextmanager
     def noted():
@@ -119,10 +119,10 @@ def test_a_prediction_does_not_wait_for_a_whole_plane(answers, monkeypatch):
     def part(campaign, classifier, rows):
         if len(turns) == 1:
             visitor.start()
-            until(answers._next.locked, "the visitor to be next")
+            until(answers.next_turn.locked, "the visitor to be next")
         return predict(campaign, classifier, rows)
 
-    monkeypatch.setattr(answers, "_turn", noted)
+    monkeypatch.setattr(answers, "turn", noted)
     monkeypatch.setattr(explorer_answers, "predict", part)
     answers.plane(FAILING, 7, 8, "failure")
     visitor.join()

@@ -324,7 +324,7 @@ def test_connections_that_ask_nothing_make_room_for_a_visitor(answers):
     with served(answers) as server, ExitStack() as stack:
         silent = [stack.enter_context(connected(server)) for _ in range(1200)]
         assert ask(server, "predict", {"point": POINT}).status == 200
-        assert len(server._connections) <= MOST_CONNECTIONS
+        assert len(server.connections) <= MOST_CONNECTIONS
         # Those that were quiet longest are closed, the last ones are not.
         assert silent[0].recv(1) == b""
         silent[-1].sendall(question(server, "predict", {"point": POINT}))
@@ -366,4 +366,4 @@ def test_where_no_descriptor_is_left_quiet_connections_make_room_too(answers, mo
 
 def until_known(server: ExplorerServer, number: int) -> None:
     """Wait until so many connections are accepted."""
-    until(lambda: len(server._connections) == number, f"{number} connections")
+    until(lambda: len(server.connections) == number, f"{number} connections")

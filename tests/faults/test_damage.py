@@ -245,7 +245,7 @@ def test_a_file_that_is_broken_in_any_way_and_agrees_with_itself_does_not_crash_
             for place in rng.integers(0, len(body), rng.integers(1, 4)):
                 broken[place] = rng.integers(0, 256)
             try:
-                decode_segment(path.name, image._block(bytes(broken)) + broken)
+                decode_segment(path.name, image.user_block(bytes(broken)) + broken)
             except StoreError:
                 pass
             except BaseException:

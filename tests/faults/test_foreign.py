@@ -372,7 +372,7 @@ def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     """The newest state of a run folder changed, under a right digest."""
     path = sorted((folder / "state").iterdir())[-1]
     with FolderStore.open(folder, write=False) as store:
-        digests = {digest for segment in store._segments for digest in segment.chain.values()}
+        digests = {digest for segment in store.segments for digest in segment.chain.values()}
         state = decode_state(path.read_bytes(), int(path.stem), digests)
         change(state)
         path.write_bytes(encode_state(int(path.stem), state, store.digest))
@@ -607,5 +607,5 @@ def test_a_file_of_a_run_folder_is_known_by_the_file_system_and_not_by_its_spell
     assert run_folder_owning(folder / "mine.csv") is None
     assert run_folder_owning(tmp_path / "elsewhere" / "campaign.toml") is None
     result = activefail("export", folder, "--csv", folder / "Campaign.toml")
-    assert (result.code, "is a file of the run folder itself" in result.err) == (2, True)
+    assert (result.code, "is one of the run folder's own files" in result.err) == (2, True)
     survived(1)

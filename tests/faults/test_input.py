@@ -140,7 +140,7 @@ def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
     result = activefail("run", file, "--out", taken)
     refused(result)
     survived()
-    if "holds a campaign already" in result.err:
+    if "already holds a campaign" in result.err:
         return  # the value is good
     assert result.err.startswith(f"activefail: {file}:"), result.err
     for rule in result.err.splitlines()[1:] or [result.err]:
@@ -248,7 +248,7 @@ def test_good_settings_of_a_campaign_of_one_s_own_are_taken(
 ) -> None:
     file = taken.with_name("mine.toml")
     file.write_text(tomli_w.dumps(settings), encoding="utf-8")
-    refused(activefail("run", file, "--out", taken), "holds a campaign already")
+    refused(activefail("run", file, "--out", taken), "already holds a campaign")
     survived()
 
 
@@ -263,7 +263,7 @@ def test_a_file_of_any_bytes_is_read_as_settings_or_refused_by_its_name(
     file.write_bytes(content)
     result = activefail("run", file, "--out", taken)
     refused(result)
-    assert "holds a campaign already" in result.err or result.err.startswith(f"activefail: {file}:")
+    assert "already holds a campaign" in result.err or result.err.startswith(f"activefail: {file}:")
     survived()
 
 
@@ -272,7 +272,7 @@ def test_settings_in_another_encoding_are_refused_by_the_byte(encoding: str, tak
     file = taken.with_name("mine.toml")
     file.write_bytes('description = "Brücke"\n'.encode(encoding))
     result = activefail("run", file, "--out", taken)
-    refused(result, "holds a campaign already" if encoding == "utf-8-sig" else f"{file}: not UTF-8 text: ")
+    refused(result, "already holds a campaign" if encoding == "utf-8-sig" else f"{file}: not UTF-8 text: ")
 
 
 def test_settings_without_an_end_are_refused_and_do_not_fill_the_memory(taken: Path) -> None:

@@ -260,7 +260,7 @@ def lost(reports: tuple[str, ...], folder: Path) -> list[str]:
     if not (folder / "campaign.toml").exists():
         return ["created"]
     with FolderStore.open(folder, SCHEMA, write=False) as store:
-        digests = {digest for segment in store._segments for digest in segment.chain.values()}
+        digests = {digest for segment in store.segments for digest in segment.chain.values()}
         state = store.latest_state()
         iteration = -1 if state is None else state[0]
         whole = {
@@ -302,7 +302,7 @@ def test_the_model_finds_what_a_program_without_fsync_would_lose(
     course: Callable[[], tuple[list[Moment], str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without: str
 ) -> None:
     if without == "files":
-        monkeypatch.setattr(files, "_sync_file", lambda descriptor, path: None)
+        monkeypatch.setattr(files, "sync_file", lambda descriptor, path: None)
     elif without == "folders above":
 
         def made(folder: Path) -> None:

@@ -450,10 +450,10 @@ def test_nothing_of_a_worker_outlives_a_main_program_that_is_killed(
 def test_without_what_only_linux_has_answers_are_checked_and_groups_ended_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(frames, "_KERNEL_KNOWS", False)
-    linux_has = "supervisor._prctl = lambda *_: None; supervisor._children = set"
+    monkeypatch.setattr(frames, "KERNEL_NAMES_SENDER", False)
+    linux_has = "supervisor.prctl = lambda *_: None; supervisor.children = set"
     program = f"import sys; sys.path[:] = sys.argv[4:]; from activefail.execution import supervisor; {linux_has}; "
-    monkeypatch.setattr(workers, "_PROGRAM", f"{program}supervisor.main(*map(int, sys.argv[1:4]))")
+    monkeypatch.setattr(workers, "SUPERVISOR_PROGRAM", f"{program}supervisor.main(*map(int, sys.argv[1:4]))")
     X = at([3], 6)
     with within(600), ProcessExecutor(1) as executor:
         for how in ("forks_and_returns", "forks_and_lies", "answers_twice"):

@@ -100,7 +100,7 @@ class Telling(FolderStore):
         self._tell(f"commit {len(self.batches)} {self.digest}")
 
     def compact(self) -> None:
-        if compaction.due(self._segments):
+        if compaction.due(self.segments):
             with self.gate.marked("compaction"):
                 super().compact()
 

@@ -29,7 +29,7 @@ def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
     path = save_animation(failure, tmp_path / "bearing.gif", fps=10.0, slow_motion=1.0)
     motion = Motion(failure)
     with Image.open(path) as film:
-        assert film.n_frames == round(10.0 * (motion.end - motion.stirs)) + 1
+        assert film.n_frames == round(10.0 * (motion.end - motion.onset)) + 1
         assert film.n_frames > 10
         assert film.size[0] == 800
         assert film.size[1] % 2 == 0
@@ -38,7 +38,7 @@ def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
             film.seek(frame)
             durations.append(film.info["duration"] / 1000.0)
         assert "loop" in film.info
-    assert sum(durations[:-1]) == pytest.approx(motion.end - motion.stirs, abs=0.02)
+    assert sum(durations[:-1]) == pytest.approx(motion.end - motion.onset, abs=0.02)
     assert durations[-1] == pytest.approx(HOLD)
     assert path.stat().st_size < 1e6
 
@@ -54,7 +54,7 @@ def test_an_mp4_has_its_frames_and_its_size(failure, tmp_path):
     count, rest = divmod(len(seen.stdout), width * height * 3)
     motion = Motion(failure)
     assert (width, height % 2, rest) == (800, 0, 0)
-    assert count == pytest.approx(10.0 * (motion.end - motion.stirs + HOLD), abs=2)
+    assert count == pytest.approx(10.0 * (motion.end - motion.onset + HOLD), abs=2)
 
 
 def test_frames_move_and_the_last_one_is_reddest_with_the_word_failure(failure):
@@ -77,7 +77,7 @@ def test_a_long_film_keeps_its_speed_and_loses_frames(failure, monkeypatch, tmp_
     with Image.open(path) as film:
         assert film.n_frames == 15
         film.seek(3)
-        assert film.info["duration"] == pytest.approx(1000.0 * 3.0 * (motion.end - motion.stirs) / 14.0, abs=10.0)
+        assert film.info["duration"] == pytest.approx(1000.0 * 3.0 * (motion.end - motion.onset) / 14.0, abs=10.0)
 
 
 def test_the_speed_chosen_gives_a_film_of_at_most_twelve_seconds_or_real_time():

@@ -469,7 +469,7 @@ def test_stopped_after_every_batch_a_campaign_is_the_uninterrupted_one_bit_for_b
 def test_with_inducing_points_too_a_resumed_campaign_is_the_uninterrupted_one_bit_for_bit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for limit, points in (("EXACT", INITIAL_SIZE + BATCH), ("LEARNED_ON", INITIAL_SIZE), ("_COARSE", INITIAL_SIZE - 4)):
+    for limit, points in (("EXACT", INITIAL_SIZE + BATCH), ("LEARNED_ON", INITIAL_SIZE), ("COARSE", INITIAL_SIZE - 4)):
         monkeypatch.setattr(fitting, limit, points)
     whole, store = take(disc()), MemoryStore(disc().schema)
     for commits in range(INITIAL_COMMITS, COMMITS + 1):

@@ -39,7 +39,7 @@ def folder(tmp_path):
 
 def skip_elsewhere(store):
     """Skip a test of bits where versions or the processor are others than those of a run folder."""
-    made, here = store._segments[-1].provenance, provenance()
+    made, here = store.segments[-1].provenance, provenance()
     if any(made[key] != here[key] for key in DECIDES):
         pytest.skip("the old run folders were made with other versions or on another processor")
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from activefail.errors import InputError
 from activefail.paper import gpml
 from activefail.paper import methods as reference
-from activefail.paper.gpml import Hyperparameters, Sites
+from activefail.paper.gpml import SiteParameters, SquaredExponentialPrior
 from activefail.paper.methods import condition, expectation_propagation, laplace, logistic_regression
 
 METHODS = ("laplace", "expectation propagation")
@@ -36,7 +36,7 @@ def points(n, m=2, seed=0, noise=0.3):
 
 
 def hyperparameters(m=2, mean=0.3, signal_variance=4.0, length_scale=1.3):
-    return Hyperparameters(mean, signal_variance, length_scale * np.linspace(0.8, 1.4, m))
+    return SquaredExponentialPrior(mean, signal_variance, length_scale * np.linspace(0.8, 1.4, m))
 
 
 def prior(F, y, h):
@@ -114,7 +114,7 @@ def test_the_probit_terms_keep_their_asymptotes_where_the_probability_underflows
 @pytest.mark.parametrize("mean", [-6.0, 0.4, 6.0])
 @pytest.mark.parametrize("signal_variance", [0.1, 9.0, 1e4])
 def test_expectation_propagation_of_one_point_is_exact(label, mean, signal_variance):
-    F, h = np.zeros((1, 1)), Hyperparameters(mean, signal_variance, np.ones(1))
+    F, h = np.zeros((1, 1)), SquaredExponentialPrior(mean, signal_variance, np.ones(1))
     fit = condition(F, np.array([label]), h, "expectation propagation")
     # R&W eq. 3.58
     y, scale = 1.0 if label else -1.0, math.sqrt(1.0 + signal_variance)
@@ -254,7 +254,7 @@ def test_laplaces_method_under_the_logistic_link_is_that_of_scikit_learn():
     theirs = GaussianProcessClassifier(kernel, optimizer=None).fit(F, y)
     log_z, gradient = theirs.log_marginal_likelihood(np.log([variance, *scales]), eval_gradient=True)
 
-    h = Hyperparameters(0.0, variance, scales)
+    h = SquaredExponentialPrior(0.0, variance, scales)
     K, signs = prior(F, y, h)
     ours = gpml.laplace_posterior(K, 0.0, signs, gpml.logistic)
     assert ours.converged
@@ -310,7 +310,7 @@ def test_a_start_from_other_sites_ends_at_the_same_posterior(method):
     infer = {"laplace": gpml.laplace_posterior, "expectation propagation": gpml.ep_posterior}[method]
     cold = infer(K, 0.3, signs)
     other = infer(prior(F, y, hyperparameters(signal_variance=900.0, length_scale=0.5))[0], -3.0, -signs).sites
-    for start in (other, Sites(-5.0 * signs, np.full(40, 0.7))):
+    for start in (other, SiteParameters(-5.0 * signs, np.full(40, 0.7))):
         warm = infer(K, 0.3, signs, start=start)
         assert warm.converged
         assert warm.log_evidence == pytest.approx(cold.log_evidence, abs=1e-8)
@@ -319,22 +319,22 @@ def test_a_start_from_other_sites_ends_at_the_same_posterior(method):
 
 def test_laplaces_evidence_does_not_depend_on_the_start_where_the_prior_is_wide():
     F, _ = points(60, m=1)
-    h = Hyperparameters(-4e3, 1e6, np.array([2.0]))
+    h = SquaredExponentialPrior(-4e3, 1e6, np.array([2.0]))
     K, signs = prior(F, F[:, 0] > 0.0, h)
     cold = gpml.laplace_posterior(K, h.mean, signs)
     for linear, precision in ((1.0, 0.5), (0.1, 0.01), (-3.0, 2.0)):
-        warm = gpml.laplace_posterior(K, h.mean, signs, start=Sites(linear * signs, np.full(60, precision)))
+        warm = gpml.laplace_posterior(K, h.mean, signs, start=SiteParameters(linear * signs, np.full(60, precision)))
         assert warm.log_evidence == pytest.approx(cold.log_evidence, abs=1e-7)
 
 
 def test_a_wide_prior_far_from_the_labels_does_not_cost_the_digits_to_converge():
     rng = np.random.default_rng(0)
     F, y = rng.standard_normal((120, 6)), rng.random(120) < 0.5
-    h = Hyperparameters(1400.0, 2.7e5, np.linspace(7.0, 9.0, 6))
+    h = SquaredExponentialPrior(1400.0, 2.7e5, np.linspace(7.0, 9.0, 6))
     assert condition(F, y, h, "expectation propagation").converged
 
 
-@pytest.mark.parametrize(("method", "limit"), [("laplace", "_NEWTON_STEPS"), ("expectation propagation", "_EP_SWEEPS")])
+@pytest.mark.parametrize(("method", "limit"), [("laplace", "NEWTON_STEPS"), ("expectation propagation", "EP_SWEEPS")])
 def test_inference_that_ran_out_of_steps_is_not_called_converged(method, limit, monkeypatch):
     F, y = points(30)
     monkeypatch.setattr(gpml, limit, 2)
@@ -349,7 +349,7 @@ def test_inference_converges_over_all_searched_hyperparameters(seed):
     y = rng.random(60) < 0.5 if seed % 2 else y
     for _ in range(12):
         s = math.exp(rng.uniform(math.log(1e-4), math.log(1e4)))
-        h = Hyperparameters(rng.uniform(-4, 4) * math.sqrt(1.0 + s), s, np.exp(rng.uniform(-1.0, 6.9, 4)))
+        h = SquaredExponentialPrior(rng.uniform(-4, 4) * math.sqrt(1.0 + s), s, np.exp(rng.uniform(-1.0, 6.9, 4)))
         for method in METHODS:
             fit = condition(F, y, h, method)
             assert fit.converged
@@ -358,7 +358,7 @@ def test_inference_converges_over_all_searched_hyperparameters(seed):
 
 def test_expectation_propagation_converges_where_whole_steps_circle():
     F, y = points(60, m=1, seed=0, noise=0.0)
-    h = Hyperparameters(0.0, 1e4, np.array([0.6]))
+    h = SquaredExponentialPrior(0.0, 1e4, np.array([0.6]))
     K, signs = prior(F, y, h)
     posterior = gpml.ep_posterior(K, h.mean, signs)
     assert posterior.converged
@@ -372,7 +372,7 @@ def test_expectation_propagation_converges_where_whole_steps_circle():
 def test_on_a_line_laplaces_method_shrinks_the_latent_and_falls_short_of_the_evidence(signal_variance):
     F = np.array([-2.0, -1.2, -0.5, 0.6, 1.1, 2.1])[:, None]
     y = F[:, 0] > 0.0
-    h = Hyperparameters(0.0, signal_variance, np.ones(1))
+    h = SquaredExponentialPrior(0.0, signal_variance, np.ones(1))
     K, signs = prior(F, y, h)
     exact = orthant_log_evidence(K, 0.0, signs)
     rough, fine = (condition(F, y, h, method) for method in METHODS)
@@ -399,7 +399,7 @@ def test_no_step_along_a_hyperparameter_betters_the_trained_evidence(method):
     best = reference.pack(fit.hyperparameters)
     signs = np.where(y, 1.0, -1.0)
     bounds = np.array(
-        [reference._PRIOR_PROBIT, np.log(reference._SIGNAL_VARIANCE)] + [np.log(reference.LENGTH_SCALE)] * 3
+        [reference.PRIOR_PROBIT, np.log(reference.SIGNAL_VARIANCE)] + [np.log(reference.LENGTH_SCALE)] * 3
     )
     moved = 0
     for step in (1e-2, 0.3):
@@ -417,8 +417,8 @@ def test_of_several_local_maxima_the_highest_is_kept(method, monkeypatch):
     F, y = points(30, seed=2)
     best = TRAINING[method](F, y).log_marginal_likelihood
     ends = []
-    for start in reference._STARTS:
-        monkeypatch.setattr(reference, "_STARTS", (start,))
+    for start in reference.STARTS:
+        monkeypatch.setattr(reference, "STARTS", (start,))
         ends.append(TRAINING[method](F, y).log_marginal_likelihood)
     assert max(ends) - min(ends) > 0.05
     assert best == pytest.approx(max(ends), abs=1e-9)
@@ -477,7 +477,7 @@ def test_predictions_in_blocks_are_predictions_at_once(method, monkeypatch):
     fit = condition(F, y, hyperparameters(), method)
     at = np.random.default_rng(1).standard_normal((20, 2))
     at_once = fit.moments(at)
-    monkeypatch.setattr(reference, "_ROWS_AT_ONCE", 7)
+    monkeypatch.setattr(reference, "ROWS_AT_ONCE", 7)
     assert_allclose(fit.moments(at), at_once, atol=1e-12)
     assert fit.accuracy(F, y) == np.mean((fit.probability(F) > 0.5) == y)
 

@@ -171,7 +171,7 @@ def test_where_a_merge_was_interrupted_the_overlap_is_read_once(reader, tmp_path
             (tmp_path / "run" / "segments" / name).write_bytes(data)
         _, batches, chain = reader.read_record(tmp_path / "run")
         assert same(batches, store)
-        assert chain == store._segments[0].chain
+        assert chain == store.segments[0].chain
     assert len(list((tmp_path / "run" / "segments").iterdir())) == 64
 
 
@@ -205,7 +205,7 @@ def test_the_pages_reader_refuses_what_the_program_refuses(reader, tmp_path):
             _, batches, chain = reader.read_record(folder)
             assert (len(batches), max(chain)) == (3, 6)
             last.write_bytes(kept[last])
-        other = Segment(SETTINGS, SCHEMA, 2, store._segments[1].before, (batch(2, 77),), {})
+        other = Segment(SETTINGS, SCHEMA, 2, store.segments[1].before, (batch(2, 77),), {})
         for change, restored in (
             (second.unlink, second),
             (lambda: (folder / "campaign.toml").write_text("seed = 2\n"), folder / "campaign.toml"),

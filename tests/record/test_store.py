@@ -655,7 +655,7 @@ def test_a_set_that_other_code_simulated_is_not_used_and_the_difference_is_named
     with opened(write, model="b" * 64) as store:
         assert store.read_set("test") is None
         (warning,) = store.warnings
-        says = "sets/test.h5 was simulated with other code (model aaaaaaaa -> bbbbbbbb); it is not used."
+        says = "sets/test.h5 was simulated with different code (model aaaaaaaa -> bbbbbbbb); it is not used."
         assert warning == says + (" Its designs are simulated again when they are needed." if write else "")
         assert snapshot(tmp_path / "run" / "sets") == kept
         if write:
@@ -665,7 +665,7 @@ def test_a_set_that_other_code_simulated_is_not_used_and_the_difference_is_named
 
 def test_a_set_without_provenance_is_used(tmp_path: Path) -> None:
     with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as store:
-        data = encode_set(np.ones((3, 2)), batch(3).results, SCHEMA, store._start, {})
+        data = encode_set(np.ones((3, 2)), batch(3).results, SCHEMA, store.digest, {})
         (tmp_path / "run" / "sets" / "test.h5").write_bytes(data)
     now = {"provenance": {"model": "b"}, "decisive": ("model",)}
     with FolderStore.open(tmp_path / "run", SCHEMA, write=True, **now) as store:  # type: ignore[arg-type]
@@ -1155,7 +1155,7 @@ def forged(path: Path, change: Callable[[h5py.File], None]) -> None:
     with h5py.File(path, "r+") as file:
         change(file)
     body = path.read_bytes()[512:]
-    path.write_bytes(image._block(body) + body)
+    path.write_bytes(image.user_block(body) + body)
     image.verify(path.read_bytes())
 
 

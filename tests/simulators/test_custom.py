@@ -883,7 +883,7 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
     # No design is beyond this limit, so that none is a failure.
     (mine / "model.py").write_text(MODEL.replace('design["drift"] > 1.0', 'design["drift"] > 9.0'))
     digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, (mine / "model.py").read_text())]
-    changed = f"was simulated with other code (simulator.python {digests[0]} -> {digests[1]}); it is not used."
+    changed = f"was simulated with different code (simulator.python {digests[0]} -> {digests[1]}); it is not used."
     # Without the code, the program cannot know that it has changed; with it, a reader does not use the sets.
     unverified = "the classifier's error is not verified"
     assert unverified not in activefail("report", run, "--out", tmp_path / "1.html").out
@@ -913,7 +913,7 @@ def test_a_verification_by_an_earlier_version_of_the_code_is_simulated_again(min
     said = activefail(*verify)
     assert said.code == 0, said.err
     (name,) = before
-    assert f"sets/{name}.h5 was simulated with other code (simulator.python " in said.err
+    assert f"sets/{name}.h5 was simulated with different code (simulator.python " in said.err
     assert outcomes_of_sets(run) != before
     assert activefail(*verify).err.count("other code") == 0
 
@@ -1185,7 +1185,7 @@ def test_a_limit_state_returns_its_margin_alone(value: float, outcome: int) -> N
 
 
 def test_a_margin_alone_must_tell_the_side_and_be_the_only_one() -> None:
-    with pytest.raises(UnusableAnswerError, match="the margin g is NaN; without an outcome it must tell the side"):
+    with pytest.raises(UnusableAnswerError, match="the margin g is NaN; without an outcome it must be a number"):
         read_answer(float("nan"), ("safe", "failure"), ("g",), 0.0)
     for outcomes, margins in (
         (("safe", "failure"), ()),

@@ -138,7 +138,7 @@ def test_the_objective_with_inducing_points_has_the_gradient_that_it_states(kern
 def test_hyperparameters_learned_with_inducing_points_are_as_good_as_those_learned_without(monkeypatch):
     F, y = points(400, seed=3)
     learned = fitting.fit(F, y, "matern52")
-    monkeypatch.setattr(fitting, "_COARSE", 400)
+    monkeypatch.setattr(fitting, "COARSE", 400)
     exact = fitting.fit(F, y, "matern52")
     assert learned.inducing is None
     assert learned.elbo == pytest.approx(exact.elbo, abs=0.5)
@@ -161,14 +161,14 @@ def test_scales_that_a_part_of_the_points_calls_for_are_not_taken_where_they_are
     _, trained = many
     if part:
         monkeypatch.setattr(fitting, "EXACT", part - 100)
-        monkeypatch.setattr(fitting, "_HALFWAY", part)
+        monkeypatch.setattr(fitting, "HALFWAY", part)
     before = replace(trained, learned_on=1000)
     poor = replace(trained, hyperparameters=hyperparameters(lengthscale=0.2), learned_on=1500)
-    monkeypatch.setattr(fitting, "_learned", lambda *_: poor)
+    monkeypatch.setattr(fitting, "learn", lambda *_: poor)
     repeated = fitting.fit(trained.features, trained.labels, "matern52", before)
     assert repeated.hyperparameters is trained.hyperparameters
     assert repeated.learned_on == 1500
-    monkeypatch.setattr(fitting, "_learned", lambda *_: before)
+    monkeypatch.setattr(fitting, "learn", lambda *_: before)
     better = fitting.fit(trained.features, trained.labels, "matern52", replace(poor, learned_on=1000))
     assert better.hyperparameters is trained.hyperparameters
     assert better.elbo == pytest.approx(repeated.elbo, abs=0.5)

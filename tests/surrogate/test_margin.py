@@ -27,30 +27,30 @@ def test_the_gradient_is_that_of_the_likelihood(truncated: bool) -> None:
     censored = (g <= 0.0) & truncated
     assert 2 < (g <= 0.0).sum() < 9
     packed = np.array([0.3, 0.4, 0.9, 0.2, 1.4])
-    sites = m.Sites(np.full(censored.sum(), -0.1), np.full(censored.sum(), 0.1))
-    evaluation = m._evaluate(X, g, censored, packed, sites)
+    sites = m.CensoredSites(np.full(censored.sum(), -0.1), np.full(censored.sum(), 0.1))
+    evaluation = m.penalised_likelihood(X, g, censored, packed, sites)
     step = 1e-5
     for index in range(len(packed)):
         moved = np.array([1.0, -1.0])[:, None] * step * np.eye(len(packed))[index] + packed
-        above, below = (m._evaluate(X, g, censored, row, evaluation.sites).value for row in moved)
+        above, below = (m.penalised_likelihood(X, g, censored, row, evaluation.sites).value for row in moved)
         assert evaluation.gradient[index] == pytest.approx((above - below) / (2.0 * step), rel=1e-4, abs=1e-5)
 
 
 def test_the_evidence_of_censored_margins_is_the_probability_that_all_are_at_most_zero() -> None:
     A = np.random.default_rng(2).standard_normal((4, 4))
     S, mean = A @ A.T + 0.3 * np.eye(4), np.array([0.4, -0.3, 0.8, -1.0])
-    start = m.Sites(np.full(4, -0.1), np.full(4, 0.1))
-    result = m._censored(mean, S, start)
+    start = m.CensoredSites(np.full(4, -0.1), np.full(4, 0.1))
+    result = m.censored_posterior(mean, S, start)
     exact = stats.multivariate_normal(mean, S).cdf(np.zeros(4))
     # Expectation propagation is not exact; its error on such orthants is a few per cent.
     assert math.exp(result.log_evidence) == pytest.approx(exact, rel=0.05)
-    alone = m._censored(mean[:1], S[:1, :1], m.Sites(*(site[:1] for site in start)))
+    alone = m.censored_posterior(mean[:1], S[:1, :1], m.CensoredSites(*(site[:1] for site in start)))
     assert alone.log_evidence == pytest.approx(stats.norm.logcdf(-mean[0] / math.sqrt(S[0, 0])), abs=1e-9)
 
 
 def test_the_posterior_of_censored_margins_is_that_of_sampling() -> None:
     mean, S = np.array([0.4, -0.2, 0.1]), np.array([[1.0, 0.6, 0.2], [0.6, 1.5, 0.5], [0.2, 0.5, 0.8]])
-    sites = m._censored(mean, S, m.Sites(np.full(3, -0.1), np.full(3, 0.1))).sites
+    sites = m.censored_posterior(mean, S, m.CensoredSites(np.full(3, -0.1), np.full(3, 0.1))).sites
     V = np.linalg.inv(np.linalg.inv(S) + np.diag(sites.precision))
     actual = V @ (np.linalg.solve(S, mean) + sites.linear)
     f = np.random.default_rng(3).multivariate_normal(mean, S, size=400_000)
@@ -68,7 +68,7 @@ def test_margins_left_out_are_those_of_a_fit_without_the_design(truncated: bool)
         kept = np.arange(len(g)) != row
         without = replace(fitted, features=X[kept], margin=fitted.margin[kept])
         # The closed form estimates the constant mean anew, the fit without the design keeps that of all.
-        A, target = m._system(without)
+        A, target = m.linear_system(without)
         weights = np.linalg.solve(A, np.ones(len(A)))
         own_mean = weights @ target / weights.sum()
         renewed = replace(without, hyperparameters=fitted.hyperparameters._replace(mean=float(own_mean)))
@@ -138,9 +138,9 @@ def test_an_outcome_left_out_is_predicted_from_the_others_also_where_it_is_censo
     for row in rows[:3]:
         kept = np.arange(len(g)) != row
         position = int(failed[:row].sum())
-        sites = m.Sites(*(np.delete(site, position) for site in truncated.sites))
+        sites = m.CensoredSites(*(np.delete(site, position) for site in truncated.sites))
         without = replace(truncated, features=X[kept], margin=truncated.margin[kept], sites=sites)
-        A, target = m._system(without)
+        A, target = m.linear_system(without)
         weights = np.linalg.solve(A, np.ones(len(A)))
         own_mean = float(weights @ target / weights.sum())
         renewed = replace(without, hyperparameters=truncated.hyperparameters._replace(mean=own_mean))
