@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
     from activefail.execution.executor import AsynchronousExecutor, Executor
+    from activefail.findings.failure import FailureFindings
     from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
     from activefail.loop.learning import Learned
@@ -432,6 +433,18 @@ class Run:
                 save_figure(figure, results / f"{CURVES}.{suffix}")
         return scores
 
+    def failure(self, stage: Callable[[str], None] = lambda _: None) -> "FailureFindings | None":
+        """What is known of the probability of failure and the most probable failure.
+
+        Returns:
+            None unless the campaign learned from a margin, seeks a probability, or estimated one.
+        """
+        from activefail.findings.failure import failure_findings
+
+        learned = self.learn(stage)
+        with one_thread():
+            return failure_findings(self.campaign, self.store, learned, stage)
+
     def report(self, target: Path | None = None, stage: Callable[[str], None] = lambda _: None) -> "Evidence":
         """Write the campaign's results to one HTML file; returns the evidence of its accuracy.
 
@@ -442,14 +455,12 @@ class Run:
         Raises:
             InputError: if the file cannot be written.
         """
-        from activefail.findings.failure import failure_findings
         from activefail.report.evidence import evidence_of
         from activefail.report.page import render, write_report
 
-        learned = self.learn(stage)
+        failure = self.failure(stage)
         with one_thread():
-            evidence = evidence_of(self.folder, self.campaign, self.store, learned.classifier, stage)
-            failure = failure_findings(self.campaign, self.store, learned, stage)
+            evidence = evidence_of(self.folder, self.campaign, self.store, self.classifier, stage)
             page = render(self.findings, evidence, self.store, stage, failure)
         target = target or self.folder / REPORT
         with writing_to(target):

@@ -145,5 +145,5 @@ PROBLEMS = {
         lambda X: np.minimum(3.2 - X[:, 0], np.hypot(X[:, 0] + 2.2, X[:, 1] - 2.4) - 0.6),
         1.99e-3,
     ),
-    "two modes, 5d": Problem((_normal(),) * 5, lambda X: np.minimum(3.2 - X @ _UP, 3.4 + X @ _DOWN), 1.02e-3),
+    "two modes 5d": Problem((_normal(),) * 5, lambda X: np.minimum(3.2 - X @ _UP, 3.4 + X @ _DOWN), 1.02e-3),
 }

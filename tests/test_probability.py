@@ -11,6 +11,8 @@ from scipy.special import ndtr
 from scipy.stats import beta
 
 from activefail.errors import InputError
+from activefail.explorer.answers import Answers
+from activefail.explorer.server import page
 from activefail.findings.probability import rounded_up, upper_bound
 from activefail.findings.status import read_status
 from activefail.run import open_run
@@ -231,3 +233,32 @@ def test_a_probability_that_no_design_reaches_is_not_certified(tmp_path: Path) -
     numbers = json.loads(result.out)["outcomes"]["failure"]
     assert numbers["low"] <= ndtr(-6.8) <= numbers["high"]
     assert numbers["high"] >= 1e-8
+
+
+def test_the_explorer_shows_the_probability_and_starts_at_the_most_probable_failure(ended: Path) -> None:
+    with open_run(ended / "run") as opened:
+        failure = opened.failure()
+        assert failure is not None
+        assert failure.is_known
+        assert failure.simulations[-1] == len(opened.history)
+        assert failure.low[-1] < TRUE < failure.high[-1]
+        answers = Answers(opened.findings, failure)
+    shown = page(answers.about(), answers.failure)
+    assert "Probability of failure</h2>" in shown
+    assert shown.count("<svg") == 2
+    starts = {preset["text"]: preset["point"] for preset in answers.about()["presets"]}
+    assert starts["the most probable design with failure"] == pytest.approx(failure.point.X)
+    assert starts["the middle of the space"] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert "Probability of failure</h2>" not in page(answers.about())
+
+
+def test_a_campaign_that_asks_for_no_probability_has_no_such_section(tmp_path: Path) -> None:
+    file = begun(tmp_path, "plane", 16)
+    settings = file.read_text().replace('stop = { probability = "failure" }\n', "")
+    file.write_text(
+        settings.replace("budget = 16", "initial = 12\nbudget = 13") + '[classifier]\nlearns = "outcomes"\n'
+    )
+    (tmp_path / "limit.py").write_text(LIMITS.replace("return 3.0", "return 1.0"))
+    assert activefail("run", file, "--out", tmp_path / "run").code == 0
+    with open_run(tmp_path / "run") as opened:
+        assert opened.failure() is None

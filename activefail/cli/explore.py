@@ -24,10 +24,10 @@ def explore(
     with one_thread():
         with opened_run(folder, code=code) as opened:
             opened.learn(show_stage)
-            findings = opened.findings
+            findings, failure = opened.findings, opened.failure(show_stage)
             show_warnings(opened.store.new_warnings())
             show_unseen(opened.summary)
-        server = ExplorerServer(host, port, Answers(findings))
+        server = ExplorerServer(host, port, Answers(findings, failure))
         print(f"explorer   {server.address}  (Ctrl-C to quit)", flush=True)
         try:
             server.serve_forever()

@@ -28,9 +28,11 @@ from activefail.figures.motion import (
 from activefail.figures.outcome_planes import plot_variable_plane
 from activefail.figures.svg import inline
 from activefail.findings import quantities
+from activefail.findings.failure import FailureFindings
 from activefail.findings.prediction import Prediction, interval, predict
 from activefail.findings.quantities import plain, words
 from activefail.findings.results import Findings, at_the_boundary
+from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
 from activefail.visible import visible
@@ -56,15 +58,15 @@ def _listed(values: Array, digits: int) -> list[Any]:
 class Answers:
     """Answers about one campaign; thread-safe."""
 
-    def __init__(self, findings: Findings) -> None:
-        self._findings = findings
+    def __init__(self, findings: Findings, failure: FailureFindings | None = None) -> None:
+        self._findings, self._failure = findings, failure
         self.campaign = findings.campaign
         self.space = findings.campaign.space
         self.outcomes = findings.campaign.simulator.outcomes
         self._quantities = quantities.variables(findings.campaign)
         # All threads share the classifier and matplotlib's settings; separate locks, as predictions need no drawing.
         self.next_turn, self._learning, self._drawing = threading.Lock(), threading.Lock(), threading.Lock()
-        middle = (0.5 * (self.space.low + self.space.high)).tolist()
+        middle = self.space.from_unit(np.full(self.space.dimension, 0.5)).tolist()
         # Compile and load everything before the first request.
         self.predict(middle)
         if self.simulates:
@@ -106,7 +108,9 @@ class Answers:
         """The data that the page contains from the start."""
         settings, findings = self.campaign.settings, self._findings
         influence = findings.influence
-        presets = [("the middle of the space", 0.5 * (self.space.low + self.space.high))]
+        presets = [("the middle of the space", self.space.from_unit(np.full(self.space.dimension, 0.5)))]
+        if self._failure is not None and self._failure.point is not None:
+            presets.append((f"the most probable design with {findings.beyond}", self._failure.point.X))
         for row, _ in at_the_boundary(findings):
             text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {row}"
             presets.append((text, findings.X[row]))
@@ -137,6 +141,11 @@ class Answers:
             "along": "A_p" if "A_p" in names else names[ranking[0]],
             "simulates": self.simulates,
         }
+
+    @property
+    def failure(self) -> dict[str, Any] | None:
+        """Numbers and pictures of the probability of failure, if the campaign says something of it."""
+        return failure_section(self._findings, self._failure)
 
     @contextmanager
     def turn(self) -> Iterator[None]:

@@ -60,8 +60,13 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def page(about: Answer) -> str:
-    """Render the page of a campaign."""
+def page(about: Answer, failure: dict[str, Any] | None = None) -> str:
+    """Render the page of a campaign.
+
+    Args:
+        about: the data that the page contains from the start.
+        failure: numbers and pictures of the probability of failure; None without one.
+    """
     environment = Environment(
         loader=PackageLoader("activefail.explorer", "."),
         autoescape=True,
@@ -69,7 +74,7 @@ def page(about: Answer) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("explorer.html.j2").render(about=about, version=__version__)
+    return environment.get_template("explorer.html.j2").render(about=about, failure=failure, version=__version__)
 
 
 class ExplorerServer(ThreadingHTTPServer):
@@ -96,7 +101,7 @@ class ExplorerServer(ThreadingHTTPServer):
         self._fewer = threading.Condition()
         self.turns = threading.BoundedSemaphore(MOST_QUESTIONS)
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(24)
-        self.page = page(answers.about()).encode()
+        self.page = page(answers.about(), answers.failure).encode()
         package = files("activefail.explorer")
         self.files = {
             "/explorer.js": ("text/javascript; charset=utf-8", package.joinpath("explorer.js").read_bytes()),
