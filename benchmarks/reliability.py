@@ -64,6 +64,7 @@ def campaign_on(problem, seed, batch, budget):
             "sampling.batch": batch,
             "sampling.budget": budget,
             "classifier.features": "design",
+            "acquisition.criterion": "eavc",
             "stop": {"probability": "failure"},
         }
     )

@@ -158,6 +158,7 @@ def propose(
     *,
     pending: Array | None = None,
     failed: Array | None = None,
+    widening: float = 1.0,
 ) -> Array:
     """q designs, (q, d), where a label, or a margin, is most valuable for the latent's boundary.
 
@@ -169,6 +170,8 @@ def propose(
     Args:
         pending: (k, d) designs in flight, which are fantasised first.
         failed: (k, d) designs whose simulation was a numerical failure; they are not proposed again.
+        widening: factor that stretches the normal variables of candidates and references, for a boundary that lies
+            where the design measure has few designs.
     """
     if isinstance(latent, MarginLatent):
         return propose_by_margin(latent, features, space, q, rng, pending=pending, failed=failed)
@@ -176,8 +179,14 @@ def propose(
         latent = fantasised(latent, features(pending))
     if isinstance(criterion, LookAhead):
         # It draws new candidates for each batch, so none is an earlier design.
-        return _propose_ahead(latent, features, space, criterion, q, rng)
-    return _propose_pointwise(latent, features, space, criterion, q, rng, failed)
+        return _propose_ahead(latent, features, space, criterion, q, rng, widening)
+    return _propose_pointwise(latent, features, space, criterion, q, rng, failed, widening)
+
+
+def _sample(space: DesignSpace, n: int, rng: np.random.Generator, widening: float) -> Array:
+    """n designs of a Sobol' sequence, (n, d), with the normal variables stretched."""
+    X = space.sobol(n, rng)
+    return X if widening == 1.0 else space.widened(X, widening)
 
 
 def _propose_pointwise(
@@ -188,8 +197,9 @@ def _propose_pointwise(
     q: int,
     rng: np.random.Generator,
     failed: Array | None,
+    widening: float,
 ) -> Array:
-    pool = space.sobol(POOL, rng)
+    pool = _sample(space, POOL, rng, widening)
     values = criterion(*latent.moments(features(pool)))
     for spread in _REFINEMENTS:
         best = np.argsort(-values, kind="stable")[:SHORTLIST]
@@ -204,7 +214,7 @@ def _propose_pointwise(
     new = new_rows(pool, F, latent, failed)
     if len(new) < q:
         # The searches ended at a few known corners; add other candidates.
-        pool = np.concatenate([pool[new], space.sobol(POOL, rng)])
+        pool = np.concatenate([pool[new], _sample(space, POOL, rng, widening)])
         F = features(pool)
         new = new_rows(pool, F, latent, failed)[:SHORTLIST]
     if len(new) < q:
@@ -236,14 +246,20 @@ def new_rows(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArra
 
 
 def _propose_ahead(
-    latent: Latent, features: FeatureMap, space: DesignSpace, criterion: LookAhead, q: int, rng: np.random.Generator
+    latent: Latent,
+    features: FeatureMap,
+    space: DesignSpace,
+    criterion: LookAhead,
+    q: int,
+    rng: np.random.Generator,
+    widening: float,
 ) -> Array:
-    pool = space.sobol(POOL, rng)
+    pool = _sample(space, POOL, rng, widening)
     # Not by entropy, which ignores the wide latents that look-ahead criteria prefer.
     order = np.argsort(-bald(*latent.moments(features(pool))), kind="stable")
     others = rng.choice(order[_BY_BALD:], _AT_RANDOM, replace=False)
     candidates = pool[np.concatenate([order[:_BY_BALD], others])]
-    references = space.sobol(REFERENCES, rng)
+    references = _sample(space, REFERENCES, rng, widening)
     mean, covariance = latent.joint(features(np.concatenate([candidates, references])))
     n = len(candidates)
     return np.asarray(candidates[greedy_look_ahead(mean, covariance, n, min(q, n), criterion)])
@@ -298,6 +314,7 @@ def propose_shared(
     pending: Array | None = None,
     failed: Array | None = None,
     unseen: Search | None = None,
+    widening: float = 1.0,
 ) -> Array:
     """q designs, (q, d), divided among exploration, the search for unseen outcomes, and the boundaries.
 
@@ -309,7 +326,7 @@ def propose_shared(
         boundaries: outcome -> its share of the designs that neither explore nor search; with sum 1.
         exploration: share of the designs chosen without a classifier, 0 to 1.
         first: number of designs proposed in earlier batches.
-        pending, failed: as for `propose`.
+        pending, failed, widening: as for `propose`.
         unseen: the outcomes to search for; None if all were seen.
     """
     searching = SEARCH_SHARE if unseen is not None else 0.0
@@ -329,7 +346,15 @@ def propose_shared(
             in_flight = chosen if pending is None else np.concatenate([pending, chosen])
             latent = classifier.latent(outcome)
             proposed = propose(
-                latent, classifier.features, space, criterion, count, rng, pending=in_flight, failed=failed
+                latent,
+                classifier.features,
+                space,
+                criterion,
+                count,
+                rng,
+                pending=in_flight,
+                failed=failed,
+                widening=widening,
             )
             chosen = np.concatenate([chosen, proposed])
     return chosen

@@ -87,9 +87,11 @@ class CampaignSettings(Section):
             # A probability needs few designs of the bulk, and every result changes where the next one teaches most.
             variables = sum("value" not in one for one in _tables(values.get("space")))
             defaults["sampling"] = {"initial": max(12, 2 * variables), "batch": 1}
+            # Of outcomes alone this criterion misses least of a rare failure; margins have their own.
+            defaults["acquisition"] = {"criterion": "eavc"}
         outcomes = values["simulator"].get("outcomes")
         if isinstance(outcomes, list) and outcomes:
-            defaults["acquisition"] = {"boundary": outcomes[-1]}
+            defaults["acquisition"] = defaults.get("acquisition", {}) | {"boundary": outcomes[-1]}
         for section, default in defaults.items():
             table = values.get(section, {})
             if isinstance(table, dict):

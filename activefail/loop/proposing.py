@@ -12,6 +12,11 @@ from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 from activefail.verification.unseen import unseen_outcomes
 
+WIDENING = 2.0
+"""Factor that stretches the proposals of a campaign that seeks a probability and learns from outcomes alone.
+
+Of a rare failure the design measure itself has no candidates."""
+
 
 def initial_sets(campaign: Campaign, history: History) -> int:
     """How many Latin hypercubes the record needs: one, plus one for each in which every simulation failed.
@@ -66,6 +71,7 @@ def next_designs(
         pending=pending,
         failed=history.failed_designs,
         unseen=search_for_unseen(campaign, history, classifier),
+        widening=1.0 if settings.probability_rule is None else WIDENING,
     )
 
 

@@ -324,7 +324,7 @@ def test_designs_for_one_boundary_are_in_flight_for_the_next(nested):
     pending = np.array([[0.5, 0.9]])
     calls = []
 
-    def spy(latent, features, space, criterion, q, rng, *, pending=None, failed=None):
+    def spy(latent, features, space, criterion, q, rng, *, pending, **options):
         calls.append((q, pending))
         return np.full((q, 2), 0.1 * len(calls))
 
@@ -415,3 +415,27 @@ def test_where_all_values_of_the_features_are_known_other_designs_with_them_are_
         assert designs.shape == (12, 2)
         assert len(np.unique(designs, axis=0)) == 12
         assert not {row.tobytes() for row in designs} & {row.tobytes() for row in (*X, *failed)}
+
+
+def test_a_widened_proposal_reaches_a_boundary_of_which_the_design_measure_has_no_candidates():
+    space = DesignSpace(tuple(Parameter(v, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for v in ("x", "y")))
+    # Labels far out: the boundary lies between 4 and 5 standard deviations, near -y as far as any label says.
+    X = np.array([[0.0, 0.0], [4.0, 0.0], [5.0, 0.0], [5.2, 1.0], [-3.0, 0.5], [1.0, -4.0], [0.5, 3.0]])
+    beyond = (X[:, 0] > 4.5).astype(np.int8)
+    learned = train(X, beyond, ("out", "in"), feature_map("design", space), "rbf")
+
+    def proposed(widening):
+        return propose(
+            learned.latent("in"),
+            learned.features,
+            space,
+            criterion("eavc"),
+            8,
+            np.random.default_rng(2),
+            widening=widening,
+        )
+
+    plain, wide = proposed(1.0), proposed(2.0)
+    assert space.contains(wide).all()
+    assert np.linalg.norm(wide, axis=1).max() > np.linalg.norm(plain, axis=1).max()
+    assert np.abs(wide).max() > 4.2

@@ -7,7 +7,7 @@ import pytest
 from rare import four_branch
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
@@ -217,3 +217,26 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
 def test_a_rule_that_cannot_be_is_refused(changes, rule) -> None:
     with pytest.raises(InputError, match=rule):
         campaign_on(FourBranch(), **{key.replace(".", "__"): value for key, value in changes.items()})
+
+
+def test_a_search_from_outcomes_alone_proposes_designs_of_twice_the_standard_deviation() -> None:
+    text = """
+    simulator = { python = "limit:branches" }
+    stop = { probability = "failure" }
+    space.x = { distribution = "normal", mean = 0, sd = 1 }
+    """
+    settings = parse_settings(text, "made.toml")
+    assert settings.acquisition.criterion == "eavc"
+    assert parse_settings(text.replace("stop", "# stop"), "made.toml").acquisition.criterion == "entropy"
+    chosen = []
+    for rule in ({"probability": "failure"}, None):
+        campaign = campaign_on(
+            FourBranch(), stop=rule, **{"classifier.learns": "outcomes", "acquisition.criterion": "eavc"}
+        )
+        store = MemoryStore(campaign.schema)
+        with ThreadExecutor(1) as executor:
+            run(campaign, store, executor, 40)
+        history = History.of(store.batches)
+        chosen.append(np.linalg.norm(history.designs[history.origin == ACTIVE][-15:], axis=1))
+    wide, plain = chosen
+    assert np.median(wide) > np.median(plain)
