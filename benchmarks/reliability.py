@@ -19,6 +19,7 @@ hypercube of the same size is learned from in the same way. The table gives, for
     better     seeds in which the classifier puts less probability on the wrong side than the static one
     coverage   share of 90 % intervals that contain the true probability, from 25 and from 50 fresh simulations, over
                all seeds and --repeats estimates each, and the median root mean square error of the estimates
+    recall     share of the lower ends of the recall, from 50 fresh simulations, that are below the true recall
     variance   the variance of plain Monte Carlo with as many simulations, learning included, over that of the estimates
                from 50
     ms         processor time of the loop for each simulation
@@ -114,13 +115,14 @@ def score(name, seed, terms, repeats):
         integral = integrated(standardised, campaign.space, rng)
         row["probability"] = integral.probability
         for m in FRESH:
-            estimates = []
+            estimates, recalls = [], []
             for _ in range(repeats):
                 plan = plan_estimate(standardised, campaign.space, integral, m, rng)
                 beyond = problem.limit(plan.designs) <= 0.0
                 estimate = estimated(plan, beyond, np.ones(m, dtype=bool), 0.9)
                 estimates.append((estimate.probability, estimate.low, estimate.high))
-            row[f"estimates {m}"] = estimates
+                recalls.append(estimate.recall_low)
+            row[f"estimates {m}"], row[f"recalls {m}"] = estimates, recalls
     return row
 
 
@@ -148,6 +150,7 @@ def cells(problem, rows):
         "better": f"{better.sum()}/{len(rows)}",
         "coverage 25": f"{covered[25]:.3f}",
         "50": f"{covered[50]:.3f}",
+        "recall 50": f"{np.mean(column['recalls 50'] <= 1.0 - missed[:, None]):.3f}" if "recalls 50" in column else "–",
         "rmse 25": f"{errors[25]:.3f}",
         "rmse 50": f"{errors[50]:.3f}",
         "variance": f"{plain / errors[50] ** 2:.0f}",
