@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self, SupportsIndex
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder, opened, read_campaign
 from activefail.errors import InputError
-from activefail.files import replacing, writing_to
+from activefail.files import writing_to
 from activefail.findings.summary import Summary
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress, standing
@@ -384,11 +384,8 @@ class Run:
             )
         findings = ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate, asked)
         if self._write and question is None:
-            target = self.folder / ESTIMATE
-            with writing_to(target), replacing(target) as file:
-                file.write(
-                    json.dumps({"record": self.store.digest, "outcomes": {outcome: findings.as_json()}}, indent=2)
-                )
+            numbers = {"record": self.store.digest, "outcomes": {outcome: findings.as_json()}}
+            self.store.write_text(ESTIMATE, json.dumps(numbers, indent=2))
         return findings
 
     def _check_initial_design(self, verb: str) -> None:

@@ -24,11 +24,11 @@ import numpy as np
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.comparison.score import FreshSet, measures
-from activefail.estimate import Estimate
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.record.memory import MemoryStore
+from activefail.sample_mean import Estimate
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, Simulator
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread

@@ -33,8 +33,8 @@ from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
 from activefail.campaign.random_streams import stream
-from activefail.estimate import Estimate
 from activefail.features import FeatureMap, feature_map
+from activefail.sample_mean import Estimate
 from activefail.space import Array
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.fitting import fit

@@ -71,7 +71,11 @@ def test_the_probability_is_that_of_the_question(ended: Path, tmp_path: Path) ->
     assert numbers["bound_without_model"]["from"] == "fresh simulations"
     # The estimate of the campaign's own measure is another set of simulations, and status shows that alone.
     own = activefail("probability", ended / "run", "--code", ended, "--simulations", "40")
-    assert "under a worse site" not in own.out
+    assert own.code == 0
+    shown = activefail("status", ended / "run").out
+    assert "from 40 fresh simulations; recall" in shown
+    assert activefail("probability", ended / "run", *options).code == 0
+    assert activefail("status", ended / "run").out == shown
     assert len([path for path in (ended / "run" / "sets").iterdir() if path.name.startswith("question-")]) == 1
 
 
@@ -102,7 +106,10 @@ def test_two_questions_differ_by_what_they_define_not_by_their_words(tmp_path: P
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[space]\nq = { low = 0, high = 1 }\n", "space.q: is no variable of the campaign; it has x, y, z."),
+        (
+            "[space]\nq = { low = 0, high = 1 }\n",
+            "space.q: is not a variable of the campaign; its variables are x, y, z.",
+        ),
         ("[space]\nw = { value = 1 }\n", "space.w: has the fixed value 2 in the campaign; leave it out."),
         (
             '[space]\nx = { low = 0, high = 100, unit = "cm" }\n',

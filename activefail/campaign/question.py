@@ -12,6 +12,7 @@ from activefail.campaign.sections import AnyVariable, FixedVariable, Section, Va
 from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
 from activefail.errors import InputError
 from activefail.space import Array, DesignSpace, radius
+from activefail.visible import visible
 
 _SHARE = 2**14
 """Designs that estimate which share of a question lies outside the design space."""
@@ -105,7 +106,7 @@ def _question(asked: QuestionSettings, path: Path, settings: CampaignSettings, s
     changed = {name: entry for name, entry in asked.space.items() if isinstance(entry, Variable)}
     uncertain = [name for name in space.names if name not in fixed]
     if not uncertain:
-        raise InputError("space: fixes every variable; `activefail predict` and `simulate` answer a single design.")
+        raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
     unbounded = sum(not variable.is_bounded for variable in changed.values())
     distance = radius(asked.reach, unbounded) if unbounded else np.inf
     own = dict(zip(space.names, space.parameters, strict=True))
@@ -114,7 +115,7 @@ def _question(asked: QuestionSettings, path: Path, settings: CampaignSettings, s
     if correlation is None:
         correlation = [pair for pair in settings.correlation if pair[0] in uncertain and pair[1] in uncertain]
     values = np.array([fixed.get(name, 0.0) for name in space.names])
-    digest = hashlib.sha256(repr((parameters, tuple(correlation), values.tolist())).encode()).hexdigest()
+    digest = hashlib.sha256(repr((parameters, sorted(correlation), values.tolist())).encode()).hexdigest()
     return Question(
         asked.description or path.stem,
         DesignSpace(parameters, correlation=tuple(correlation)),
@@ -133,7 +134,10 @@ def _check_variable(name: str, entry: Variable | FixedVariable, settings: Campai
     if name in space.fixed:
         raise InputError(f"space.{name}: has the fixed value {space.fixed[name]:g} in the campaign; leave it out.")
     if name not in space.names:
-        raise InputError(f"space.{name}: is no variable of the campaign; it has {', '.join(space.names)}.")
+        raise InputError(
+            f"space.{name}: is not a variable of the campaign; its variables are {', '.join(space.names)}."
+        )
     unit = settings.space[name].unit
     if entry.unit and entry.unit != unit:
-        raise InputError(f"space.{name}.unit: must be {unit or 'left out'}, as in the campaign, got {entry.unit!r}.")
+        stated = visible(unit) or "left out"
+        raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")

@@ -20,7 +20,6 @@ from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
 from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError
-from activefail.estimate import Estimate
 from activefail.execution.local import local_executor
 from activefail.execution.pool import ProcessPool, stopping
 from activefail.files import replacing
@@ -30,6 +29,7 @@ from activefail.loop.learning import learn_from
 from activefail.loop.progress import Observer
 from activefail.record.layout import SETTINGS, refuse_links
 from activefail.record.run_folder import check_empty
+from activefail.sample_mean import Estimate
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread

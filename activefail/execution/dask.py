@@ -175,7 +175,7 @@ class DaskExecutor:
             case BaseException():
                 # A worker without activefail or with another version.
                 raise SimulationError(
-                    f"The Dask cluster at {self._scheduler} could not answer design {x.tolist()}: "
+                    f"The Dask cluster at {self._scheduler} could not simulate design {x.tolist()}: "
                     f"{type(answer).__name__}: {' '.join(str(answer).split())} "
                     f"The workers need the same activefail, Python and Dask."
                 ) from answer

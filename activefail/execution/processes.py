@@ -169,7 +169,7 @@ class _Worker:
             frame = self._ask(QuestionKind.DESIGN, design, limit, longest_answer(simulator))
             self.answered += 1
             if frame.kind != FrameKind.ANSWERED:
-                raise BrokenFrameError("it does not answer a design")
+                raise BrokenFrameError("it is no reply to a design")
             return unpack_answer(frame.payload, simulator)
         except BrokenFrameError as error:
             return unanswered(simulator, 1, WORKER_DIED, _invalid(error))
@@ -438,7 +438,7 @@ def _ending(code: int) -> str:
     elif code < 0:
         how = signal_name(-code)
         if how == "SIGKILL":
-            how = f"{how}, out of memory perhaps"
+            how = f"{how}, possibly out of memory"
     return f"its worker process died ({how})"
 
 

@@ -110,7 +110,7 @@ class Answers:
         influence = findings.influence
         presets = [("the middle of the space", self.space.from_unit(np.full(self.space.dimension, 0.5)))]
         if self._failure is not None and self._failure.point is not None:
-            presets.append((f"the most probable design with {findings.beyond}", self._failure.point.X))
+            presets.append((f"the design point of {findings.beyond}", self._failure.point.X))
         for row, _ in at_the_boundary(findings):
             text = f"{words(self.outcomes[findings.outcome[row]])}, near a boundary: simulation {row}"
             presets.append((text, findings.X[row]))
@@ -198,7 +198,7 @@ class Answers:
             InputError: if both variables are the same, or `shown` is invalid.
         """
         if x == y:
-            raise InputError(f"A plane needs two variables, got {self.space.names[x]} twice.")
+            raise InputError(f"A plane needs two different variables, got {self.space.names[x]} twice.")
         if shown not in (*self.outcomes[1:], "uncertainty"):
             raise InputError(f"shown: must be an outcome other than the first, or uncertainty, got {shown!r}.")
         low, high = self.space.low, self.space.high

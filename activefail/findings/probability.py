@@ -133,7 +133,8 @@ class ProbabilityFindings:
     @property
     def is_extrapolated(self) -> bool:
         """Whether no simulation ended beyond the boundary, so that the estimate rests on the classifier alone."""
-        return not self.seen and not self.estimate.beyond
+        # Under a question, failures of the campaign may be of another region.
+        return not self.estimate.beyond and (not self.seen or bool(self.question))
 
     @property
     def high(self) -> float:
@@ -146,8 +147,9 @@ class ProbabilityFindings:
         estimate, name = self.estimate, words(self.outcome)
         sentences = []
         if self.is_extrapolated:
+            kind = "fresh simulation" if self.question else "simulation"
             sentences.append(
-                f"No simulation ended in {name}: the estimate is the classifier's extrapolation. Only the bound "
+                f"No {kind} ended in {name}: the estimate is the classifier's extrapolation. Only the bound "
                 "without a model rests on simulations alone."
             )
         if estimate.surprising:
@@ -160,10 +162,11 @@ class ProbabilityFindings:
             "the classifier nor the fresh simulations looked, in one region or scattered. In five or more dimensions, "
             "no method finds such a region reliably. Only the bound without a model needs no such assumption."
         )
-        if self.question:
+        if self.extrapolated > 0.0:
             sentences.append(
                 f"{percent(self.extrapolated)} of the question lies outside the campaign's design space, where the "
-                "classifier extrapolates. The fresh simulations are drawn there too."
+                "classifier extrapolates. Its share of the failures may be larger. Fresh simulations are drawn there "
+                "too."
             )
         sentences.append(
             f"The outermost designs, with a probability of {REACH:g}, are not tried; the upper end of the interval "
@@ -180,13 +183,15 @@ class ProbabilityFindings:
         estimate = self.estimate
         return {
             "probability": estimate.probability,
-            "low": estimate.low,
+            "low": 0.0 if self.is_extrapolated else estimate.low,
             "high": self.high,
             "high_under_classifier": estimate.high,
             "confidence": estimate.confidence,
             "simulations": estimate.simulations,
             "numerical_failures": estimate.unanswered,
             "contradictions": estimate.wrong,
+            "contradictions_where_sure": estimate.surprising,
+            "extrapolated": self.is_extrapolated,
             "failures_seen": self.seen + estimate.beyond,
             "question": self.question or None,
             "outside_design_space": self.extrapolated,

@@ -111,10 +111,15 @@ class Status:
                     float(numbers[key]) for key in ("probability", "low", "high", "confidence", "recall_low")
                 )
                 name, simulations = visible(words(outcome)), int(numbers["simulations"])
+                interval = f"{100.0 * confidence:g} % interval {low:.3g} to {high:.3g}"
+                if numbers["extrapolated"]:
+                    interval = f"at most {high:.2g} without a model, because no simulation ended in it"
                 text = (
-                    f"probability of {name} {probability:.3g}, {100.0 * confidence:g} % interval {low:.3g} to "
-                    f"{high:.3g}, from {simulations} fresh simulations; recall at least {percent(recall_low)}"
+                    f"probability of {name} {probability:.3g}, {interval}, from {simulations} fresh simulations; "
+                    f"recall at least {percent(recall_low)}"
                 )
+                if int(numbers["contradictions_where_sure"]):
+                    text += "; fresh simulations contradict the classifier where it was sure: continue the campaign"
                 lines.append(("estimate", text))
             return lines
         except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError):

@@ -92,7 +92,7 @@ def verify(data: bytes) -> None:
         version = re.match(rf"{MAGIC}\nformat (\d+)\n".encode(), head)
         if version and int(version[1]) != FORMAT:
             raise StoreError(f"was written in format {int(version[1])}; this program reads format {FORMAT}.")
-    raise DamagedError("is cut short or changed: its SHA-256 does not agree with its content")
+    raise DamagedError("is truncated or altered: its SHA-256 does not match its content")
 
 
 class Image:
@@ -197,4 +197,4 @@ def open_image(data: bytes) -> Iterator[Image]:
         with h5py.File(io.BytesIO(data), "r") as root:
             yield Image(root, len(data))
     except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
-        raise DamagedError(f"does not hold what activefail writes ({visible(str(error))})") from error
+        raise DamagedError(f"has content that activefail never writes ({visible(str(error))})") from error

@@ -88,7 +88,7 @@ def check_campaign(segments: Sequence[Segment], settings: str, schema: Schema | 
                 f"The settings were changed after the campaign began: the SHA-256 of its campaign.toml is not the one "
                 f"in segments/{segment.name}. Restore the frozen copy (the segment holds its text, in the dataset "
                 f"'settings'), or start a new campaign in another folder. Changes:\n"
-                + ("\n".join(map(visible, lines)) or "only line ends")
+                + ("\n".join(map(visible, lines)) or "only line endings")
             )
         schema = schema or segment.schema
         for field in fields(schema):

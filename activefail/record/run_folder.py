@@ -377,8 +377,8 @@ class FolderStore:
             raise StoreError(f"Cannot write to {self.folder}: {error.strerror or error}.") from error
         self._refusal = (
             f"{self.folder} was moved, removed or replaced while this process was writing to it: its {LOCK} is not the "
-            f"file that this process opened. Nothing more is written. Acknowledged data is where the folder went; "
-            f"resume it there."
+            f"file that this process opened. Nothing more is written. Committed batches are in the folder at its new "
+            "place; resume it there."
         )
         raise _MovedError(self._refusal)
 
@@ -459,6 +459,12 @@ class FolderStore:
                 self._check_place()
                 with suppress(OSError):
                     os.unlink(path)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a file beside the record, which can be made again from it."""
+        self._writable()
+        with self._writing():
+            replace(self.folder / name, text.encode(), self._check_place)
 
     def _states(self) -> list[tuple[int, Path]]:
         """The state files, oldest first."""

@@ -57,6 +57,18 @@ class Integral(NamedTuple):
     standard_error: float
 
 
+class Doubt(NamedTuple):
+    """How wrong the classifier may be on one side of the boundary, by its own doubt.
+
+    Attributes:
+        floor: variance of one correction.
+        of_population: variance of the mean correction due to the population from which the designs were drawn.
+    """
+
+    floor: float
+    of_population: float
+
+
 @dataclass(frozen=True)
 class Plan:
     """Fresh designs that correct a classifier's failure probability.
@@ -67,9 +79,8 @@ class Plan:
         predicted: (m,) bool, whether the classifier puts each design beyond the boundary.
         standardised: (m,) the latent's mean/sd.
         probability: the classifier's own.
-        standard_error: of its integration, and of the population from which the designs were drawn.
-        floor: variance of one correction by the classifier's own doubt.
-        floor_missed: the part of the floor from designs that the classifier puts short of the boundary.
+        standard_error: of its integration.
+        missed, false: of the designs that the classifier puts short of the boundary, and beyond it.
     """
 
     designs: Array
@@ -78,8 +89,8 @@ class Plan:
     standardised: Array
     probability: float
     standard_error: float
-    floor: float
-    floor_missed: float
+    missed: Doubt
+    false: Doubt
 
 
 @dataclass(frozen=True)
@@ -161,8 +172,12 @@ def plan_estimate(
         shares = (1.0 - _UNIFORM) * parts / parts.sum() + _UNIFORM * shares
     ratio = drawn.weight / (len(parts) * shares)
     in_doubt = np.minimum(side, 1.0 - side)
-    # The simulations are drawn from a population, which itself is a sample.
-    of_population = float(np.mean(drawn.weight**2 * in_doubt)) / len(parts)
+
+    def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
+        # The simulations are drawn from a population, which itself is a sample.
+        population_variance = float(np.sum((drawn.weight**2 * in_doubt)[rows])) / len(parts) ** 2
+        return Doubt(float(np.sum((shares * ratio**2 * in_doubt)[rows])), population_variance)
+
     rows = rng.choice(len(parts), m, p=shares / shares.sum())
     return Plan(
         designs=drawn.X[rows],
@@ -170,9 +185,9 @@ def plan_estimate(
         predicted=z[rows] > 0.0,
         standardised=z[rows],
         probability=integral.probability,
-        standard_error=float(np.hypot(integral.standard_error, np.sqrt(of_population))),
-        floor=float(np.sum(shares * ratio**2 * in_doubt)),
-        floor_missed=float(np.sum((shares * ratio**2 * in_doubt)[z <= 0.0])),
+        standard_error=integral.standard_error,
+        missed=doubt_of(z <= 0.0),
+        false=doubt_of(z > 0.0),
     )
 
 
@@ -214,27 +229,26 @@ def _recall(
 ) -> tuple[float, float]:
     """The share of the failure probability that the classifier puts beyond the boundary, and its lower bound.
 
-    The probability that it misses and the one that it wrongly counts each have an upper bound that errs half as often
-    as the recall's bound may.
+    Three bounds enter the lower one: of the probability that is missed, of the one that is wrongly counted, and of the
+    integral. Each errs a third as often as the lower bound may. Numerical failures are missed, or wrongly counted.
     """
-    one_sided = 0.5 + 0.5 * confidence
-    missed, missed_high = _mean_and_upper(
-        (~plan.predicted & (beyond | ~answered)) * plan.ratio, plan.floor_missed, one_sided
-    )
-    false, false_high = _mean_and_upper(
-        (plan.predicted & ~(beyond & answered)) * plan.ratio, plan.floor - plan.floor_missed, one_sided
-    )
-    t_of_integral = float(t.ppf(one_sided, len(beyond) - 1)) * plan.standard_error
-    hit, hit_low = max(0.0, plan.probability - false), max(0.0, plan.probability - false_high - t_of_integral)
+    one_sided = 1.0 - (1.0 - confidence) / 3.0
+    missed = float((answered & beyond & ~plan.predicted) @ plan.ratio) / len(beyond)
+    false = float((answered & ~beyond & plan.predicted) @ plan.ratio) / len(beyond)
+    missed_high = _upper(~plan.predicted & (beyond | ~answered), plan, plan.missed, one_sided) + REACH
+    false_high = _upper(plan.predicted & ~(beyond & answered), plan, plan.false, one_sided)
+    of_integral = float(t.ppf(one_sided, len(beyond) - 1)) * plan.standard_error
+    hit, hit_low = max(0.0, plan.probability - false), max(0.0, plan.probability - false_high - of_integral)
     if hit + missed <= 0.0:
         return float("nan"), 0.0
-    return hit / (hit + missed), hit_low / (hit_low + missed_high) if missed_high > 0.0 else 1.0
+    return hit / (hit + missed), hit_low / (hit_low + missed_high)
 
 
-def _mean_and_upper(corrections: Array, floor: float, one_sided: float) -> tuple[float, float]:
-    """The mean of corrections, (m,), and its one-sided upper bound."""
-    m, mean = len(corrections), float(corrections.mean())
-    return mean, mean + float(t.ppf(one_sided, m - 1)) * float(np.sqrt(_variance(corrections, floor) / m))
+def _upper(wrong: NDArray[np.bool_], plan: Plan, doubt: Doubt, one_sided: float) -> float:
+    """One-sided upper bound on the probability of what is wrong, from the rows of the plan that are."""
+    corrections = wrong * plan.ratio
+    variance = _variance(corrections, doubt.floor) / len(wrong) + doubt.of_population
+    return float(corrections.mean()) + float(t.ppf(one_sided, len(wrong) - 1)) * float(np.sqrt(variance))
 
 
 def _variance(corrections: Array, floor: float) -> float:
@@ -247,6 +261,7 @@ def _interval(plan: Plan, beyond: NDArray[np.bool_], confidence: float) -> tuple
     corrections = (beyond.astype(np.float64) - plan.predicted) * plan.ratio
     m = len(corrections)
     middle = plan.probability + float(corrections.mean())
-    variance = _variance(corrections, plan.floor) / m + plan.standard_error**2
+    variance = _variance(corrections, plan.missed.floor + plan.false.floor) / m
+    variance += plan.standard_error**2 + plan.missed.of_population + plan.false.of_population
     half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * float(np.sqrt(variance))
     return middle, middle - half, middle + half

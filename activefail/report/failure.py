@@ -1,8 +1,10 @@
 """The report's section on the probability of failure."""
 
 import math
+from contextlib import suppress
 from typing import Any
 
+from activefail.errors import InputError
 from activefail.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
@@ -61,16 +63,18 @@ def _point(findings: Findings, failure: FailureFindings) -> dict[str, Any] | Non
     figure = None
     if space.dimension > 1:
         rows = findings.answered
-        figure = plot_failure_domain(
-            point,
-            space,
-            standardised_latent(findings.classifier.latent(findings.boundary), campaign.features),
-            findings.X[rows],
-            findings.outcome[rows],
-            campaign.simulator.outcomes,
-            names,
-            quantities.plain(findings.beyond),
-        )
+        # The plane's corners lie farther out than the search, where features may not be finite.
+        with suppress(InputError):
+            figure = plot_failure_domain(
+                point,
+                space,
+                standardised_latent(findings.classifier.latent(findings.boundary), campaign.features),
+                findings.X[rows],
+                findings.outcome[rows],
+                campaign.simulator.outcomes,
+                names,
+                quantities.plain(findings.beyond),
+            )
     shares = point.importance if space.factor is None else [math.nan] * space.dimension
     return {
         "beta": significant(point.beta),

@@ -12,7 +12,6 @@ from scipy.stats import binomtest
 
 from activefail.bearing.design import GRAVITY, Model
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
-from activefail.estimate import Estimate, contains
 from activefail.features import PAPER_FEATURES
 from activefail.figures.paper_planes import PLANES, SLICE, plot_plane
 from activefail.figures.reliability import plot_reliability
@@ -24,6 +23,7 @@ from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_wi
 from activefail.paper.methods import LENGTH_SCALE
 from activefail.paper.published import Table2Row
 from activefail.paper.study import METHODS, Study, Variant
+from activefail.sample_mean import Estimate, contains
 from activefail.space import Array
 
 TITLES = {

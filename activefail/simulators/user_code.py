@@ -53,8 +53,8 @@ def load_function(
         raise InputError(f"{key}: {module_name} cannot be imported: {visible(str(error))}.") from error
     except _NeverRunError as error:
         raise InputError(
-            f"{key}: {module_name} is {error}, in the run folder, which may come from someone else. Code in run "
-            f"folders is never executed. Name another folder, or this one if you trust it: --code FOLDER."
+            f"{key}: {module_name} is {error}, in the run folder, which may come from someone else. Code in a "
+            "run folder runs only if you name that folder. If you trust it: --code FOLDER."
         ) from None
     except KeyboardInterrupt:
         raise

@@ -489,9 +489,9 @@ def test_leaving_an_executor_by_an_exception_waits_for_nothing_and_begins_nothin
     ("simulator", "cause", "says"),
     [
         (Leaving(), "worker_died", "its worker process died (exit code 3), twice"),
-        (Killed(), "worker_died", "its worker process died (SIGKILL, out of memory perhaps), twice"),
+        (Killed(), "worker_died", "its worker process died (SIGKILL, possibly out of memory), twice"),
         (Crashing(), "worker_died", "its worker process died (SIGSEGV), twice"),
-        (Forking(), "worker_died", "its worker process died (SIGKILL, out of memory perhaps), twice"),
+        (Forking(), "worker_died", "its worker process died (SIGKILL, possibly out of memory), twice"),
         (Hanging(), "time_limit", "it took longer than 2 s, twice"),
         (Stopped(), "time_limit", "it took longer than 2 s, twice"),
         (Exhausted(), "out_of_memory", "MemoryError"),

@@ -406,7 +406,7 @@ class Unknown(Disc):
 def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(cluster: Cluster) -> None:
     with (
         DaskExecutor(cluster.address) as executor,
-        pytest.raises(SimulationError, match=r"could not answer design .*The workers need the same activefail"),
+        pytest.raises(SimulationError, match=r"could not simulate design .*The workers need the same activefail"),
     ):
         executor.run(Unknown(), np.array([[0.0, 20.0]]))
 

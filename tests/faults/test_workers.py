@@ -114,7 +114,7 @@ def test_a_simulator_that_cannot_be_loaded_for_an_error_that_is_no_exception_say
         ("raises", "raised", "ValueError: no convergence"),
         ("nan", "unusable_answer", "got outcome nan"),
         ("hangs", "time_limit", "it took longer than 2 s, twice"),
-        ("dies", "worker_died", "its worker process died (SIGKILL, out of memory perhaps), twice"),
+        ("dies", "worker_died", "its worker process died (SIGKILL, possibly out of memory), twice"),
         ("memory", "out_of_memory", "MemoryError"),
     ],
 )

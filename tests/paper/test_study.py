@@ -11,7 +11,6 @@ from scipy.special import expit
 from activefail.bearing import TABLE_1, Model, simulate
 from activefail.cli import main
 from activefail.comparison.score import expected_calibration_error
-from activefail.estimate import Estimate
 from activefail.features import paper_features
 from activefail.paper import published
 from activefail.paper import study as paper
@@ -19,6 +18,7 @@ from activefail.paper.claims import BY_CHANCE, CONCLUSIONS, NOT_REPRODUCED, REPR
 from activefail.paper.methods import logistic_regression
 from activefail.paper.study import METHODS, SPLITS, TILTED, VARIANTS, Draw, Logistic, Process, run_study
 from activefail.report.reproduction import render, table_2, write_reproduction
+from activefail.sample_mean import Estimate
 
 DOCS = Path(__file__).parents[2] / "docs"
 STUDY = {"draws": 2, "fresh": 150, "seed": 3}

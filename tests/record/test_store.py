@@ -393,7 +393,7 @@ def test_changed_settings_are_refused_with_a_diff(tmp_path: Path, write: bool) -
 def test_settings_with_other_line_ends_are_other_settings(tmp_path: Path) -> None:
     written(tmp_path / "run", 2)
     (tmp_path / "run" / "campaign.toml").write_bytes(SETTINGS.replace("\n", "\r\n").encode())
-    with pytest.raises(StoreError, match="only line ends"):
+    with pytest.raises(StoreError, match="only line endings"):
         FolderStore.open(tmp_path / "run", SCHEMA, write=True)
 
 
@@ -486,7 +486,7 @@ def test_a_truncated_last_segment_is_quarantined_and_the_earlier_ones_survive(tm
         with FolderStore.open(tmp_path / "run", SCHEMA, write=True) as store:
             assert contents(store) == held[:1]
             assert re.fullmatch(
-                f"segments/{path.name} is cut short .* renamed to {path.name}.quarantine .*", *store.warnings
+                f"segments/{path.name} is truncated .* renamed to {path.name}.quarantine .*", *store.warnings
             )
         aside = path.with_name(path.name + ".quarantine")
         assert aside.read_bytes() == data[:length]
@@ -1269,7 +1269,7 @@ def wrong_schema(file: h5py.File) -> None:
         (nameless_outcome, "`-1 <= outcome < 2` must hold, got"),
         (nameless_cause, "`-5 <= cause < 2` must hold, got"),
         (not_a_number, "`designs` must be finite, got nan for 'radius' in row 1"),
-        (wrong_schema, "does not hold what activefail writes"),
+        (wrong_schema, "has content that activefail never writes"),
     ],
 )
 def test_a_foreign_file_with_a_right_checksum_is_not_read(

@@ -7,7 +7,15 @@ from scipy.special import ndtr
 
 from activefail.features import feature_map
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import Plan, estimated, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import (
+    LARGEST_RATIO,
+    Doubt,
+    Plan,
+    estimated,
+    integrated,
+    plan_estimate,
+    standardised_latent,
+)
 from activefail.space import DesignSpace
 from activefail.surrogate.margin import MarginLatent, fit_margin
 
@@ -93,9 +101,43 @@ def test_a_contradiction_where_the_classifier_was_sure_is_counted() -> None:
         standardised=np.array([1.0, -5.0, -2.0]),
         probability=0.1,
         standard_error=0.0,
-        floor=0.01,
-        floor_missed=0.008,
+        missed=Doubt(0.008, 0.0),
+        false=Doubt(0.002, 0.0),
     )
     estimate = estimated(plan, np.array([True, True, True]), np.ones(3, dtype=bool), 0.9)
     assert (estimate.wrong, estimate.surprising, estimate.beyond) == (2, 1, 3)
+    assert estimate.recall == pytest.approx(0.1 / (0.1 + 2.0 / 3.0))
+    assert estimate.recall_low < estimate.recall
     assert estimate.probability == pytest.approx(0.1 + 2.0 / 3.0)
+
+
+def test_no_design_is_drawn_less_often_than_the_bound_without_a_model_assumes() -> None:
+    for limit, n in ((four_branch, 30), (plane, 15)):
+        plan = planned(trained(limit, n, 1), 2000, 1)
+        assert plan.ratio.max() <= LARGEST_RATIO
+        assert plan.ratio.max() > 0.5 * LARGEST_RATIO
+
+
+def test_the_lower_end_of_the_recall_is_seldom_above_the_true_recall() -> None:
+    latents = [trained(four_branch, 30, seed) for seed in range(3)]
+    drawn = SPACE.from_unit(np.random.default_rng(9).random((2_000_000, 2)))
+    failing = drawn[four_branch(drawn) <= 0.0]
+    true = [float((standardised_latent(latent, FEATURES)(failing) > 0.0).mean()) for latent in latents]
+    too_high = 0
+    for seed in range(30):
+        plan = planned(latents[seed % 3], 50, 200 + seed)
+        estimate = estimated(plan, four_branch(plan.designs) <= 0.0, np.ones(50, dtype=bool), 0.9)
+        assert estimate.recall_low <= estimate.recall
+        too_high += estimate.recall_low > true[seed % 3]
+    assert min(true) < 0.9
+    assert too_high <= 6
+
+
+def test_numerical_failures_lower_the_recalls_bound_and_not_the_recall() -> None:
+    plan = planned(trained(four_branch, 30, 1), 40, 1)
+    full = estimated(plan, plan.predicted, np.ones(40, dtype=bool), 0.9)
+    answered = np.ones(40, dtype=bool)
+    answered[:8] = False
+    partial = estimated(plan, plan.predicted, answered, 0.9)
+    assert partial.recall == full.recall == 1.0
+    assert partial.recall_low < full.recall_low < 1.0
