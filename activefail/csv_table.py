@@ -54,7 +54,9 @@ class DesignTable:
             header = [name.strip() for name in header]
             for name in header:
                 if header.count(name) > 1:
-                    raise InputError(f"{path}: column {name!r}: must occur once, occurs {header.count(name)} times.")
+                    raise InputError(
+                        f"{path}: column {name!r}: must occur only once, occurs {header.count(name)} times."
+                    )
             missing = [name for name in names if name not in header]
             for separator in (";", "\t"):
                 if missing and len(header) == 1 and separator in header[0]:
@@ -65,7 +67,9 @@ class DesignTable:
                 )
             for name in adds:
                 if name in header:
-                    raise InputError(f"{path}: column {name!r}: is an output column and must not be in the table.")
+                    raise InputError(
+                        f"{path}: column {name!r}: would be overwritten by the output; rename or remove it."
+                    )
             columns = [header.index(name) for name in names]
             rows = 0
             for cells in filter(None, lines):  # blank lines are no rows

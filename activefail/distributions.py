@@ -97,7 +97,7 @@ def parameters_fault(
     name = f"{'an' if distribution == 'exponential' else 'a'} {in_words(distribution)} distribution"
     if set(parameters) not in map(set, sets):
         needed = ", or ".join(" and ".join(f"`{one}`" for one in names) for names in sets if names)
-        needs = f"{name} needs {needed}" if needed else f"{name} needs `low` and `high` alone"
+        needs = f"{name} needs {needed}" if needed else f"{name} takes only `low` and `high`"
         shown = " and ".join(f"`{key} = {number:g}`" for key, number in parameters.items()) or "none of them"
         return f"{needs}; got {shown}"
     if distribution in BOUNDED and (low is None or high is None):

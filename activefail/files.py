@@ -295,5 +295,5 @@ def _unsynced(path: Path, error: OSError) -> str:
         )
     return (
         f"Cannot make {path} durable: {error.strerror or error} (fsync). The disk may be failing, so this run writes "
-        f"nothing more. Acknowledged data is intact. Check the disk, then resume."
+        f"nothing more. Batches that were committed before are intact. Check the disk, then resume."
     )

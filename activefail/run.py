@@ -181,7 +181,7 @@ class Run:
             return
         check_whole("budget", budget, 2)
         if budget < (done := len(self.history)):
-            raise InputError(f"budget: must be at least the {done} recorded simulations, got {budget}.")
+            raise InputError(f"budget: must be at least {done}, the number of recorded simulations, got {budget}.")
 
     # ------------------------------------------------------------------------------------------- actions
 

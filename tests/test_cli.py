@@ -407,7 +407,7 @@ def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -
 
 def test_a_budget_below_what_is_done_is_refused(folder: Path) -> None:
     before = record(folder)
-    rule = "budget: must be at least the 30 recorded simulations, got 29"
+    rule = "budget: must be at least 30, the number of recorded simulations, got 29"
     refused(activefail("resume", folder, "--budget", "29"), rule)
     assert activefail("resume", folder, "--budget", "30").code == 0
     assert record(folder) == before
@@ -547,7 +547,7 @@ def test_predictions_do_not_need_what_was_saved_of_the_learning(folder: Path, tm
         (f"{HEADER}\n{ROW},1\n", "row 1 (line 2), must have 9 cells"),
         (f"{HEADER}\n{ROW.replace('0.06', '')}\n", "row 1 (line 2), column mu: must be a number, got ''"),
         (f"{HEADER}\n{ROW.replace('0.06', '0')}\n", "row 1 (line 2), column mu: `mu > 0` must hold, got 0"),
-        (f"{HEADER},p_failure\n{ROW},1\n", "column 'p_failure': is an output column"),
+        (f"{HEADER},p_failure\n{ROW},1\n", "column 'p_failure': would be overwritten by the output"),
         ("", "is empty"),
         (None, "cannot be read: No such file or directory"),
     ],

@@ -121,7 +121,7 @@ def test_two_questions_differ_by_what_they_define_not_by_their_words(tmp_path: P
         ('[space]\nx = { distribution = "lognormal", mean = -1, sd = 1 }\n', "space.x: "),
         ('[space]\nx = { distribution = "normal", mean = 1, sd = 0 }\n', "space.x: "),
         ("", "space: required, but missing"),
-        ("[space]\n", "space: must hold at least 1"),
+        ("[space]\n", "space: must have at least 1 entry"),
         ("[spaces]\n", "spaces: unknown key; did you mean 'space'?"),
         ("[space\n", "not valid TOML"),
         (

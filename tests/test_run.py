@@ -100,7 +100,8 @@ def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, t
 
 
 @pytest.mark.parametrize(
-    ("budget", "rule"), [(1, "budget: must be at least 2, got 1"), (29, "at least the 30 recorded simulations")]
+    ("budget", "rule"),
+    [(1, "budget: must be at least 2, got 1"), (29, "at least 30, the number of recorded simulations")],
 )
 def test_a_budget_that_cannot_be_is_refused(taken: Path, file: Path, budget: int, rule: str) -> None:
     with af.open_run(taken, write=True, code=file.parent) as run, pytest.raises(InputError, match=rule):

@@ -268,7 +268,7 @@ def check_designs(X: Array) -> Array:
     if len(bad):
         row, column = bad[0]
         name = TABLE_1.names[column]
-        raise InputError(f"Row {row}, column {name}: `{name} > 0` must hold and be finite, got {X[row, column]}.")
+        raise InputError(f"Row {row}, column {name}: `{name}` must be positive and finite, got {X[row, column]}.")
     return X
 
 

@@ -71,8 +71,9 @@ def broken_rule(settings: type[BaseModel], error: Any) -> str:
             return f"{path}: must be a table, got {shown(error['input'])}"
         case "too_short" | "too_long" if "actual_length" in error["ctx"]:
             least, most = error["ctx"].get("min_length"), error["ctx"].get("max_length")
-            rule = f"at least {least}" if most is None else f"at most {most}"
-            return f"{path}: must hold {rule}, got {shown(error['input'])}"
+            number = least if most is None else most
+            rule = f"at {'least' if most is None else 'most'} {number} {'entry' if number == 1 else 'entries'}"
+            return f"{path}: must have {rule}, got {shown(error['input'])}"
         case _:
             message = message.replace("Input should be", "must be")
             return f"{path}: {message}, got {shown(error['input'])}"

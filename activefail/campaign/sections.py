@@ -223,7 +223,7 @@ class Sampling(Section):
             raise ValueError(f"`initial <= budget` must hold, got {self.initial} and {self.budget}")
         if self.asynchronous and 2 * self.batch > self.initial:
             raise ValueError(
-                f"`2 batch <= initial` must hold if asynchronous, got batch {self.batch} and initial {self.initial}"
+                f"`initial` must be at least twice `batch` if asynchronous, got {self.initial} and {self.batch}"
             )
         return self
 

@@ -443,4 +443,4 @@ def _ending(code: int) -> str:
 
 
 def _invalid(error: BrokenFrameError) -> str:
-    return f"its answer was not a valid frame: {error}"
+    return f"its reply was malformed: {error}"

@@ -60,7 +60,7 @@ class Task:
                 f"None of the {progress.done} simulations gave an outcome, so there is nothing to learn from. They are "
                 f"recorded; the campaign stops here. The first failed with cause `{first or 'unnamed'}`. Fix the "
                 f"simulator, then `{self.resume_command}{f' --budget {needed}' if self.budget < needed else ''}` "
-                f"continues with other initial designs." + first_fault_text(self.observer.faults)
+                f"continues with a new initial design." + first_fault_text(self.observer.faults)
             )
         done, failures = progress.done - self.ignored_failures, progress.numerical_failures - self.ignored_failures
         _check_numerical_failures(done, failures, self.failure_limit, self.observer.faults, self.resume_command)

@@ -246,7 +246,7 @@ class FolderStore:
         self._batches = [batch for segment in recovery.chain for batch in segment.batches]
         for name in plain_files(folder):
             if not is_segment(name) and not name.startswith(TEMPORARY) and QUARANTINE not in name:
-                self._warn(f"segments/{name} is not a segment's name; the file is ignored.")
+                self._warn(f"segments/{name} is ignored: its name is not that of a segment.")
         if self._lock:
             self._tidy(recovery)
             self._compare_provenance()
@@ -403,15 +403,15 @@ class FolderStore:
     def _publish(self, segment: Segment, data: bytes) -> None:
         """Commit a segment of new designs, protected against a writer that the lock did not stop."""
         path = self.folder / SEGMENTS / segment.name
-        reason = f"another writer was faster. Open {self.folder} again."
+        reason = f"Open {self.folder} again."
         if rival := self._rival(segment):
-            raise StoreError(f"Cannot write {path}: {rival} already holds its designs; {reason}")
+            raise StoreError(f"Cannot write {path}: another process has recorded its designs in {rival}. {reason}")
         publish(path, data, self._check_place)
         # The link protects one name only. Of two overlapping names, the later writer sees the other one here.
         if rival := self._rival(segment):
             with suppress(StoreError):
                 self._warn(set_aside(path, f"was written at the same time as {rival}"))
-            raise StoreError(f"Withdrew {path}: {rival} already holds its designs; {reason}")
+            raise StoreError(f"Set {path} aside: another process recorded its designs in {rival}. {reason}")
 
     def _rival(self, segment: Segment) -> str | None:
         """Another file that contains ids of the segment."""

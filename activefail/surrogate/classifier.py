@@ -174,7 +174,7 @@ def train(
         InputError: if there are no designs.
     """
     if len(X) == 0:
-        raise InputError("None of the simulations gave an answer: there is nothing to learn from.")
+        raise InputError("None of the simulations gave an outcome, so there is nothing to learn from.")
     F = features(X)
 
     def train_boundary(severity: int) -> tuple[Latent | MarginLatent, Choice | None]:

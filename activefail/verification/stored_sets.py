@@ -178,7 +178,7 @@ def simulated_results(
             results = executor.run(campaign.simulator, rows)
             if (results.outcome == NUMERICAL_FAILURE).all():
                 raise SimulationError(
-                    f"None of the {len(rows)} simulations for {name} gave an outcome; they are not kept."
+                    f"None of the {len(rows)} simulations for {name} gave an outcome. Their results were discarded."
                     + first_fault_text(results.faults.values())
                 )
             saved = (rows, results)

@@ -106,7 +106,7 @@ BROKEN = {
     ),
     "a mean of a uniform variable": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, sd = 0.1}",
-        ["space.mu: a uniform distribution needs `low` and `high` alone; got `mean = 0.15` and `sd = 0.1`"],
+        ["space.mu: a uniform distribution takes only `low` and `high`; got `mean = 0.15` and `sd = 0.1`"],
     ),
     "a normal without its spread": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, distribution = 'truncated_normal'}",
@@ -148,7 +148,7 @@ BROKEN = {
     "no function of Python": ('simulator.python = "model.py"', ['simulator.python: must be "module:function"']),
     "one outcome": (
         'simulator = { python = "a:b", outcomes = ["safe"] }',
-        ["simulator.outcomes: must hold at least 2, got ['safe']"],
+        ["simulator.outcomes: must have at least 2 entries, got ['safe']"],
     ),
     "an outcome twice": (
         'simulator = { python = "a:b", outcomes = ["safe", "safe"] }',
@@ -176,7 +176,7 @@ BROKEN = {
     "half a variable": ("space.mu = {low = 0.1}", ["space.mu: a uniform distribution needs `low` and `high`"]),
     "four outcomes": (
         'simulator = { python = "a:b", outcomes = ["a", "b", "c", "d"] }',
-        ["simulator.outcomes: must hold at most 3, got ['a', 'b', 'c', 'd']"],
+        ["simulator.outcomes: must have at most 3 entries, got ['a', 'b', 'c', 'd']"],
     ),
     "no table": ("space.mu = [0.1, 0.2]", ["space.mu: must be a table, got [0.1, 0.2]"]),
     "a section that is none": (
@@ -193,11 +193,11 @@ BROKEN = {
     ),
     "a mean alone": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",
-        ["space.mu: a uniform distribution needs `low` and `high` alone; got `mean = 0.15`"],
+        ["space.mu: a uniform distribution takes only `low` and `high`; got `mean = 0.15`"],
     ),
     "an sd alone": (
         "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
-        ["space.mu: a log-uniform distribution needs `low` and `high` alone; got `sd = 0.1`"],
+        ["space.mu: a log-uniform distribution takes only `low` and `high`; got `sd = 0.1`"],
     ),
     "no variables of a simulator of one's own": (
         'simulator.python = "a:b"',

@@ -123,7 +123,7 @@ def test_another_site_s_page_may_not_ask(server):
         ("predict", {}, 400, "point: must be a list of 9 numbers"),
         ("predict", [1], 400, "must be a JSON object"),
         ("plane", {"point": POINT, "x": "T_p", "y": "../../etc", "shown": "failure"}, 400, "variable: must be one of"),
-        ("plane", {"point": POINT, "x": "T_p", "y": "T_p", "shown": "failure"}, 400, "two variables"),
+        ("plane", {"point": POINT, "x": "T_p", "y": "T_p", "shown": "failure"}, 400, "two different variables"),
         ("delete", {"point": POINT}, 404, "Unknown request"),
     ],
 )
@@ -217,7 +217,7 @@ def test_a_port_that_is_taken_is_named_with_the_reason(answers):
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(InputError, match=rf"127\.0\.0\.1:{port}: cannot be served: Address already in use"):
+        with pytest.raises(InputError, match=rf"127\.0\.0\.1:{port}: cannot be listened on: Address already in use"):
             ExplorerServer("127.0.0.1", port, answers)
 
 

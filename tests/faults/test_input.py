@@ -364,8 +364,8 @@ def test_a_file_of_any_bytes_is_no_table_and_is_refused_by_its_name(
 @pytest.mark.parametrize(
     ("content", "parts"),
     [
-        (f"{HEADER},mu\n".encode(), ["column 'mu': must occur once, occurs 2 times"]),
-        (f"{HEADER},outcome\n".encode(), ["column 'outcome': is an output column and must not be in the table"]),
+        (f"{HEADER},mu\n".encode(), ["column 'mu': must occur only once, occurs 2 times"]),
+        (f"{HEADER},outcome\n".encode(), ["column 'outcome': would be overwritten by the output; rename or remove it"]),
         (HEADER.replace("mu", "Mu").encode(), ["column 'mu': required, but missing"]),
         (HEADER.replace(",", ";").encode(), ["columns must be separated by commas, not by ';'"]),
         (HEADER.encode("utf-16"), ["must be UTF-8 text"]),

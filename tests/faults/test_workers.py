@@ -152,7 +152,7 @@ HARMLESS = ["forks_and_returns", "forks_and_lies", "forks_and_stays", "reads"]
 TALKATIVE = ["answers_twice", "answers_at_all_times"]
 """What costs no simulation, though it is done each time."""
 
-INVALID = "its answer was not a valid frame: "
+INVALID = "its reply was malformed: "
 HARMFUL = {
     "forks_and_forges": f"{INVALID}another process sent it, twice",
     "forks_and_repeats": f"{INVALID}another process sent it, twice",

@@ -147,7 +147,7 @@ def test_a_design_that_is_no_bearing_is_refused_by_row_line_rule_and_value_and_n
 @pytest.mark.parametrize("column", ["outcome", "cause", COLUMNS[0], COLUMNS[-1]])
 def test_a_table_that_has_an_answer_already_is_refused(tmp_path: Path, column: str) -> None:
     (tmp_path / "in.csv").write_text(f"{HEADER},{column}\n{GOOD},x\n")
-    with pytest.raises(InputError, match=f"column '{column}': is an output column"):
+    with pytest.raises(InputError, match=f"column '{column}': would be overwritten by the output"):
         simulate_table(tmp_path / "in.csv", tmp_path / "out.csv", Model(), Tolerance())
 
 
@@ -210,8 +210,8 @@ def test_designs_outside_the_space_are_predicted_and_counted(ran: Run, tmp_path:
         ("x,y\n0,20\n0,nan\n", "row 2 (line 3), column y: must be finite, got 'nan'"),
         ("x,y\n0,20\nright,20\n", "row 2 (line 3), column x: must be a number, got 'right'"),
         ("x\n0\n", "column 'y': required, but missing; the required columns are x,y"),
-        ("x,y,p_broken\n0,20,1\n", "column 'p_broken': is an output column and must not be in the table"),
-        ("x,y,latent_sd\n0,20,1\n", "column 'latent_sd': is an output column and must not be in the table"),
+        ("x,y,p_broken\n0,20,1\n", "column 'p_broken': would be overwritten by the output; rename or remove it"),
+        ("x,y,latent_sd\n0,20,1\n", "column 'latent_sd': would be overwritten by the output; rename or remove it"),
     ],
 )
 def test_a_table_that_cannot_be_predicted_is_refused_and_nothing_is_written(

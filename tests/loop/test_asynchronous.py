@@ -301,7 +301,7 @@ def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatc
 
 
 def test_too_many_in_flight_for_the_initial_design_are_refused() -> None:
-    with pytest.raises(InputError, match=r"`2 batch <= initial` must hold if asynchronous, got batch 7 and initial 12"):
+    with pytest.raises(InputError, match=r"`initial` must be at least twice `batch` if asynchronous, got 12 and 7"):
         plan(batch=7)
 
 

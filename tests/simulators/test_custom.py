@@ -1009,7 +1009,7 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
     assert {row["cause"] for row in record(run)} == {"raised"}
     designs.write_text("drift,T\n1.0,2.0\n")
     predict = ("predict", run, "--csv", designs, "--out", tmp_path / "out.csv")
-    refused(activefail(*predict), "None of the simulations gave an answer: there is nothing to learn from.")
+    refused(activefail(*predict), "None of the simulations gave an outcome, so there is nothing to learn from.")
     refused(activefail("verify", run, "--code", mine), "has not finished its initial design")
     # What LAPACK prints goes past Python's streams.
     assert capfd.readouterr() == ("", "")
