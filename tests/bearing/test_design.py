@@ -65,7 +65,7 @@ def test_a_bad_entry_is_named_by_row_column_rule_and_value(column, value):
         simulate(X)
     message = str(caught.value)
     assert f"Row 3, column {name}" in message
-    assert f"`{name} > 0`" in message
+    assert f"`{name}` must be positive and finite" in message
     assert str(value) in message
 
 
