@@ -40,7 +40,7 @@ class FailureFindings:
         probability: (k,) the classifier's probability of the target boundary's outcome or a more severe one.
         low, high: (k,) 95 % interval under the classifier; NaN where the boundary was learned from outcomes.
         seen: (k,) simulations beyond the boundary.
-        point: the most probable design beyond the boundary; None if there is none.
+        point: the point of the boundary nearest to the medians; None if all designs are on one side.
         estimate: from fresh simulations at the last iteration; None if there are none.
         bound: upper bound from the initial design alone, without a model, one-sided at 90 %.
         is_known: whether the campaign met its stop rule for a probability.

@@ -44,7 +44,7 @@ class Status:
 
     @cached_property
     def _state(self) -> dict[str, Any]:
-        """The saved state of the last iteration; empty if there is none, or if it is not this record's."""
+        """The saved state of the last iteration; empty without a valid state of this record."""
         summary = self.summary
         try:
             path = state_file(self.folder, summary.iteration)
