@@ -189,7 +189,7 @@ def _check_bearing(features: str, space: DesignSpace) -> None:
         if name not in (*space.names, *space.fixed):
             raise InputError(
                 f"classifier.features: {features!r} needs the variables of a bearing, but space lacks the variable "
-                f"{name!r}; it has {', '.join((*space.names, *space.fixed))}."
+                f"{name!r}; its variables are {', '.join((*space.names, *space.fixed))}."
             )
 
 

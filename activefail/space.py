@@ -168,7 +168,7 @@ class DesignSpace:
         known: dict[str, Any] = {**dict(zip(self.names, columns, strict=True)), **self.fixed}
         for name in names:
             if name not in known:
-                raise InputError(f"space: lacks the variable {name!r}; it has {', '.join(known)}.")
+                raise InputError(f"space: lacks the variable {name!r}; its variables are {', '.join(known)}.")
         return [known[name] for name in names]
 
     def table(self, X: Array, names: Sequence[str]) -> Array:

@@ -149,7 +149,7 @@ def test_quantities_are_picked_in_the_order_asked_for_with_those_that_are_fixed(
 
 
 def test_picking_a_variable_that_is_missing_names_it_and_those_that_there_are() -> None:
-    with pytest.raises(InputError, match=r"lacks the variable 'A_p'; it has x, k, mu"):
+    with pytest.raises(InputError, match=r"lacks the variable 'A_p'; its variables are x, k, mu"):
         SPACE.table(np.zeros((1, 3)), ["x", "A_p"])
 
 

@@ -263,8 +263,8 @@ class FolderStore:
         code = {name: changed.pop(name) for name in list(changed) if "." in name}
         for name, now in code.items():
             self._warn(
-                f"Your code has changed since the last batch, {_setting(self.settings, name)} ({name}) or a module "
-                f"that it imports: {_short(before[name])} -> {_short(now)}. New simulations use the current code."
+                f"Your code has changed since the last batch: {_setting(self.settings, name)} ({name}) or a module "
+                f"that it imports, {_short(before[name])} -> {_short(now)}. New simulations use the current code."
             )
         if changed:
             self._warn(

@@ -41,7 +41,8 @@ class DfpSimulator:
         for name in (*space.names, *space.fixed):
             if name not in TABLE_1.names:
                 raise InputError(
-                    f"space.{name}: the dfp simulator has no such variable; it has {', '.join(TABLE_1.names)}."
+                    f"space.{name}: the dfp simulator has no such variable; its variables are "
+                    f"{', '.join(TABLE_1.names)}."
                 )
         for parameter in space.parameters:
             unit = TABLE_1.parameters[TABLE_1.names.index(parameter.name)].unit

@@ -91,7 +91,7 @@ def _loaded(
     function, digest = load_function(reference, code, SIMULATOR_KEY, folder)
     if source and digest != source:
         raise InputError(
-            f"{SIMULATOR_KEY}: the module of {reference}, or one that it imports from its folder, differs from the one "
-            f"where the campaign was started."
+            f"{SIMULATOR_KEY}: a worker process found other code than the campaign started with, in the module of "
+            f"{reference} or in one that it imports. Restore the files there, or stop and resume the campaign."
         )
     return function

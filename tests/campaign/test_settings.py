@@ -587,7 +587,7 @@ def test_the_command_lines_seed_and_budget_obey_the_rules(overrides: dict[str, i
             "acquisition.boundary = {failure = 1, collapse = 1}",
             "acquisition.boundary: must be one of impact, failure, got 'collapse'",
         ),
-        ("space.mu = {low = 0.1, high = 0.2}", "space: lacks the variable 'T_b'; it has mu"),
+        ("space.mu = {low = 0.1, high = 0.2}", "space: lacks the variable 'T_b'; its variables are mu"),
         *(
             (
                 f"simulator.command = 'a {{out}}'\nspace.{name} = {{low = 0.1, high = 0.2}}",
@@ -618,7 +618,9 @@ def test_settings_of_the_bearing_beside_a_simulator_of_ones_own_are_refused_unle
 
 def test_the_bearing_model_refuses_a_variable_that_it_has_not_and_one_that_reaches_zero() -> None:
     table = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
-    with pytest.raises(InputError, match=r"space\.wind: the dfp simulator has no such variable; it has T_b, mu"):
+    with pytest.raises(
+        InputError, match=r"space\.wind: the dfp simulator has no such variable; its variables are T_b, mu"
+    ):
         Campaign.of(parse_settings(tomli_w.dumps({"space": table | {"wind": {"low": 0, "high": 1}}}), "mine.toml"))
     table["mu"] = {"low": 0.0, "high": 0.12}
     with pytest.raises(InputError, match=r"space\.mu\.low: must be positive for the dfp simulator, got 0\.0"):
