@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from activefail.campaign import sections
 from activefail.campaign.provenance import BEARING_SOURCES
 from activefail.campaign.settings import CampaignSettings
@@ -16,7 +18,7 @@ from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import Simulator
 from activefail.simulators.user_code import FEATURES_KEY, SIMULATOR_KEY, load_function
-from activefail.space import DesignSpace
+from activefail.space import Array, DesignSpace
 
 _COLUMNS = ("id", "iteration", "origin", "outcome", "cause", "seconds")
 """Columns of an exported table besides variables and margins."""
@@ -111,6 +113,20 @@ class Campaign:
         return Schema(self.space.names, self.simulator.outcomes, self.simulator.causes, self.simulator.margins)
 
     @property
+    def margin_levels(self) -> Array:
+        """The value of each margin at or below which a design is beyond each boundary, (boundaries, margins)."""
+        boundaries, names = len(self.simulator.outcomes) - 1, self.simulator.margins
+        custom = self.settings.simulator
+        levels = {} if isinstance(custom, str) else custom.levels
+        return np.array([levels.get(name, [0.0] * boundaries) for name in names]).reshape(len(names), boundaries).T
+
+    @property
+    def truncated_margins(self) -> tuple[int, ...]:
+        """The margins whose simulations are known to end at the most severe outcome."""
+        custom = self.settings.simulator
+        return () if isinstance(custom, str) else tuple(map(self.simulator.margins.index, custom.truncated))
+
+    @property
     def severity(self) -> int:
         """The least severe outcome beyond the (main) target boundary."""
         return self.simulator.outcomes.index(self.settings.acquisition.main_boundary)
@@ -123,7 +139,14 @@ def _simulator(
     match settings.simulator:
         case sections.PythonSimulatorSettings() as spec:
             function = PythonSimulator(
-                space, spec.python, code, tuple(spec.outcomes), tuple(spec.margins), folder=run, renew=spec.renew
+                space,
+                spec.python,
+                code,
+                tuple(spec.outcomes),
+                tuple(spec.margins),
+                folder=run,
+                renew=spec.renew,
+                levels=spec.levels_of_number,
             )
             if code is None:
                 return function, {}
@@ -140,6 +163,7 @@ def _simulator(
                 spec.retries,
                 spec.keep,
                 spec.largest_file,
+                spec.levels_of_number,
             )
             return command, {}
         case _:

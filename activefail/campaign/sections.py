@@ -1,5 +1,6 @@
 """Sections of a campaign's settings, each with its rules."""
 
+import itertools
 import sys
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
@@ -10,6 +11,7 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -152,11 +154,15 @@ class CustomSimulatorSettings(Section):
     Attributes:
         outcomes: two or three names, the least severe first.
         margins: names of the numbers that it returns besides the outcome.
+        levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
+        truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
         time_limit: of one simulation [s]; no limit if None.
     """
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
     margins: list[str] = Field([], max_length=100)
+    levels: dict[str, list[float]] = Field(default_factory=dict)
+    truncated: list[str] = Field(default_factory=list)
     time_limit: float | None = Field(None, gt=0.0, le=1e9)
 
     @field_validator("outcomes", "margins")
@@ -170,6 +176,41 @@ class CustomSimulatorSettings(Section):
         if "numerical_failure" in names:
             raise ValueError("'numerical_failure' is reserved for simulations without an outcome")
         return names
+
+    @field_validator("levels")
+    @classmethod
+    def _descend(cls, levels: dict[str, list[float]], info: ValidationInfo) -> dict[str, list[float]]:
+        outcomes = info.data.get("outcomes", [])[1:]
+        for name, values in levels.items():
+            _check_margin(name, info)
+            if outcomes and len(values) != len(outcomes):
+                raise ValueError(f"{name}: must have a level for each of {', '.join(outcomes)}, got {values}")
+            if not all(abs(value) <= LARGEST for value in values):  # false for NaN too
+                raise ValueError(f"{name}: must be numbers of at most {LARGEST:g} in size, got {values}")
+            if any(later >= earlier for earlier, later in itertools.pairwise(values)):
+                raise ValueError(f"{name}: must decrease from outcome to outcome, got {values}")
+        return levels
+
+    @field_validator("truncated")
+    @classmethod
+    def _are_margins(cls, names: list[str], info: ValidationInfo) -> list[str]:
+        for name in names:
+            _check_margin(name, info)
+        return names
+
+    @property
+    def levels_of_number(self) -> tuple[float, ...]:
+        """The levels of the one margin, if a number can be the whole answer; empty otherwise."""
+        if len(self.margins) != 1:
+            return ()
+        default = [0.0] if len(self.outcomes) == 2 else []
+        return tuple(self.levels.get(self.margins[0], default))
+
+
+def _check_margin(name: str, info: ValidationInfo) -> None:
+    margins = info.data.get("margins")
+    if margins is not None and name not in margins:
+        raise ValueError(f"must name one of simulator.margins ({', '.join(margins) or 'none'}), got {name!r}")
 
 
 class PythonSimulatorSettings(CustomSimulatorSettings):

@@ -45,9 +45,10 @@ def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     names, learns = campaign.simulator.margins, campaign.settings.classifier.learns
     if learns == "outcomes" or not names:
         return None
-    if learns == "auto":
-        return LearnableMargins(known.margins, tuple(range(len(names))))
-    return LearnableMargins(known.margins, (names.index(learns),), required=True)
+    columns = tuple(range(len(names))) if learns == "auto" else (names.index(learns),)
+    return LearnableMargins(
+        known.margins, campaign.margin_levels, columns, learns != "auto", frozenset(campaign.truncated_margins)
+    )
 
 
 Saved = tuple[int, dict[str, NDArray[Any]], Classifier]

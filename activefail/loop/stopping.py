@@ -114,7 +114,8 @@ def contradictions(campaign: Campaign, classifier: Classifier, batch: History) -
     beyond = batch.outcome >= severity
     wrong = (moments.mean > 0.0) != beyond
     if isinstance(latent, MarginLatent):
-        margin = batch.margins[:, classifier.choices[severity - 1].margin]
+        column = classifier.choices[severity - 1].margin
+        margin = batch.margins[:, column] - campaign.margin_levels[severity - 1, column]
         exact = np.isfinite(margin) & ~(latent.trained.truncated & (margin <= 0.0))
         warped = latent.trained.warped(np.where(exact, margin, 0.0))
         wrong |= exact & (np.abs(-warped - moments.mean) > _FARTHEST * moments.sd)

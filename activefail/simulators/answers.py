@@ -13,16 +13,29 @@ def designs_by_name(space: DesignSpace, X: Array) -> list[dict[str, float]]:
     return [{**dict(zip(space.names, row, strict=True)), **space.fixed} for row in np.asarray(X).tolist()]
 
 
-def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, ...], seconds: float) -> Results:
+def read_answer(
+    answer: object,
+    outcomes: tuple[str, ...],
+    margins: tuple[str, ...],
+    levels: tuple[float, ...],
+    seconds: float,
+) -> Results:
     """The result of one design, from what a custom simulator returned.
+
+    Args:
+        answer: the outcome, a table with "outcome" and "margins", or the only margin as a number.
+        outcomes, margins: names that it may contain.
+        levels: values of the only margin at or below which each outcome but the first occurs; empty if a number is no
+            answer.
+        seconds: wall time.
 
     Raises:
         UnusableAnswerError: if the answer breaks a rule.
     """
     if isinstance(answer, str):
         answer = {"outcome": answer}
-    elif len(outcomes) == 2 and len(margins) == 1 and not isinstance(answer, Mapping):
-        answer = _of_limit_state(answer, outcomes, margins[0])
+    elif levels and not isinstance(answer, Mapping):
+        answer = _of_limit_state(answer, outcomes, margins[0], levels)
     if not isinstance(answer, Mapping):
         raise UnusableAnswerError(f"the answer must be an outcome or a table with one, got {answer!r}")
     unknown = set(answer) - {"outcome", "margins"}
@@ -53,8 +66,8 @@ def read_answer(answer: object, outcomes: tuple[str, ...], margins: tuple[str, .
     )
 
 
-def _of_limit_state(answer: object, outcomes: tuple[str, ...], margin: str) -> object:
-    """The outcome and the margin of an answer that is the margin alone, at most 0 at failure; otherwise the answer.
+def _of_limit_state(answer: object, outcomes: tuple[str, ...], margin: str, levels: tuple[float, ...]) -> object:
+    """The outcome and the margin of an answer that is the margin alone; otherwise the answer.
 
     Raises:
         UnusableAnswerError: if it is NaN.
@@ -64,7 +77,7 @@ def _of_limit_state(answer: object, outcomes: tuple[str, ...], margin: str) -> o
     value = _number(margin, answer)
     if np.isnan(value):
         raise UnusableAnswerError(f"the margin {margin} is NaN; without an outcome it must be a number")
-    return {"outcome": outcomes[1] if value <= 0.0 else outcomes[0], "margins": {margin: value}}
+    return {"outcome": outcomes[sum(value <= level for level in levels)], "margins": {margin: value}}
 
 
 def _number(name: str, value: object) -> float:

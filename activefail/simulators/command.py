@@ -54,6 +54,7 @@ class CommandSimulator:
         retries: how often the program is run again if its exit code is not 0 or its answer is unusable.
         keep: whether to keep the folders of successful simulations.
         largest_file: largest file that the program may write [bytes]; a program that exceeds it is killed.
+        levels: of the only margin (see `read_answer`).
     """
 
     space: DesignSpace
@@ -65,6 +66,7 @@ class CommandSimulator:
     retries: int = 0
     keep: bool = True
     largest_file: int = 10_000_000_000
+    levels: tuple[float, ...] = ()
 
     causes = ("",)
     releases_gil = False
@@ -165,7 +167,7 @@ class CommandSimulator:
             answer = json.loads(written)
         except (ValueError, RecursionError) as error:
             raise UnusableAnswerError(f"{out} is not JSON: {error}") from None
-        return read_answer(answer, self.outcomes, self.margins, seconds)
+        return read_answer(answer, self.outcomes, self.margins, self.levels, seconds)
 
 
 @contextmanager

@@ -19,8 +19,8 @@ class PythonSimulator:
     """A function that simulates one design, in a worker process.
 
     It takes a dictionary with the values of the variables and the fixed quantities. It returns the name of the outcome,
-    or a dictionary with "outcome" and, optionally, "margins", a dictionary of numbers. If it raises, only that
-    simulation fails.
+    or a dictionary with "outcome" and, optionally, "margins", a dictionary of numbers; or the only margin, if that has
+    levels. If it raises, only that simulation fails.
 
     Attributes:
         space: design space.
@@ -30,6 +30,7 @@ class PythonSimulator:
         source: digest required of its module, on any machine; "" accepts any (see `load_function`).
         folder: the run folder, from which no code is run.
         renew: most simulations per process; None means no limit.
+        levels: of the only margin (see `read_answer`).
     """
 
     space: DesignSpace
@@ -40,6 +41,7 @@ class PythonSimulator:
     source: str = ""
     folder: Path | None = None
     renew: int | None = None
+    levels: tuple[float, ...] = ()
 
     causes = ("",)
     releases_gil = False
@@ -79,7 +81,7 @@ class PythonSimulator:
             except ActivefailError as error:
                 # The user's code raised it: only this simulation fails, not the campaign.
                 raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
-            answers.append(read_answer(answer, self.outcomes, self.margins, time.perf_counter() - began))
+            answers.append(read_answer(answer, self.outcomes, self.margins, self.levels, time.perf_counter() - began))
         return Results.concatenate(answers)
 
 

@@ -1,7 +1,7 @@
 """Conversion of a trained classifier to named arrays and back."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -134,17 +134,18 @@ def classifier_from_state(
     choices = []
     for severity, name in enumerate(outcomes[1:], start=1):
         beyond = outcome >= severity
-        choice = None if margins is None else _choice(state[f"{name}/choice"], margins, beyond)
-        if choice is not None:
+        if margins is not None:
+            values = margins.of(severity)
+            choice = _choice(state[f"{name}/choice"], values, margins.columns, beyond)
             choices.append(choice)
-        if margins is not None and choice is not None and choice.margin != OUTCOMES:
-            latents.append(_checked(_margin_latent(state, name, F, margins.values[:, choice.margin])))
-        else:
-            latents.append(_checked(_latent(state, name, F, beyond, kernel)))
+            if choice.margin != OUTCOMES:
+                latents.append(_checked(_margin_latent(state, name, F, values[:, choice.margin])))
+                continue
+        latents.append(_checked(_latent(state, name, F, beyond, kernel)))
     return Classifier(tuple(outcomes), features, tuple(latents), tuple(choices))
 
 
-def _choice(array: NDArray[Any], margins: LearnableMargins, beyond: NDArray[np.bool_]) -> Choice:
+def _choice(array: NDArray[Any], margins: Array, columns: Collection[int], beyond: NDArray[np.bool_]) -> Choice:
     """The choice in a state.
 
     Raises:
@@ -153,10 +154,10 @@ def _choice(array: NDArray[Any], margins: LearnableMargins, beyond: NDArray[np.b
     if array.dtype != np.float64 or array.shape != (len(Choice._fields),):
         raise DamagedError("holds a choice of margin of another type or shape")
     margin, simulations, margin_score, outcome_score, one_sided = array.tolist()
-    if margin not in (OUTCOMES, *margins.columns) or not 1 <= simulations <= len(beyond) or one_sided not in (0.0, 1.0):
+    if margin not in (OUTCOMES, *columns) or not 1 <= simulations <= len(beyond) or one_sided not in (0.0, 1.0):
         raise DamagedError("holds a choice of a margin that the campaign does not have")
     choice = Choice(int(margin), int(simulations), margin_score, outcome_score, bool(one_sided))
-    if choice.margin != OUTCOMES and usable(margins.values[:, choice.margin], beyond):
+    if choice.margin != OUTCOMES and usable(margins[:, choice.margin], beyond):
         raise DamagedError("holds a choice of a margin that contradicts the outcomes")
     return choice
 
@@ -190,7 +191,7 @@ def _latent(
 
 
 def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margin: Array) -> MarginLatent:
-    values, must_be_truncated = defined(margin)
+    values, has_undefined = defined(margin)
     number, reals = ("<f8", ()), "<f8"
     for key in ("truncated", "warping", "learned_on"):
         array = state[f"{name}/{key}"]
@@ -208,7 +209,7 @@ def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margi
     }
     _check_arrays(state, name, expected)
     possible = truncated in (0, 1) and 0 <= warping < len(WARPINGS) and 1 <= learned_on <= len(F)
-    if not possible or (must_be_truncated and not truncated) or not state[f"{name}/unit"] > 0.0:
+    if not possible or (has_undefined and not truncated) or not state[f"{name}/unit"] > 0.0:
         raise DamagedError("holds a regression of a margin that training cannot produce")
     return MarginLatent(
         MarginFit(

@@ -158,6 +158,26 @@ BROKEN = {
         'simulator = { python = "a:b", margins = ["peak drift"] }',
         ["simulator.margins: must be identifiers, got 'peak drift'"],
     ),
+    "a level of no margin": (
+        'simulator = { python = "a:b", margins = ["g"], levels = { h = [0.1] } }',
+        ["simulator.levels: must name one of simulator.margins (g), got 'h'"],
+    ),
+    "too many levels": (
+        'simulator = { python = "a:b", margins = ["g"], levels = { g = [0.1, 0.0] } }',
+        ["simulator.levels: g: must have a level for each of failure, got [0.1, 0.0]"],
+    ),
+    "levels that do not decrease": (
+        'simulator = { python = "a:b", outcomes = ["a", "b", "c"], margins = ["g"], levels = { g = [0.1, 0.1] } }',
+        ["simulator.levels: g: must decrease from outcome to outcome, got [0.1, 0.1]"],
+    ),
+    "a level that is no number": (
+        'simulator = { python = "a:b", margins = ["g"], levels = { g = [nan] } }',
+        ["simulator.levels.g.0: must be a finite number, got nan"],
+    ),
+    "a truncated margin that is none": (
+        'simulator = { python = "a:b", truncated = ["g"] }',
+        ["simulator.truncated: must name one of simulator.margins (none), got 'g'"],
+    ),
     "no time at all": (
         'simulator = { command = "a {out}", time_limit = 0.0 }',
         ["simulator.time_limit: must be greater than 0", "0.0"],

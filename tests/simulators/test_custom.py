@@ -24,6 +24,7 @@ from commandline import activefail, record, refused, started, table, wait_for
 from patience import PATIENCE, Clock
 
 from activefail.campaign.opening import create_folder, read_campaign
+from activefail.campaign.sections import PythonSimulatorSettings
 from activefail.errors import InputError, place_of
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
@@ -1180,19 +1181,38 @@ def test_a_simulation_that_prints_to_a_reader_that_has_gone_is_not_recorded_as_f
 
 @pytest.mark.parametrize(("value", "outcome"), [(0.5, 0), (0, 1), (-0.0, 1), (np.float64(-2.0), 1)])
 def test_a_limit_state_returns_its_margin_alone(value: float, outcome: int) -> None:
-    results = read_answer(value, ("safe", "failure"), ("g",), 0.0)
+    results = read_answer(value, ("safe", "failure"), ("g",), (0.0,), 0.0)
     assert (results.outcome.tolist(), results.margins.tolist()) == ([outcome], [[float(value)]])
 
 
 def test_a_margin_alone_must_tell_the_side_and_be_the_only_one() -> None:
     with pytest.raises(UnusableAnswerError, match="the margin g is NaN; without an outcome it must be a number"):
-        read_answer(float("nan"), ("safe", "failure"), ("g",), 0.0)
-    for outcomes, margins in (
-        (("safe", "failure"), ()),
-        (("safe", "hit", "failure"), ("g",)),
-        (("a", "b"), ("g", "h")),
-    ):
-        with pytest.raises(UnusableAnswerError, match="must be an outcome or a table with one"):
-            read_answer(0.5, outcomes, margins, 0.0)
+        read_answer(float("nan"), ("safe", "failure"), ("g",), (0.0,), 0.0)
+    with pytest.raises(UnusableAnswerError, match="must be an outcome or a table with one"):
+        read_answer(0.5, ("safe", "failure"), (), (), 0.0)
     with pytest.raises(UnusableAnswerError, match="must be an outcome or a table with one, got True"):
-        read_answer(True, ("safe", "failure"), ("g",), 0.0)
+        read_answer(True, ("safe", "failure"), ("g",), (0.0,), 0.0)
+
+
+@pytest.mark.parametrize(("value", "outcome"), [(0.5, 0), (0.2, 1), (0.1, 1), (-1.0, 2), (-2.0, 2)])
+def test_a_margin_with_levels_gives_each_of_three_outcomes(value: float, outcome: int) -> None:
+    results = read_answer(value, ("safe", "damage", "collapse"), ("g",), (0.2, -1.0), 0.0)
+    assert (results.outcome.tolist(), results.margins.tolist()) == ([outcome], [[value]])
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "margins", "levels", "expected"),
+    [
+        (["safe", "failure"], ["g"], {}, (0.0,)),
+        (["safe", "failure"], ["g"], {"g": [0.3]}, (0.3,)),
+        (["safe", "damage", "collapse"], ["g"], {}, ()),
+        (["safe", "damage", "collapse"], ["g"], {"g": [0.3, 0.1]}, (0.3, 0.1)),
+        (["safe", "failure"], [], {}, ()),
+        (["safe", "failure"], ["g", "h"], {"g": [0.3]}, ()),
+    ],
+)
+def test_a_number_is_an_answer_if_it_is_the_only_margin_and_each_outcome_has_a_level(
+    outcomes: list[str], margins: list[str], levels: dict[str, list[float]], expected: tuple[float, ...]
+) -> None:
+    settings = PythonSimulatorSettings(python="model:run", outcomes=outcomes, margins=margins, levels=levels)
+    assert settings.levels_of_number == expected

@@ -1,0 +1,90 @@
+"""One margin for several boundaries, and margins that the campaign file says to end at failure."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, record
+from scipy.special import ndtr
+
+from activefail.run import open_run
+
+SPACE = """
+[space]
+x = { distribution = "normal", mean = 0, sd = 1 }
+y = { distribution = "normal", mean = 0, sd = 1 }
+"""
+
+LIMITS = """
+def drift(design):
+    return 4.0 - design["x"] + 0.1 * design["y"]
+
+def scattered(design):
+    g = 2.5 - design["x"] + 0.1 * design["y"]
+    # What is left where the simulation ends depends on chance.
+    return g if g > 0 else -2.0 * (1000.0 * design["y"] % 1.0)
+"""
+
+LEVELS = (2.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def levelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("levels")
+    (folder / "limit.py").write_text(LIMITS)
+    (folder / "made.toml").write_text(
+        'simulator = { python = "limit:drift", outcomes = ["safe", "damage", "collapse"], margins = ["g"], '
+        f"levels = {{ g = {list(LEVELS)} }} }}\n"
+        'stop = { probability = "collapse" }\nsampling = { budget = 60 }\n'
+        "acquisition = { boundary = { damage = 1, collapse = 1 } }\n" + SPACE
+    )
+    result = activefail("run", folder / "made.toml", "--out", folder / "run")
+    assert result.code == 0, result.err
+    assert "damage from the margin g" in result.out
+    assert "collapse from the margin g" in result.out
+    return folder
+
+
+def test_each_outcome_is_that_of_its_level(levelled: Path) -> None:
+    for row in record(levelled / "run"):
+        expected = ["safe", "damage", "collapse"][sum(float(row["g"]) <= level for level in LEVELS)]
+        assert row["outcome"] == expected
+
+
+@pytest.mark.parametrize(("outcome", "level"), list(zip(("damage", "collapse"), LEVELS, strict=True)))
+def test_each_boundary_is_learned_from_the_one_margin(levelled: Path, outcome: str, level: float) -> None:
+    true = float(ndtr(-(4.0 - level) / 1.01**0.5))
+    result = activefail(
+        "probability", levelled / "run", "--code", levelled, "--outcome", outcome, "--simulations", "20", "--json"
+    )
+    assert result.code == 0, result.err
+    estimate = json.loads(result.out)["outcomes"][outcome]
+    assert estimate["learned_from"] == "g"
+    assert estimate["low"] <= true <= estimate["high"]
+    assert estimate["probability"] == pytest.approx(true, rel=0.1)
+
+
+def test_a_saved_classifier_of_levels_is_restored(levelled: Path) -> None:
+    with open_run(levelled / "run", code=levelled) as run:
+        restored = [latent.trained.margin for latent in run.classifier.latents]
+        margin = run.history.training.margins[:, 0]
+    for values, level in zip(restored, LEVELS, strict=True):
+        assert np.array_equal(values, margin - level)
+
+
+@pytest.mark.parametrize("declared", [False, True])
+def test_margins_that_end_at_failure_are_censored_if_the_campaign_says_so(tmp_path: Path, declared: bool) -> None:
+    (tmp_path / "limit.py").write_text(LIMITS)
+    (tmp_path / "made.toml").write_text(
+        'simulator = { python = "limit:scattered", margins = ["g"]'
+        + (', truncated = ["g"] }\n' if declared else " }\n")
+        + 'classifier = { learns = "g" }\nsampling = { initial = 40, budget = 40 }\n'
+        + SPACE.replace("mean = 0", "mean = 1", 1)
+    )
+    assert activefail("run", tmp_path / "made.toml", "--out", tmp_path / "run").code == 0
+    with open_run(tmp_path / "run", code=tmp_path) as run:
+        (latent,) = run.classifier.latents
+        failed = run.history.training.outcome == 1
+        assert np.ptp(latent.trained.margin[failed]) > 0.1
+        assert latent.trained.truncated == declared
