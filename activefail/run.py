@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Self, SupportsIndex
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder, opened, read_campaign
@@ -347,14 +347,15 @@ class Run:
             simulations: number of fresh simulations, outside the budget.
             confidence: of the interval.
             outcome: its name; that of the (main) target boundary if None.
-            question: file with other distributions of the variables (docs/probability.md).
+            question: file with other distributions of the variables (docs/probability.md); the campaign's question if
+                None.
             executor: as for `take`.
 
         Raises:
             InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary, or
                 the question's file is invalid.
         """
-        from activefail.campaign.question import Question, read_question
+        from activefail.campaign.question import read_question
         from activefail.findings.probability import ProbabilityFindings
         from activefail.verification.probability import estimate_probability
 
@@ -365,7 +366,7 @@ class Run:
             raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
         if outcome not in boundaries:
             raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
-        asked = Question.of_space(self.space)
+        asked = self.campaign.question
         if question is not None:
             asked = read_question(question, self.settings, self.space)
         self._check_initial_design("estimate")
@@ -384,9 +385,16 @@ class Run:
             )
         findings = ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate, asked)
         if self._write and question is None:
-            numbers = {"record": self.store.digest, "outcomes": {outcome: findings.as_json()}}
-            self.store.write_text(ESTIMATE, json.dumps(numbers, indent=2))
+            self._save_estimate(outcome, findings.as_json())
         return findings
+
+    def _save_estimate(self, outcome: str, numbers: dict[str, Any]) -> None:
+        """Save an estimate beside those of other outcomes from the same record."""
+        from activefail.findings.status import read_estimates
+
+        outcomes = read_estimates(self.folder, self.store.digest) | {outcome: numbers}
+        saved = {"record": self.store.digest, "outcomes": outcomes}
+        self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
 
     def _check_initial_design(self, verb: str) -> None:
         from activefail.loop.proposing import initial_sets

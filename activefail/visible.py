@@ -7,6 +7,7 @@ breaks that forge a message of the program.
 import os
 import shlex
 import unicodedata
+from collections.abc import Sequence
 
 
 def visible(text: str, keep: str = "") -> str:
@@ -31,6 +32,11 @@ def visible(text: str, keep: str = "") -> str:
 def words(name: str) -> str:
     """An outcome's or cause's name as words."""
     return name.replace("_", " ")
+
+
+def or_worse(outcome: str, outcomes: Sequence[str]) -> str:
+    """An outcome and the more severe ones in words."""
+    return words(outcome) if outcome == outcomes[-1] else f"{words(outcome)} or worse"
 
 
 def _escape(character: str) -> str:

@@ -79,6 +79,77 @@ def test_the_probability_is_that_of_the_question(ended: Path, tmp_path: Path) ->
     assert len([path for path in (ended / "run" / "sets").iterdir() if path.name.startswith("question-")]) == 1
 
 
+ASKING = """
+[simulator]
+python = "limit:plane"
+outcomes = ["safe", "damage", "failure"]
+margins = ["g"]
+levels = { g = [1, 0] }
+[sampling]
+initial = 20
+budget = 24
+[space]
+x = { distribution = "normal", mean = 0, sd = 1, unit = "m" }
+y = { distribution = "normal", mean = 0, sd = 1 }
+z = { low = -1, high = 1 }
+[question]
+description = "a <worse> site"
+[question.space]
+x = { distribution = "normal", mean = 1, sd = 1.2 }
+z = { value = 0.0 }
+"""
+
+
+def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_path: Path) -> None:
+    (tmp_path / "limit.py").write_text(LIMIT)
+    (tmp_path / "made.toml").write_text(ASKING)
+    run, true = tmp_path / "run", {"failure": ndtr(-2.0 / 1.45**0.5), "damage or worse": ndtr(-1.0 / 1.45**0.5)}
+    assert activefail("run", tmp_path / "made.toml", "--out", run).code == 0
+    for beyond, probability in true.items():
+        outcome = beyond.split()[0]
+        command = ("probability", run, "--code", tmp_path, "--outcome", outcome, "--simulations", "40")
+        result = activefail(*command)
+        assert result.code == 0, result.err
+        assert f"probability of {beyond} under a <worse> site: 0." in result.out
+        numbers = json.loads(activefail(*command, "--json").out)["outcomes"][outcome]
+        assert numbers["low"] <= probability <= numbers["high"]
+        assert numbers["question"] == "a <worse> site"
+    # The same question in a file of its own is the same set of simulations.
+    stored = sorted(path.name for path in (run / "sets").iterdir())
+    file = asked(tmp_path, ASKING.partition("[question]")[2].replace("[question.space]", "[space]"))
+    assert activefail("probability", run, "--code", tmp_path, "--question", file, "--simulations", "40").code == 0
+    assert sorted(path.name for path in (run / "sets").iterdir()) == stored
+    shown = activefail("status", run).out
+    for beyond in true:
+        assert f"probability of {beyond} under a <worse> site 0." in shown
+    assert activefail("report", run, "--code", tmp_path).code == 0
+    page = (run / "report.html").read_text()
+    assert "<h3>Under the question: a &lt;worse&gt; site</h3>" in page
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[question.space]\nq = { low = 0, high = 1 }\n", "question.space.q: is not a variable of the campaign"),
+        ("[question.space]\nw = { value = 1 }\n", "question.space.w: has the fixed value 2 in the campaign"),
+        ("[question]\nreach = 1e-6\n", "question.space: required"),
+        (
+            "[question.space]\nz = { value = 0 }\n",
+            "`stop.probability` cannot be combined with `question`; put its distributions into `space`",
+        ),
+    ],
+)
+def test_a_question_that_a_campaign_cannot_ask_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "limit.py").write_text(LIMIT)
+    rule = 'stop = { probability = "failure" }\n'
+    without = CAMPAIGN.replace(rule, "").replace("budget", "initial = 20\nbudget")
+    campaign = CAMPAIGN if "cannot be combined" in message else without
+    (tmp_path / "made.toml").write_text(campaign + text)
+    result = activefail("run", tmp_path / "made.toml", "--out", tmp_path / "run")
+    refused(result)
+    assert message in result.err
+
+
 def test_what_a_question_leaves_out_keeps_the_campaigns_distribution_and_correlation(tmp_path: Path) -> None:
     kept = question(tmp_path, "[space]\nz = { value = 0.5 }\n")
     assert kept.space.names == ("x", "y")

@@ -8,6 +8,7 @@ import numpy as np
 
 from activefail.campaign import sections
 from activefail.campaign.provenance import BEARING_SOURCES
+from activefail.campaign.question import Question, question_of
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
 from activefail.features import CustomFeatures, ExpressionFeatures, FeatureMap, FeatureSet, feature_map
@@ -34,6 +35,7 @@ class Campaign:
     """The components of a campaign. The loop uses them only through their interfaces.
 
     Attributes:
+        question: the distribution under which probabilities are asked for.
         sources: digests of the source files of custom functions, by settings key.
         code: folder of the user's code; None if it must not be run.
     """
@@ -42,6 +44,7 @@ class Campaign:
     space: DesignSpace
     simulator: Simulator
     features: FeatureMap
+    question: Question
     sources: dict[str, str] = field(default_factory=dict)
     code: Path | None = None
 
@@ -85,7 +88,7 @@ class Campaign:
         _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
         mapped = feature_map(features, space, settings.bearing.model())
-        return cls(settings, space, simulator, mapped, sources | source, code)
+        return cls(settings, space, simulator, mapped, question_of(settings, space), sources | source, code)
 
     @property
     def time_limit(self) -> float | None:

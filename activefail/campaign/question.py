@@ -3,12 +3,10 @@
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from activefail.campaign.sections import AnyVariable, FixedVariable, Section, Variable
+from activefail.campaign.sections import FixedVariable, QuestionSettings, Variable
 from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
 from activefail.errors import InputError
 from activefail.space import Array, DesignSpace, radius
@@ -16,30 +14,6 @@ from activefail.visible import visible
 
 _SHARE = 2**14
 """Designs that estimate which share of a question lies outside the design space."""
-
-
-class QuestionSettings(Section):
-    """The file of a question.
-
-    Attributes:
-        description: in words.
-        reach: as `sampling.reach`, for variables whose bounds the file leaves out.
-        space: distributions and fixed values of variables; a variable that is left out keeps the campaign's.
-        correlation: as in a campaign; the campaign's among the uncertain variables if it is left out.
-    """
-
-    description: str = ""
-    reach: float = Field(1e-8, ge=1e-12, le=0.1)
-    space: dict[str, AnyVariable] = Field(min_length=1)
-    correlation: list[Annotated[tuple[str, str, float], Field(strict=False)]] | None = None
-
-    @model_validator(mode="after")
-    def _has_known_pairs(self) -> "QuestionSettings":
-        for first, second, _ in self.correlation or ():
-            for name in (first, second):
-                if isinstance(self.space.get(name), FixedVariable):
-                    raise ValueError(f"correlation: {name!r} has a fixed value, so it cannot be correlated")
-        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +68,26 @@ def read_question(path: Path, settings: CampaignSettings, space: DesignSpace) ->
     """
     asked = checked(QuestionSettings, parse_toml(read_text(path), str(path)), str(path))
     try:
-        return _question(asked, path, settings, space)
+        return _question(asked, path.stem, settings, space)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _question(asked: QuestionSettings, path: Path, settings: CampaignSettings, space: DesignSpace) -> Question:
+def question_of(settings: CampaignSettings, space: DesignSpace) -> Question:
+    """The question of a campaign file; its design measure if it asks none.
+
+    Raises:
+        InputError: naming the key, the rule and the value.
+    """
+    if settings.question is None:
+        return Question.of_space(space)
+    try:
+        return _question(settings.question, "the campaign's question", settings, space)
+    except InputError as error:
+        raise InputError(f"question.{error}") from None
+
+
+def _question(asked: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace) -> Question:
     for name, entry in asked.space.items():
         _check_variable(name, entry, settings, space)
     fixed = {name: entry.value for name, entry in asked.space.items() if isinstance(entry, FixedVariable)}
@@ -117,7 +105,7 @@ def _question(asked: QuestionSettings, path: Path, settings: CampaignSettings, s
     values = np.array([fixed.get(name, 0.0) for name in space.names])
     digest = hashlib.sha256(repr((parameters, sorted(correlation), values.tolist())).encode()).hexdigest()
     return Question(
-        asked.description or path.stem,
+        asked.description or title,
         DesignSpace(parameters, correlation=tuple(correlation)),
         tuple(space.names.index(name) for name in uncertain),
         values,

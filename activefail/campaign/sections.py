@@ -412,3 +412,27 @@ class Limits(Section):
 AnyVariable = Annotated[
     Annotated[Variable, Tag(RANGE)] | Annotated[FixedVariable, Tag(f"{WITH}value")], Discriminator(_range_or_value)
 ]
+
+
+class QuestionSettings(Section):
+    """A question: other distributions of the variables, in a campaign file or a file of its own.
+
+    Attributes:
+        description: in words.
+        reach: as `sampling.reach`, for variables whose bounds the file leaves out.
+        space: distributions and fixed values of variables; a variable that is left out keeps the campaign's.
+        correlation: as in a campaign; the campaign's among the uncertain variables if it is left out.
+    """
+
+    description: str = ""
+    reach: float = Field(1e-8, ge=1e-12, le=0.1)
+    space: dict[str, AnyVariable] = Field(min_length=1)
+    correlation: list[Annotated[tuple[str, str, float], Field(strict=False)]] | None = None
+
+    @model_validator(mode="after")
+    def _has_known_pairs(self) -> Self:
+        for first, second, _ in self.correlation or ():
+            for name in (first, second):
+                if isinstance(self.space.get(name), FixedVariable):
+                    raise ValueError(f"correlation: {name!r} has a fixed value, so it cannot be correlated")
+        return self

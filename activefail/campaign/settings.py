@@ -24,6 +24,7 @@ from activefail.campaign.sections import (
     Limits,
     ProbabilityStop,
     PythonSimulatorSettings,
+    QuestionSettings,
     Sampling,
     Section,
     Stop,
@@ -72,6 +73,7 @@ class CampaignSettings(Section):
         ]
         | None
     ) = None
+    question: QuestionSettings | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -119,6 +121,15 @@ class CampaignSettings(Section):
     def _in_batches(self) -> Self:
         if isinstance(self.stop, ProbabilityStop) and self.sampling.asynchronous:
             raise ValueError("`stop.probability` needs `sampling.asynchronous = false`")
+        return self
+
+    @model_validator(mode="after")
+    def _asks_once(self) -> Self:
+        # The search weighs designs by `space`, and the rule refers to the same probability.
+        if isinstance(self.stop, ProbabilityStop) and self.question is not None:
+            raise ValueError(
+                "`stop.probability` cannot be combined with `question`; put its distributions into `space`"
+            )
         return self
 
     @property

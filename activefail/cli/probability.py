@@ -8,7 +8,7 @@ import typer
 
 from activefail.cli.common import Code, RunFolder, opened_run, show_unseen
 from activefail.shares import percent
-from activefail.visible import visible
+from activefail.visible import or_worse, visible
 
 
 def probability(
@@ -29,7 +29,6 @@ def probability(
 ) -> None:
     """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
     from activefail.findings.probability import rounded_up
-    from activefail.findings.quantities import words
 
     with opened_run(folder, write=True, code=code) as opened:
         findings = opened.probability(simulations, confidence, outcome, question)
@@ -40,7 +39,7 @@ def probability(
         print(json.dumps({"outcomes": {findings.outcome: findings.as_json()}}, indent=2))
         return
     estimate = findings.estimate
-    name = visible(words(findings.outcome)) + ("" if findings.outcome == boundaries[-1] else " or worse")
+    name = visible(or_worse(findings.outcome, boundaries))
     learned = f"the margin {visible(findings.learned_from)}" if findings.learned_from else "the outcomes"
     failed = f", {estimate.unanswered} of them numerical failures" if estimate.unanswered else ""
     under = f" under {visible(findings.question)}" if findings.question else ""

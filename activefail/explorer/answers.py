@@ -35,7 +35,7 @@ from activefail.findings.results import Findings, at_the_boundary
 from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
-from activefail.visible import visible
+from activefail.visible import or_worse, visible
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -175,10 +175,9 @@ class Answers:
         boundaries = []
         for name, latent_moments in zip(self.outcomes[1:], moments, strict=True):
             low, high = (float(end[0]) for end in interval(latent_moments))
-            worst = name == self.outcomes[-1]
             boundaries.append(
                 {
-                    "text": words(name) if worst else f"{words(name)} or worse",
+                    "text": or_worse(name, self.outcomes),
                     "probability": float(latent_moments.probability[0]),
                     "low": low,
                     "high": high,

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from activefail.campaign.assembly import Campaign
-from activefail.findings.probability import bound_without_model
+from activefail.campaign.question import Question
+from activefail.findings.probability import ProbabilityFindings, bound_without_model
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, learn_from
 from activefail.loop.proposing import initial_sets
@@ -42,6 +43,7 @@ class FailureFindings:
         seen: (k,) simulations beyond the boundary.
         point: the point of the boundary nearest to the medians; None if all designs are on one side.
         estimate: from fresh simulations at the last iteration; None if there are none.
+        asked: the same under the campaign's question; None if it asks none or there are none.
         bound: upper bound from the initial design alone, without a model, one-sided at 90 %.
         is_known: whether the campaign met its stop rule for a probability.
     """
@@ -53,6 +55,7 @@ class FailureFindings:
     seen: Array
     point: DesignPoint | None
     estimate: ProbabilityEstimate | None
+    asked: ProbabilityFindings | None
     bound: float
     is_known: bool
 
@@ -81,8 +84,15 @@ def failure_findings(
     history, outcome = History.of(store.batches), campaign.settings.acquisition.main_boundary
     classifier, latent = learned.classifier, learned.classifier.latent(outcome)
     stage("reading the estimate of the probability")
-    estimate = stored_estimate(campaign, store, classifier, history.last_iteration, outcome, 0.9)
-    if estimate is None and campaign.settings.probability_rule is None and not isinstance(latent, MarginLatent):
+
+    def stored(question: Question) -> ProbabilityEstimate | None:
+        return stored_estimate(campaign, store, classifier, history.last_iteration, outcome, 0.9, question)
+
+    estimate, asked = stored(Question.of_space(campaign.space)), None
+    if campaign.question.digest and (answer := stored(campaign.question)) is not None:
+        asked = ProbabilityFindings.of(campaign, history, classifier, outcome, answer, campaign.question)
+    is_sought = campaign.settings.probability_rule is not None or isinstance(latent, MarginLatent)
+    if estimate is None and asked is None and not is_sought:
         return None
     rows, fitted = [], None
     for n in _sizes(campaign, history):
@@ -100,6 +110,7 @@ def failure_findings(
         seen=seen,
         point=point,
         estimate=estimate,
+        asked=asked,
         bound=bound_without_model(campaign, history, outcome).high,
         is_known=learned.looks.is_known,
     )

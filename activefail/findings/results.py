@@ -17,6 +17,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import expected_error
+from activefail.visible import or_worse
 
 _POOL = 2**12
 
@@ -53,8 +54,7 @@ class Findings:
     @property
     def beyond(self) -> str:
         """The outcomes beyond that boundary, in words."""
-        worst = self.boundary == self.campaign.simulator.outcomes[-1]
-        return words(self.boundary) if worst else f"{words(self.boundary)} or worse"
+        return or_worse(self.boundary, self.campaign.simulator.outcomes)
 
     @property
     def influence(self) -> Array:

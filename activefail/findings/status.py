@@ -15,7 +15,7 @@ from activefail.record.attachments import decode_state
 from activefail.record.layout import ESTIMATE, state_file
 from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
-from activefail.visible import quoted, visible, words
+from activefail.visible import or_worse, quoted, visible
 
 _LARGEST_STATE, _LARGEST_ESTIMATE = 100_000_000, 100_000
 """Largest state and estimate that are read [bytes]."""
@@ -102,21 +102,19 @@ class Status:
     @property
     def _from_fresh_simulations(self) -> list[tuple[str, str]]:
         try:
-            saved = json.loads(read_regular(self.folder / ESTIMATE, _LARGEST_ESTIMATE))
-            if saved["record"] != self.summary.digest:
-                return []
             lines = []
-            for outcome, numbers in saved["outcomes"].items():
+            for outcome, numbers in read_estimates(self.folder, self.summary.digest).items():
                 probability, low, high, confidence, recall_low = (
                     float(numbers[key]) for key in ("probability", "low", "high", "confidence", "recall_low")
                 )
-                name, simulations = visible(words(outcome)), int(numbers["simulations"])
+                name, simulations = visible(or_worse(outcome, self.summary.outcomes)), int(numbers["simulations"])
                 interval = f"{100.0 * confidence:g} % interval {low:.3g} to {high:.3g}"
                 if numbers["extrapolated"]:
                     interval = f"at most {high:.2g} without a model, because no simulation ended in it"
+                under = f" under {visible(question)}" if (question := numbers.get("question")) else ""
                 text = (
-                    f"probability of {name} {probability:.3g}, {interval}, from {simulations} fresh simulations; "
-                    f"recall at least {percent(recall_low)}"
+                    f"probability of {name}{under} {probability:.3g}, {interval}, from {simulations} fresh "
+                    f"simulations; recall at least {percent(recall_low)}"
                 )
                 if int(numbers["contradictions_where_sure"]):
                     text += "; fresh simulations contradict the classifier where it was sure: continue the campaign"
@@ -149,6 +147,16 @@ class Status:
         if is_verified(self.folder, self.summary):
             lines.append(("", f"{command} --ignore-stop, if it ended by its stop rule"))
         return lines
+
+
+def read_estimates(folder: Path, digest: str) -> dict[str, Any]:
+    """The saved estimates of probabilities by outcome; empty if there are none of the record with this digest."""
+    try:
+        saved = json.loads(read_regular(folder / ESTIMATE, _LARGEST_ESTIMATE))
+        return dict(saved["outcomes"]) if saved["record"] == digest else {}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        # None yet, or not written by `activefail probability`.
+        return {}
 
 
 def read_status(folder: Path) -> Status:

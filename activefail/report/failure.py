@@ -8,12 +8,13 @@ from activefail.errors import InputError
 from activefail.figures.failure import plane_of, plot_failure_domain, plot_probability
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
-from activefail.findings.probability import rounded_up
+from activefail.findings.probability import ProbabilityFindings, rounded_up
 from activefail.findings.quantities import significant
 from activefail.findings.results import Findings
 from activefail.reliability.estimate import standardised_latent
 from activefail.report.picture import picture
 from activefail.shares import percent
+from activefail.visible import visible
 
 
 def failure_section(findings: Findings, failure: FailureFindings | None) -> dict[str, Any] | None:
@@ -28,6 +29,7 @@ def failure_section(findings: Findings, failure: FailureFindings | None) -> dict
         "model": f"{failure.probability[-1]:.3g}",
         "model_interval": None if math.isnan(low) else f"{low:.3g} to {high:.3g}",
         "estimate": _estimate(failure),
+        "asked": _asked(failure.asked),
         "bound": rounded_up(failure.bound),
         "seen": int(failure.seen[-1]),
         "picture": picture(plot_probability(failure, beyond), "probability", "Probability against simulations"),
@@ -52,6 +54,23 @@ def _estimate(failure: FailureFindings) -> dict[str, Any] | None:
         "surprising": estimate.surprising,
         "recall": percent(estimate.recall),
         "recall_low": percent(estimate.recall_low),
+    }
+
+
+def _asked(asked: ProbabilityFindings | None) -> dict[str, Any] | None:
+    if asked is None:
+        return None
+    estimate = asked.estimate
+    high = rounded_up(asked.high) if asked.is_extrapolated else f"{estimate.high:.3g}"
+    return {
+        "question": visible(asked.question),
+        "probability": f"{estimate.probability:.3g}",
+        "interval": f"{0.0 if asked.is_extrapolated else estimate.low:.3g} to {high}",
+        "confidence": f"{100.0 * estimate.confidence:g} %",
+        "simulations": estimate.simulations,
+        "wrong": estimate.wrong,
+        "surprising": estimate.surprising,
+        "outside": percent(asked.extrapolated),
     }
 
 

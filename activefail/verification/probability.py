@@ -58,19 +58,26 @@ def estimate_probability(
 
 
 def stored_estimate(
-    campaign: Campaign, store: Store, classifier: Classifier, iteration: int, outcome: str, confidence: float
+    campaign: Campaign,
+    store: Store,
+    classifier: Classifier,
+    iteration: int,
+    outcome: str,
+    confidence: float,
+    question: Question,
 ) -> ProbabilityEstimate | None:
-    """The estimate from the largest stored set of fresh simulations under the design measure, or None.
+    """The estimate from the largest stored set of fresh simulations of a question, or None.
 
     It simulates nothing.
 
     Args:
-        campaign, store, classifier, iteration, outcome, confidence: as for `estimate_probability`.
+        campaign, store, classifier, iteration, outcome, confidence, question: as for `estimate_probability`.
     """
     severity = campaign.simulator.outcomes.index(outcome)
-    for simulations in estimate_sizes(store, severity, iteration):
-        plan = _planned(campaign, classifier, iteration, outcome, simulations, Question.of_space(campaign.space))
-        outcomes = stored_outcomes(store, name_of_estimate(severity, iteration, simulations), plan.designs)
+    for simulations in estimate_sizes(store, severity, iteration, question.digest):
+        plan = _planned(campaign, classifier, iteration, outcome, simulations, question)
+        name = name_of_estimate(severity, iteration, simulations, question.digest)
+        outcomes = stored_outcomes(store, name, question.designs(plan.designs))
         if outcomes is not None:
             return _estimated(plan, outcomes, severity, confidence)
     return None

@@ -87,9 +87,10 @@ def verified_sizes(store: Store, iteration: int) -> list[int]:
     return _numbers(store, rf"(?:look|verification)-{iteration}-(\d+)")
 
 
-def estimate_sizes(store: Store, severity: int, iteration: int) -> list[int]:
+def estimate_sizes(store: Store, severity: int, iteration: int, question: str = "") -> list[int]:
     """Sizes of the sets that estimate a probability at an iteration, the largest first."""
-    return _numbers(store, rf"probability-{severity}-{iteration}-(\d+)")
+    name = name_of_estimate(severity, iteration, 0, question)
+    return _numbers(store, rf"{name.removesuffix('0')}(\d+)")
 
 
 def looks_before(store: Store, iteration: int) -> int:
