@@ -6,6 +6,7 @@
     python benchmarks/reliability.py --truncated                      simulations that end at failure
     python benchmarks/reliability.py --labels --budget 100            outcomes alone
     python benchmarks/reliability.py --references 100000000           the probabilities by plain Monte Carlo
+    python benchmarks/reliability.py --problems RP14,RP24             problems on which nothing was chosen
 
 Each campaign has the defaults of `stop = { probability = "failure" }` and a budget of 200 simulations. A static Latin
 hypercube of the same size is learned from in the same way. The table gives, for each problem,
@@ -36,7 +37,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from reliability_problems import PROBLEMS
+from reliability_problems import HELD_OUT, PROBLEMS, problem_of
 
 from activefail.acquisition.population import population
 from activefail.campaign.assembly import Campaign
@@ -88,7 +89,7 @@ def static_classifier(campaign, problem, n, seed):
 
 
 def score(name, seed, terms, repeats):
-    problem = replace(PROBLEMS[name], truncated=terms["truncated"], labels=terms["labels"])
+    problem = replace(problem_of(name), truncated=terms["truncated"], labels=terms["labels"])
     campaign = campaign_on(problem, seed, terms["batch"], terms["budget"])
     store = MemoryStore(campaign.schema)
     began = time.process_time()
@@ -163,19 +164,20 @@ def is_wrong(ratio):
 
 
 def table(rows):
-    by_problem = {name: [row for row in rows if row["problem"] == name] for name in PROBLEMS}
-    lines = {name: cells(PROBLEMS[name], own) for name, own in by_problem.items() if own}
+    by_problem = {name: [row for row in rows if row["problem"] == name] for name in (*PROBLEMS, *HELD_OUT)}
+    lines = {name: cells(problem_of(name), own) for name, own in by_problem.items() if own}
     titles = list(next(iter(lines.values())))
     widths = [max(len(title), *(len(line[title]) for line in lines.values())) for title in titles]
     for name, line in {"problem": dict(zip(titles, titles, strict=True)), **lines}.items():
         print(f"{name:14} " + "  ".join(f"{line[title]:>{width}}" for title, width in zip(titles, widths, strict=True)))
-    ratios = np.array([row["probability"] / PROBLEMS[row["problem"]].probability for row in rows])
+    ratios = np.array([row["probability"] / problem_of(row["problem"]).probability for row in rows])
     calls = np.median([row["calls"] for row in rows])
     print(f"all: median {calls:.0f} calls, {is_wrong(ratios).sum()} of {len(rows)} wrong by more than 20 %")
 
 
-def references(designs):
-    for name, problem in PROBLEMS.items():
+def references(designs, names):
+    for name in names:
+        problem = problem_of(name)
         space = Campaign.of(
             CampaignSettings().changed({"space": problem.space, "classifier.features": "design"}), simulator=problem
         ).space
@@ -200,7 +202,7 @@ def main():
     parser.add_argument("--references", type=int, metavar="DESIGNS")
     options = parser.parse_args()
     if options.references:
-        references(options.references)
+        references(options.references, options.problems.split(","))
         return
     terms = {key: getattr(options, key) for key in ("batch", "budget", "truncated", "labels")}
     names = options.problems.split(",")

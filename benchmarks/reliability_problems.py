@@ -7,6 +7,7 @@ with a disc hidden in the bulk, and two opposite half-spaces in five dimensions.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from activefail.space import Array
 ROOT = 2.0**0.5
 
 Variable = tuple[str, float, float]
-"""Distribution, and its mean and sd, or its bounds if it is uniform."""
+"""Distribution, and its mean and sd (of an exponential distribution the mean counts), or its bounds if uniform."""
 
 
 def _normal(mean: float = 0.0, sd: float = 1.0) -> Variable:
@@ -68,6 +69,8 @@ class Problem:
         return {
             f"x{number}": {"distribution": name, "low": one, "high": other}
             if name == "uniform"
+            else {"distribution": name, "mean": one}
+            if name == "exponential"
             else {"distribution": name, "mean": one, "sd": other}
             for number, (name, one, other) in enumerate(self.variables, start=1)
         }
@@ -147,3 +150,43 @@ PROBLEMS = {
     ),
     "two modes 5d": Problem((_normal(),) * 5, lambda X: np.minimum(3.2 - X @ _UP, 3.4 + X @ _DOWN), 1.02e-3),
 }
+
+
+HELD_OUT = ("RP14", "RP24", "RP31", "RP35", "RP54", "RP57", "RP75", "RP89", "RP110")
+"""Problems on which nothing was chosen; otbenchmark defines them."""
+
+
+def problem_of(name: str) -> Problem:
+    """The problem of a name.
+
+    Raises:
+        ImportError: if it is held out and otbenchmark is not installed.
+    """
+    return _held_out(name) if name in HELD_OUT else PROBLEMS[name]
+
+
+@cache
+def _held_out(name: str) -> Problem:
+    import openturns
+    import otbenchmark
+
+    defined = getattr(otbenchmark, f"ReliabilityProblem{name.removeprefix('RP')}")()
+    event = defined.getEvent()
+    distribution, function = event.getAntecedent().getDistribution(), event.getFunction()
+    assert distribution.hasIndependentCopula()
+    assert event.getOperator().compare(-1.0, 0.0), "failure must be below the threshold"
+
+    def variable(marginal: openturns.Distribution) -> Variable:
+        if marginal.getName() == "Uniform":
+            low, high = marginal.getRange().getLowerBound()[0], marginal.getRange().getUpperBound()[0]
+            return "uniform", low, high
+        kinds = {"Normal": "normal", "Gumbel": "gumbel_max", "Exponential": "exponential"}
+        # A distribution by mean and sd has no accessor for its kind.
+        (title,) = {kind for name, kind in kinds.items() if name in str(marginal)}
+        return title, marginal.getMean()[0], marginal.getStandardDeviation()[0]
+
+    variables = tuple(variable(distribution.getMarginal(i)) for i in range(distribution.getDimension()))
+    threshold = event.getThreshold()
+    return Problem(
+        variables, lambda X: np.asarray(function(openturns.Sample(X)))[:, 0] - threshold, defined.getProbability()
+    )
