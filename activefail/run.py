@@ -261,6 +261,7 @@ class Run:
         Raises:
             InputError: if no simulation has an outcome.
         """
+        from activefail.loop.asynchronous import learned_so_far
         from activefail.loop.learning import current
 
         if self._learned is not None:
@@ -271,7 +272,8 @@ class Run:
             )
         stage("learning")
         with one_thread():
-            self._learned = current(self.campaign, self.store, self._write)
+            learned = learned_so_far if self.settings.sampling.asynchronous else current
+            self._learned = learned(self.campaign, self.store, self._write)
         return self._learned
 
     @property

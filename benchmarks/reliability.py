@@ -3,6 +3,7 @@
     python benchmarks/reliability.py                                  all problems, 20 seeds, margins
     python benchmarks/reliability.py --problems RP22 --seeds 3        a quick look
     python benchmarks/reliability.py --batch 10 --out batch.jsonl     ten simulations at a time
+    python benchmarks/reliability.py --asynchronous --batch 5          five simulations in flight
     python benchmarks/reliability.py --truncated                      simulations that end at failure
     python benchmarks/reliability.py --labels --budget 100            outcomes alone
     python benchmarks/reliability.py --references 100000000           the probabilities by plain Monte Carlo
@@ -43,6 +44,7 @@ from activefail.acquisition.population import population
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.asynchronous import learned_so_far
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current, learn_from
@@ -57,7 +59,7 @@ WEIGHED = 100_000
 """Designs that weigh what a classifier puts on the wrong side."""
 
 
-def campaign_on(problem, seed, batch, budget):
+def campaign_on(problem, seed, batch, budget, asynchronous=False):
     settings = CampaignSettings().changed(
         {
             "seed": seed,
@@ -65,6 +67,7 @@ def campaign_on(problem, seed, batch, budget):
             "sampling.initial": max(12, 2 * len(problem.variables)),
             "sampling.batch": batch,
             "sampling.budget": budget,
+            "sampling.asynchronous": asynchronous,
             "classifier.features": "design",
             "acquisition.criterion": "eavc",
             "stop": {"probability": "failure"},
@@ -90,13 +93,14 @@ def static_classifier(campaign, problem, n, seed):
 
 def score(name, seed, terms, repeats):
     problem = replace(problem_of(name), truncated=terms["truncated"], labels=terms["labels"])
-    campaign = campaign_on(problem, seed, terms["batch"], terms["budget"])
+    campaign = campaign_on(problem, seed, terms["batch"], terms["budget"], terms["asynchronous"])
     store = MemoryStore(campaign.schema)
     began = time.process_time()
     with ThreadExecutor(1) as executor:
         run(campaign, store, executor, terms["budget"])
     seconds = time.process_time() - began
-    learned, history = current(campaign, store, write=False), History.of(store.batches)
+    known = learned_so_far if terms["asynchronous"] else current
+    learned, history = known(campaign, store, write=False), History.of(store.batches)
     standardised = standardised_latent(learned.classifier.latent("failure"), campaign.features)
     rng = np.random.default_rng([seed, 1])
     row = {
@@ -194,6 +198,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--batch", type=int, default=1)
     parser.add_argument("--budget", type=int, default=200)
+    parser.add_argument("--asynchronous", action="store_true")
     parser.add_argument("--truncated", action="store_true")
     parser.add_argument("--labels", action="store_true")
     parser.add_argument("--repeats", type=int, default=10)
@@ -204,10 +209,11 @@ def main():
     if options.references:
         references(options.references, options.problems.split(","))
         return
-    terms = {key: getattr(options, key) for key in ("batch", "budget", "truncated", "labels")}
+    terms = {key: getattr(options, key) for key in ("batch", "budget", "asynchronous", "truncated", "labels")}
     names = options.problems.split(",")
     lines = options.out.read_text().splitlines() if options.out and options.out.exists() else []
-    rows = [row for row in map(json.loads, lines) if row["problem"] in names and terms.items() <= row.items()]
+    rows = [{"asynchronous": False} | json.loads(line) for line in lines]
+    rows = [row for row in rows if row["problem"] in names and terms.items() <= row.items()]
     known = {(row["problem"], row["seed"]) for row in rows}
     tasks = [(name, seed) for seed in range(options.seeds) for name in names if (name, seed) not in known]
     with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:

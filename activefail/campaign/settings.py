@@ -118,12 +118,6 @@ class CampaignSettings(Section):
         return space
 
     @model_validator(mode="after")
-    def _in_batches(self) -> Self:
-        if isinstance(self.stop, ProbabilityStop) and self.sampling.asynchronous:
-            raise ValueError("`stop.probability` needs `sampling.asynchronous = false`")
-        return self
-
-    @model_validator(mode="after")
     def _asks_once(self) -> Self:
         # The search weighs designs by `space`, and the rule refers to the same probability.
         if isinstance(self.stop, ProbabilityStop) and self.question is not None:

@@ -7,7 +7,7 @@ setting of the campaign; it does not depend on the number of workers.
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,22 @@ from activefail.campaign.assembly import Campaign
 from activefail.errors import DamagedError
 from activefail.execution.executor import AsynchronousExecutor
 from activefail.loop.history import History
-from activefail.loop.learning import learn, restore
+from activefail.loop.learning import Learned, current, learn, restore
 from activefail.loop.progress import standing
 from activefail.loop.proposing import initial_designs, initial_sets, next_designs
+from activefail.loop.stopping import (
+    Looks,
+    check_designs,
+    check_looks,
+    contradictions,
+    is_whole,
+    looks_from_state,
+    looks_state,
+    needs_check,
+    with_look,
+)
 from activefail.loop.task import Task
-from activefail.record.batch import ACTIVE, INITIAL, Batch
+from activefail.record.batch import ACTIVE, CHECK, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
@@ -30,6 +41,9 @@ from activefail.surrogate.state import classifier_state
 
 _FLIGHT = "flight/designs"
 """Key of the designs in flight in a saved state."""
+
+_WAITING, _ANSWERED, _KNOWN_THROUGH = "check/waiting", "check/answered", "check/known_through"
+"""Keys of a check in a saved state."""
 
 _WAIT = 0.5
 """Seconds between checks for a stop request."""
@@ -44,11 +58,17 @@ class Course:
         iteration: the last commit that the classifier has learned from; -1 before the first.
         flight: (k, d) proposed designs without a result, in the order of proposal. It does not shrink at the end of the
             budget: the last designs are the ones a larger budget would simulate first.
+        looks: of a stop rule for a probability.
+        check: the running check of that rule; None if none is running.
+        known_through: number of simulations up to which a passed check holds: those in flight then were chosen before.
     """
 
     classifier: Classifier | None
     iteration: int
     flight: Array
+    looks: Looks = field(default_factory=Looks)
+    check: "_Check | None" = None
+    known_through: int = 0
 
     @property
     def next_iteration(self) -> int:
@@ -66,36 +86,113 @@ class Course:
         free -= len(flight) - len(pending)
         # Without any result there is nothing to learn from: wait for the designs in flight.
         if free == 0 or not history.answered.any():
-            return Course(self.classifier, self.iteration, flight)
+            return replace(self, flight=flight)
         iteration = history.last_iteration
         classifier = learn(campaign, history, iteration, self.classifier)
+        course = Course(classifier, iteration, flight, self.looks, self.check, self.known_through)
+        if campaign.settings.probability_rule is not None:
+            course = course._looked(campaign, history, batches[-1], self.classifier)
+        flight = course.flight
+        if course.check is not None:
+            flight = np.concatenate([flight, _without(course.check.waiting, flight)[:free]])
+            free -= len(flight) - len(course.flight)
+        if free == 0:
+            return replace(course, flight=flight)
         chosen = max(0, proposed - len(initial))
         designs = next_designs(campaign, classifier, history, iteration + 1, q=free, chosen=chosen, pending=flight)
-        return Course(classifier, iteration, np.concatenate([flight, designs]))
+        return replace(course, flight=np.concatenate([flight, designs]))
+
+    def _looked(self, campaign: Campaign, history: History, last: Batch, before: Classifier | None) -> "Course":
+        """This course with the looks and the check after its last commit.
+
+        Args:
+            campaign: the campaign, with a stop rule for a probability.
+            history: all simulations.
+            last: the commit.
+            before: the classifier before it.
+        """
+        assert self.classifier is not None
+        looks, check, known_through = self.looks, self.check, self.known_through
+        if check is not None and before is not None:
+            of_check = last.origin == CHECK
+            checked = History.of((last,))[of_check]
+            if len(checked) and contradictions(campaign, before, checked).any():
+                looks, check = Looks(), None
+            else:
+                check = _Check(_without(check.waiting, checked.designs), check.answered + int(checked.answered.sum()))
+        if check is not None and not len(check.waiting):
+            known_through = len(history) + len(self.flight) if is_whole(campaign, check.answered) else 0
+            looks, check = Looks(), None
+        looks = replace(looks, is_known=len(history) <= known_through)
+        looks = with_look(campaign, history, self.iteration, self.classifier, looks)
+        if check is None and needs_check(campaign, history, looks):
+            check = _Check(check_designs(campaign, history, looks, self.iteration + 1), 0)
+        return replace(self, looks=looks, check=check, known_through=known_through)
 
     def save(self, store: Store) -> None:
         """Save the classifier and the designs in flight; both can be recomputed from the record."""
         if self.classifier is not None:
-            store.write_state(self.iteration, classifier_state(self.classifier) | {_FLIGHT: self.flight})
+            state = classifier_state(self.classifier) | {_FLIGHT: self.flight} | looks_state(self.looks)
+            if self.known_through:
+                state[_KNOWN_THROUGH] = np.array(self.known_through)
+            if self.check is not None:
+                state |= {_WAITING: self.check.waiting, _ANSWERED: np.array(self.check.answered)}
+            store.write_state(self.iteration, state)
 
 
-def resumed(campaign: Campaign, store: Store) -> Course:
-    """The state after the last commit, from the last saved state and the commits since."""
+@dataclass(frozen=True)
+class _Check:
+    """A running check of the stop rule for a probability.
+
+    Attributes:
+        waiting: (k, d) its designs without a result, in the order of proposal.
+        answered: how many of the others gave an outcome.
+    """
+
+    waiting: Array
+    answered: int
+
+
+def resumed(campaign: Campaign, store: Store, write: bool = True) -> Course:
+    """The state after the last commit, from the last saved state and the commits since.
+
+    Args:
+        campaign: the campaign.
+        store: its record.
+        write: whether to save a state that was computed again.
+    """
     batches = store.batches
     course, first = Course(None, -1, initial_designs(campaign)[: campaign.settings.sampling.batch]), 0
 
     def check(iteration: int, state: Mapping[str, NDArray[Any]]) -> None:
-        _check_flight(campaign, History.of(batches).through(iteration), state[_FLIGHT])
+        known = History.of(batches).through(iteration)
+        _check_flight(campaign, known, state[_FLIGHT])
+        check_looks(campaign, state)
+        _check_from_state(campaign, known, state)
 
     if batches and (saved := restore(campaign, store, batches[-1].iteration, check)) is not None:
         iteration, state, classifier = saved
-        course = Course(classifier, iteration, state[_FLIGHT])
+        known_through = int(state.get(_KNOWN_THROUGH, 0))
+        check_running = _check_from_state(campaign, History.of(batches).through(iteration), state)
+        course = Course(classifier, iteration, state[_FLIGHT], looks_from_state(state), check_running, known_through)
         first = 1 + max(index for index, batch in enumerate(batches) if batch.iteration == iteration)
     for end in range(first + 1, len(batches) + 1):
         course = course.after(campaign, batches[:end])
-    if first < len(batches):
+    if write and first < len(batches):
         course.save(store)
     return course
+
+
+def learned_so_far(campaign: Campaign, store: Store, write: bool) -> Learned:
+    """What an asynchronous campaign has learned from all recorded simulations, bit for bit as in the running loop.
+
+    Args:
+        campaign, store, write: as for `current`.
+    """
+    if campaign.settings.probability_rule is None:
+        return current(campaign, store, write)
+    course = resumed(campaign, store, write)
+    return current(campaign, store, write) if course.classifier is None else Learned(course.classifier, course.looks)
 
 
 def _check_flight(campaign: Campaign, known: History, flight: NDArray[np.generic]) -> None:
@@ -112,6 +209,28 @@ def _check_flight(campaign: Campaign, known: History, flight: NDArray[np.generic
         raise DamagedError("holds designs in flight outside the design space")
     if len(_without(designs, known.designs)) < len(designs):
         raise DamagedError("holds designs in flight that already have a result")
+
+
+def _check_from_state(campaign: Campaign, known: History, state: Mapping[str, NDArray[Any]]) -> _Check | None:
+    """The running check of a saved state; None if there is none.
+
+    Raises:
+        DamagedError: if a campaign cannot save it.
+    """
+    for key in (_ANSWERED, _KNOWN_THROUGH):
+        if key in state and (state[key].dtype != np.int64 or state[key].shape != () or int(state[key]) < 0):
+            raise DamagedError(f"holds {key} that is not a whole number of at least 0")
+    if _WAITING not in state:
+        return None
+    waiting = state[_WAITING]
+    if waiting.dtype != np.float64 or waiting.ndim != 2 or waiting.shape[1] != campaign.space.dimension:
+        raise DamagedError(f"holds designs of a check of type {waiting.dtype} and shape {waiting.shape}")
+    designs = waiting.astype(np.float64)
+    if not len(designs) or not campaign.space.contains(designs).all():  # false for NaN too
+        raise DamagedError("holds designs of a check outside the design space, or none")
+    if len(_without(designs, known.designs)) < len(designs):
+        raise DamagedError("holds designs of a check that already have a result")
+    return _Check(designs, int(state[_ANSWERED]))
 
 
 def _without(flight: Array, answered: Array) -> Array:
@@ -163,7 +282,7 @@ def run_asynchronously(task: Task) -> bool:
         progress = standing(campaign, store.batches, task.budget)
         left = task.budget - progress.done
         if course.classifier is not None:
-            progress = task.judged(progress, course.classifier, looks.due(progress.done))
+            progress = task.judged(progress, course.classifier, looks.due(progress.done), course.looks)
         rate = (progress.done - done_at_start) / (time.monotonic() - start)
         observer.progress(replace(progress, seconds_left=left / rate if rate and course.classifier else None))
         task.check(progress)
@@ -172,11 +291,16 @@ def run_asynchronously(task: Task) -> bool:
         if arrived is None:
             return ended
         designs, results = arrived
-        origin = np.array([INITIAL if design.tobytes() in initial else ACTIVE for design in designs], dtype=np.int8)
+        checking = set() if course.check is None else {design.tobytes() for design in course.check.waiting}
+        origin = np.array([_origin(design.tobytes(), initial, checking) for design in designs], dtype=np.int8)
         store.commit(Batch(course.next_iteration, designs, origin, results))
         observer.stage("learning")
         course = course.after(campaign, store.batches)
         course.save(store)
+
+
+def _origin(design: bytes, initial: set[bytes], checking: set[bytes]) -> int:
+    return INITIAL if design in initial else CHECK if design in checking else ACTIVE
 
 
 def _next_results(task: Task, simulations: _Simulations, flight: Array, ended: bool) -> tuple[Array, Results] | None:

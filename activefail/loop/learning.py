@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.errors import DamagedError
 from activefail.loop.history import History
-from activefail.loop.stopping import Looks, looked
+from activefail.loop.stopping import Looks, check_looks, looked, looks_from_state, looks_state
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, LearnableMargins, train
@@ -112,43 +112,7 @@ class Learned:
     @property
     def state(self) -> dict[str, NDArray[Any]]:
         """The arrays of a saved state."""
-        state = classifier_state(self.classifier)
-        if len(self.looks.table):
-            state |= {_LOOKS: self.looks.table, _KNOWN: np.array(int(self.looks.is_known))}
-        return state
-
-
-_LOOKS, _KNOWN = "stop/looks", "stop/known"
-"""Keys of the looks in a saved state."""
-
-
-def _looks(state: Mapping[str, NDArray[Any]]) -> Looks:
-    """The looks of a saved state.
-
-    Raises:
-        DamagedError: if they are not what a campaign saves.
-    """
-    if _LOOKS not in state:
-        return Looks()
-    table, known = state[_LOOKS], state[_KNOWN]
-    if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
-        raise DamagedError("holds looks of the stop rule that are not rows of four finite numbers")
-    if known.dtype != np.int64 or known.shape != () or int(known) not in (0, 1):
-        raise DamagedError("holds a state of the stop rule that is neither 0 nor 1")
-    return Looks(table, bool(known))
-
-
-def _check_looks(campaign: Campaign, state: Mapping[str, NDArray[Any]]) -> None:
-    """Check the looks of a saved state.
-
-    Raises:
-        DamagedError: as `_looks` does.
-        KeyError: if the campaign would have saved looks and the state has none.
-    """
-    rule = campaign.settings.probability_rule
-    if rule is not None and f"{rule.probability}/unit" in state and _LOOKS not in state:
-        raise KeyError(_LOOKS)
-    _looks(state)
+        return classifier_state(self.classifier) | looks_state(self.looks)
 
 
 def current(campaign: Campaign, store: Store, write: bool) -> Learned:
@@ -163,8 +127,8 @@ def current(campaign: Campaign, store: Store, write: bool) -> Learned:
     """
     history = History.of(store.batches)
     last = history.last_iteration
-    saved = restore(campaign, store, last, lambda _, state: _check_looks(campaign, state))
-    iteration, learned = (-1, None) if saved is None else (saved[0], Learned(saved[2], _looks(saved[1])))
+    saved = restore(campaign, store, last, lambda _, state: check_looks(campaign, state))
+    iteration, learned = (-1, None) if saved is None else (saved[0], Learned(saved[2], looks_from_state(saved[1])))
     for later in range(iteration + 1, last + 1):
         learned = Learned.after(campaign, history, later, learned)
         if write:

@@ -5,7 +5,9 @@ probability is narrow at two looks, designs far from all others are simulated, w
 matter. If one of them contradicts the surrogate, the campaign continues.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 from activefail.acquisition.by_margin import SIZE
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
+from activefail.errors import DamagedError
 from activefail.loop.history import History
 from activefail.record.batch import CHECK
 from activefail.reliability.hidden import hidden_places
@@ -88,8 +91,12 @@ def looked(
         assert before is not None
         contradicted = contradictions(campaign, before, batch).any()
         # The budget may have cut the check short.
-        is_whole = batch.answered.sum() >= _ANSWERED * _designs_of_check(campaign)
-        looks = Looks(is_known=bool(is_whole and not contradicted))
+        looks = Looks(is_known=bool(is_whole(campaign, int(batch.answered.sum())) and not contradicted))
+    return with_look(campaign, known, iteration, classifier, looks)
+
+
+def with_look(campaign: Campaign, known: History, iteration: int, classifier: Classifier, looks: Looks) -> Looks:
+    """The looks with one more: the probability under the classifier after an iteration."""
     rule = campaign.settings.probability_rule
     assert rule is not None
     latent = classifier.latent(rule.probability)
@@ -99,6 +106,49 @@ def looked(
     rng = stream(campaign.settings.seed, "probability", iteration)
     row = np.array([[len(known), *model_probability(latent, campaign.features, campaign.space, SIZE, rng)]])
     return replace(looks, table=np.concatenate([looks.table, row]))
+
+
+def is_whole(campaign: Campaign, answered: int) -> bool:
+    """Whether enough designs of a check gave an outcome."""
+    return answered >= _ANSWERED * _designs_of_check(campaign)
+
+
+LOOKS, KNOWN = "stop/looks", "stop/known"
+"""Keys of the looks in a saved state."""
+
+
+def looks_state(looks: Looks) -> dict[str, NDArray[Any]]:
+    """The arrays of a saved state; none without looks."""
+    return {LOOKS: looks.table, KNOWN: np.array(int(looks.is_known))} if len(looks.table) else {}
+
+
+def looks_from_state(state: Mapping[str, NDArray[Any]]) -> Looks:
+    """The looks of a saved state.
+
+    Raises:
+        DamagedError: if they are not what a campaign saves.
+    """
+    if LOOKS not in state:
+        return Looks()
+    table, known = state[LOOKS], state[KNOWN]
+    if table.dtype != np.float64 or table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
+        raise DamagedError("holds looks of the stop rule that are not rows of four finite numbers")
+    if known.dtype != np.int64 or known.shape != () or int(known) not in (0, 1):
+        raise DamagedError("holds a state of the stop rule that is neither 0 nor 1")
+    return Looks(table, bool(known))
+
+
+def check_looks(campaign: Campaign, state: Mapping[str, NDArray[Any]]) -> None:
+    """Check the looks of a saved state.
+
+    Raises:
+        DamagedError: as `looks_from_state` does.
+        KeyError: if the campaign would have saved looks and the state has none.
+    """
+    rule = campaign.settings.probability_rule
+    if rule is not None and f"{rule.probability}/unit" in state and LOOKS not in state:
+        raise KeyError(LOOKS)
+    looks_from_state(state)
 
 
 def contradictions(campaign: Campaign, classifier: Classifier, batch: History) -> NDArray[np.bool_]:

@@ -211,7 +211,6 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
     [
         ({"stop": {"probability": "collapse"}}, "stop.probability: must be an outcome whose boundary is sought"),
         ({"classifier.learns": "drift"}, "classifier.learns: must be one of auto, outcomes, g, got 'drift'"),
-        ({"sampling.asynchronous": True}, "`stop.probability` needs `sampling.asynchronous = false`"),
     ],
 )
 def test_a_rule_that_cannot_be_is_refused(changes, rule) -> None:

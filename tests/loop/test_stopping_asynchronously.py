@@ -1,0 +1,196 @@
+"""The stop rule for a probability in campaigns without batches: its check runs while other designs are in flight."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from loop.test_asynchronous import Arbitrary, kept
+from loop.test_stopping import PROBABILITY, FourBranch, campaign_on
+
+from activefail.campaign.assembly import Campaign
+from activefail.loop.asynchronous import Course, learned_so_far, resumed
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.progress import Observer, Progress
+from activefail.record.batch import ACTIVE, CHECK, INITIAL
+from activefail.record.memory import MemoryStore
+from activefail.record.run_folder import FolderStore
+from activefail.record.store import Store
+from activefail.surrogate.state import classifier_state
+from activefail.surrogate.threads import one_thread
+
+FLIGHT, BUDGET = 3, 120
+
+
+def plan(**changes: object) -> Campaign:
+    return campaign_on(FourBranch(), sampling__batch=FLIGHT, sampling__asynchronous=True, **changes)
+
+
+def take(campaign: Campaign, store: Store, observer: Observer | None = None, **options: bool) -> Store:
+    run(campaign, store, Arbitrary(), BUDGET, observer, **options)
+    return store
+
+
+def bits(course: Course) -> tuple[object, ...]:
+    check = None if course.check is None else (course.check.waiting.tobytes(), course.check.answered)
+    state = {} if course.classifier is None else classifier_state(course.classifier)
+    looks = (course.looks.table.tobytes(), course.looks.is_known, course.known_through)
+    return course.iteration, course.flight.tobytes(), looks, check, {name: one.tobytes() for name, one in state.items()}
+
+
+def copied(campaign: Campaign, store: Store) -> MemoryStore:
+    """The record alone, without saved states."""
+    bare = MemoryStore(campaign.schema)
+    for batch in store.batches:
+        bare.commit(batch)
+    return bare
+
+
+@pytest.fixture(scope="module")
+def ended() -> tuple[Campaign, Store]:
+    campaign = plan()
+    return campaign, take(campaign, MemoryStore(campaign.schema))
+
+
+def test_it_ends_by_itself_after_a_check_that_contradicted_nothing(ended: tuple[Campaign, Store]) -> None:
+    campaign, store = ended
+    history = History.of(store.batches)
+    assert len(history) < BUDGET
+    assert set(history.origin.tolist()) == {INITIAL, ACTIVE, CHECK}
+    assert (history.origin == CHECK).sum() >= 4 + 2 * 2
+    learned = learned_so_far(campaign, store, write=False)
+    assert learned.looks.is_known
+    assert learned.looks.probability == pytest.approx(PROBABILITY, rel=0.25)
+    # A check is simulated beside active designs: no more than these are in flight.
+    commits = [set(batch.origin.tolist()) for batch in store.batches]
+    assert sum(CHECK in origins for origins in commits) > 1
+
+
+def test_resumed_after_its_end_it_simulates_nothing_more(ended: tuple[Campaign, Store]) -> None:
+    campaign, store = ended
+    again = copied(campaign, store)
+    take(campaign, again)
+    assert kept(again) == kept(store)
+
+
+def test_stopped_at_any_commit_it_continues_to_the_same_campaign(ended: tuple[Campaign, Store], tmp_path: Path) -> None:
+    campaign, whole = ended
+    n = len(whole.batches)
+    of_check = [number for number, batch in enumerate(whole.batches, start=1) if (batch.origin == CHECK).any()]
+    for commits in (of_check[0], of_check[-1]):
+        folder = tmp_path / str(commits)
+        with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
+
+            class Stop(Exception):  # noqa: N818  (at once, as a kill would)
+                pass
+
+            def halt(progress: Progress, store: Store = store, commits: int = commits) -> None:
+                if len(store.batches) == commits:
+                    raise Stop
+
+            if commits < n:
+                with pytest.raises(Stop):
+                    take(campaign, store, Observer(halt))
+                with one_thread():
+                    assert bits(resumed(campaign, store)) == bits(resumed(campaign, copied(campaign, store)))
+        with FolderStore.open(folder, campaign.schema, write=True) as store:
+            take(campaign, store)
+            assert kept(store) == kept(whole)
+        # A reader learns the same from the record alone.
+        with one_thread():
+            alone = learned_so_far(campaign, copied(campaign, whole), write=False)
+        assert alone.looks.is_known
+
+
+def test_more_simulations_than_were_in_flight_at_the_check_meet_the_rule_no_longer(
+    ended: tuple[Campaign, Store],
+) -> None:
+    campaign, store = ended
+    more = copied(campaign, store)
+    with one_thread():
+        known_through = resumed(campaign, more).known_through
+    assert len(History.of(store.batches)) <= known_through
+    run(campaign, more, Arbitrary(), known_through + 1, use_stop_rule=False)
+    with one_thread():
+        assert not resumed(campaign, more).looks.is_known
+
+
+def test_a_contradiction_ends_the_check_and_the_search_continues(ended: tuple[Campaign, Store]) -> None:
+    campaign, store = ended
+    first = next(number for number, batch in enumerate(store.batches) if (batch.origin == CHECK).any())
+    changed = MemoryStore(campaign.schema)
+    for batch in store.batches[:first]:
+        changed.commit(batch)
+    with one_thread():
+        before = resumed(campaign, changed)
+    assert before.check is not None
+    batch = store.batches[first]
+    rows = batch.origin == CHECK
+    margins = batch.results.margins.copy()
+    margins[rows] += 50.0
+    results = type(batch.results)(
+        np.where(rows, 0, batch.results.outcome).astype(np.int8), batch.results.cause, margins, batch.results.seconds
+    )
+    changed.commit(type(batch)(batch.iteration, batch.designs, batch.origin, results))
+    with one_thread():
+        after = before.after(campaign, changed.batches)
+    assert after.check is None
+    assert len(after.looks.table) == 1
+    assert not after.looks.is_known
+
+
+@pytest.fixture(scope="module")
+def checking(ended: tuple[Campaign, Store], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Course]:
+    """A run folder at the beginning of a check, and its course."""
+    campaign, whole = ended
+    first = next(number for number, batch in enumerate(whole.batches) if (batch.origin == CHECK).any())
+    folder = tmp_path_factory.mktemp("checking") / "run"
+    with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store, one_thread():
+        for batch in whole.batches[:first]:
+            store.commit(batch)
+        return folder, resumed(campaign, store)
+
+
+ANSWERED = np.empty(0)
+"""Stands for a design that has a result."""
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("check/answered", np.array(-1)),
+        ("check/known_through", np.array(0.5)),
+        ("check/waiting", np.zeros((2, 3))),
+        ("check/waiting", np.zeros((0, 2))),
+        ("check/waiting", np.full((1, 2), np.nan)),
+        ("check/waiting", ANSWERED),
+        ("stop/looks", np.zeros((1, 3))),
+        ("stop/known", np.array(2)),
+    ],
+)
+def test_a_saved_check_that_no_campaign_saves_is_rejected(
+    ended: tuple[Campaign, Store],
+    checking: tuple[Path, Course],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    key: str,
+    value: np.ndarray,
+) -> None:
+    campaign, (folder, expected) = ended[0], checking
+
+    def train_again(*_: object) -> None:
+        raise AssertionError("trains again")
+
+    shutil.copytree(folder, tmp_path / "run")
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store, one_thread():
+        iteration, state = store.latest_state()
+        assert {"check/waiting", "check/answered"} <= set(state)
+        assert bits(resumed(campaign, store)) == bits(expected)
+        wrong = History.of(store.batches).designs[:1] if value is ANSWERED else value
+        store.write_state(iteration, state | {key: wrong})
+        # Only the saved states before are left, and these are none.
+        monkeypatch.setattr("activefail.loop.asynchronous.learn", train_again)
+        with pytest.raises(AssertionError, match="trains again"):
+            resumed(campaign, store)
+        assert any("skipped" in warning for warning in store.warnings)
