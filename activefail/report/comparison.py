@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from activefail.comparison.score import DISPLACEMENT, NEIGHBOURS
+from activefail.comparison.measures import DISPLACEMENT, NEIGHBOURS
 from activefail.comparison.seeds import (
     STATIC,
     ArmScore,

@@ -20,8 +20,8 @@ import numpy as np
 
 from activefail.errors import InputError, signal_name
 from activefail.files import end_of, make_folder, read_regular
-from activefail.simulators.answers import designs_by_name, read_answer
 from activefail.simulators.interface import Results, UnusableAnswerError
+from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.space import Array, DesignSpace
 
 LONGEST_EXCERPT = 300

@@ -29,10 +29,10 @@ from activefail.errors import InputError, place_of
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
 from activefail.parameter import Parameter
-from activefail.simulators.answers import read_answer
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER, UnusableAnswerError
+from activefail.simulators.returned import read_answer
 from activefail.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("drift", 0.0, 4.0, "m"), Parameter("T", 1.0, 3.0)), {"storeys": 3.0})
