@@ -94,7 +94,7 @@ def _check(node: ast.expr, text: str, known: Collection[str]) -> None:
             return
         case ast.Name(id=name):
             if name not in known:
-                raise ValueError(f"unknown name {name!r}, known are {', '.join(sorted(known))}; in {text!r}")
+                raise ValueError(f"unknown name {name!r}; known names are {', '.join(sorted(known))}; in {text!r}")
             return
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
             _check(left, text, known)

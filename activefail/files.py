@@ -164,7 +164,7 @@ def publish(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -
         # Unlike a rename, a link fails if the name exists: it stops a second writer even without the lock.
         os.link(temporary, path)
     except FileExistsError:
-        raise StoreError(f"{path} already exists: another writer created it. Open the folder again.") from None
+        raise StoreError(f"{path} already exists: another writer created it. Resume the campaign.") from None
     except OSError as error:
         hint = " The folder's file system must support hard links." if error.errno in NO_LINKS else ""
         raise StoreError(_refused(path, error) + hint) from error

@@ -31,7 +31,9 @@ def distribution_fault(
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         return f"`low < high` must hold, got {low} and {high}"
     if high - low < _NARROWEST * max(abs(low), abs(high)):
-        return f"`high - low` must be at least {_NARROWEST:g} of the larger of the two, got {low} and {high}"
+        return (
+            f"`high - low` must be at least {_NARROWEST:g} times the larger of |low| and |high|, got {low} and {high}"
+        )
     if distribution == "log_uniform" and low <= 0.0:
         return f"`low > 0` must hold for a log-uniform distribution, got {low}"
     numbers = {name: number for name, number in (("mean", mean), ("sd", sd)) if number is not None}

@@ -167,8 +167,8 @@ class Run:
             return ""
         bound = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
         return (
-            f"stop.simulations: {rule.simulations} can show an error of at most {percent(bound)} at the first look, "
-            f"even if none is misclassified; {100 * rule.error:g} % needs at least {least}"
+            f"stop.simulations: with {rule.simulations} simulations the first look cannot show an error below "
+            f"{percent(bound)}, even if none is misclassified; {100 * rule.error:g} % takes at least {least}"
         )
 
     def check_budget(self, budget: int | None) -> None:
@@ -242,7 +242,7 @@ class Run:
         if (goal := self.settings.probability_rule) is not None:
             return (
                 f"met after {simulations} simulations: the classifier is sure of the probability of {goal.probability} "
-                f"and a check far from all other designs found nothing else. `activefail probability` estimates it "
+                f"and a check far from all other designs did not contradict it. `activefail probability` estimates it "
                 "with an interval"
             )
         return ""

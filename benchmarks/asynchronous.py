@@ -23,7 +23,7 @@ import numpy as np
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings
-from activefail.comparison.score import FreshSet, measures
+from activefail.comparison.measures import FreshSet, measures
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier

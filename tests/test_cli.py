@@ -466,7 +466,7 @@ def test_a_folder_that_another_process_writes_to_can_be_read_and_not_written_to(
 # --- status, predict, export -------------------------------------------------------------------------------------
 
 
-def test_the_status_names_every_boundary_that_is_sought_with_its_share(tiny: Path, tmp_path: Path) -> None:
+def test_the_status_names_every_target_boundary_with_its_share(tiny: Path, tmp_path: Path) -> None:
     text = tiny.read_text() + "\n[acquisition]\nboundary = { failure = 3, impact = 1 }\n"
     (tmp_path / "both.toml").write_text(text)
     result = activefail("status", halted(tmp_path / "both.toml", tmp_path / "both", 0))
@@ -510,7 +510,7 @@ def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_
     assert "stop rule  met after 20 simulations" in activefail("run", tmp_path / "easy.toml", "--out", folder).out
     assert activefail("status", folder).out.splitlines()[-2:] == [
         f"continue   activefail resume {folder}",
-        f"           activefail resume {folder} --ignore-stop, if it ended by its stop rule",
+        f"           activefail resume {folder} --ignore-stop, if the stop rule ended the campaign",
     ]
     activefail("resume", folder, "--ignore-stop", "--budget", "25")
     assert activefail("status", folder).out.splitlines()[-1] == f"continue   activefail resume {folder}"

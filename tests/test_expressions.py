@@ -44,7 +44,7 @@ def test_arithmetic_is_computed_on_numbers_arrays_and_tensors_alike(text: str) -
         ("", "must be an arithmetic expression"),
         ("A_p +", "must be an arithmetic expression"),
         ("A_p = 3", "must be an arithmetic expression"),
-        ("Ap * 2", "unknown name 'Ap', known are A_p, D, T_p, g, pi"),
+        ("Ap * 2", "unknown name 'Ap'; known names are A_p, D, T_p, g, pi"),
         ("__import__('os').system('true')", r"got \"__import__\('os'\).system\('true'\)\""),
         ("eval('1')", 'got "eval'),
         ("A_p.real", "got 'A_p.real'"),
@@ -143,7 +143,7 @@ def test_expressions_may_stand_without_the_variables() -> None:
     ("expressions", "says"),
     [
         ({"T_p": "A_p"}, "expressions.T_p: is the name of a variable"),
-        ({"a": "A_q"}, "expressions.a: unknown name 'A_q', known are A_p, D, T_p, g, k, pi; in 'A_q'"),
+        ({"a": "A_q"}, "expressions.a: unknown name 'A_q'; known names are A_p, D, T_p, g, k, pi; in 'A_q'"),
         ({"a": "log(A_p - 1)"}, "a must be finite over the space, got nan for {'A_p'"),
         ({"a": "1 / (D - 0.9)"}, "a must be finite over the space, got inf"),
         ({"a": "2 * D"}, "a must vary over the space, got 1.8 everywhere"),

@@ -164,7 +164,7 @@ def test_a_range_that_is_empty_or_not_finite_is_refused_with_rule_name_and_value
 
 @pytest.mark.parametrize(("low", "high"), [(1.0, 1.0 + 1e-12), (-5.0, -5.0 + 1e-10), (0.49999999999999994, 0.5)])
 def test_a_range_that_holds_too_few_numbers_to_choose_from_is_refused(low: float, high: float) -> None:
-    with pytest.raises(InputError, match="`high - low` must be at least 1e-09 of the larger of the two"):
+    with pytest.raises(InputError, match="`high - low` must be at least 1e-09 times the larger of"):
         Parameter("mu", low, high)
     Parameter("mu", 0.0, 1e-12)
 

@@ -206,7 +206,7 @@ def _check_names(space: DesignSpace, simulator: Simulator) -> None:
 
 
 def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
-    """Check that what boundaries are learned from exists, and that the stop rule's boundary is sought.
+    """Check that what boundaries are learned from exists, and that the stop rule's boundary is a target.
 
     Raises:
         InputError: naming the key and its value.
@@ -219,7 +219,7 @@ def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
     if rule is not None and rule.probability not in settings.acquisition.boundaries:
         known = ", ".join(settings.acquisition.boundaries)
         raise InputError(
-            f"stop.probability: must be an outcome whose boundary is sought ({known}), got {rule.probability!r}."
+            f"stop.probability: must be the outcome of a target boundary ({known}), got {rule.probability!r}."
         )
 
 

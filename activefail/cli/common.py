@@ -22,7 +22,7 @@ RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", met
 Code = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of the code of a custom simulator or custom features; this code is executed.",
+        help="Folder with the code of the custom simulator or features; activefail executes this code.",
         exists=True,
         file_okay=False,
         show_default=False,
@@ -64,14 +64,14 @@ def make_executor(
         from activefail.execution.local import local_executor
 
         if scheduler is not None:
-            raise InputError("--scheduler: only for --executor dask.")
+            raise InputError("--scheduler requires --executor dask.")
         return local_executor(campaign.simulator, workers, campaign.time_limit)
     from activefail.execution.dask import DaskExecutor
 
     if scheduler is None:
-        raise InputError("--scheduler: required for --executor dask.")
+        raise InputError("--executor dask requires --scheduler.")
     if workers is not None:
-        raise InputError("--workers: only for --executor local; the Dask cluster sets its own workers.")
+        raise InputError("--workers requires --executor local; the Dask cluster sets its own workers.")
     from activefail.campaign.provenance import simulation_versions
 
     return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)

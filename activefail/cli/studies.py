@@ -43,7 +43,10 @@ def compare(
         int | None,
         typer.Option(help="Fresh test designs; 2000 for a run folder, 5000 for a file.", min=10, max=1_000_000),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Campaign file: parallel arms; all cores by default.", min=1)] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(help="Campaign file: campaigns and static designs in parallel; all cores by default.", min=1),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Campaign file: folder of the comparison.", show_default=False)
     ] = None,

@@ -18,7 +18,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder, open_campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
-from activefail.comparison.score import NEIGHBOURS, FreshSet, displaced, measures
+from activefail.comparison.measures import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError
 from activefail.execution.local import local_executor
 from activefail.execution.pool import ProcessPool, stopping

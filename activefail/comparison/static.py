@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.comparison.score import log_score, probability_of_truth
+from activefail.comparison.measures import log_score, probability_of_truth
 from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor

@@ -176,8 +176,8 @@ class DaskExecutor:
                 # A worker without activefail or with another version.
                 raise SimulationError(
                     f"The Dask cluster at {self._scheduler} could not simulate design {x.tolist()}: "
-                    f"{type(answer).__name__}: {' '.join(str(answer).split())} "
-                    f"The workers need the same activefail, Python and Dask."
+                    f"{type(answer).__name__}: {' '.join(str(answer).split()).rstrip('.')}. "
+                    "The workers need this machine's versions of activefail, Python and Dask."
                 ) from answer
             case _:
                 return with_shown_faults(answer)

@@ -169,7 +169,7 @@ class _Worker:
             frame = self._ask(QuestionKind.DESIGN, design, limit, longest_answer(simulator))
             self.answered += 1
             if frame.kind != FrameKind.ANSWERED:
-                raise BrokenFrameError("it is no reply to a design")
+                raise BrokenFrameError("it is not a reply to a design")
             return unpack_answer(frame.payload, simulator)
         except BrokenFrameError as error:
             return unanswered(simulator, 1, WORKER_DIED, _invalid(error))

@@ -129,7 +129,7 @@ class ExplorerServer(ThreadingHTTPServer):
         try:
             super().__init__((bound, port), _Handler)
         except OSError as error:
-            raise InputError(f"{host}:{port}: cannot be listened on: {error.strerror or error}.") from None
+            raise InputError(f"Cannot listen on {host}:{port}: {error.strerror or error}.") from None
         except TypeError as error:
             # `bind` raises this for a name that it cannot encode.
             raise InputError(f"--host: {host!r} is not an address: {error}.") from None

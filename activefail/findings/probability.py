@@ -169,12 +169,12 @@ class ProbabilityFindings:
                 "too."
             )
         sentences.append(
-            f"The outermost designs, with a probability of {REACH:g}, are not tried; the upper end of the interval "
-            "counts them as failures."
+            f"The outermost designs, with a total probability of {REACH:g}, are never simulated; the upper end of the "
+            "interval counts them as failures."
         )
         if self.outside > REACH:
             sentences.append(
-                f"Designs outside the variables' bounds, with a probability of up to {self.outside:.1g}, are left out."
+                f"Designs outside the variables' bounds, with a probability of up to {self.outside:.1g}, are excluded."
             )
         return sentences
 

@@ -145,7 +145,7 @@ class Status:
         command = f"activefail resume {quoted(self.folder)}{' --code FOLDER' if settings.custom_code else ''}"
         lines = [("continue", f"{command} --ignore-stop" if self._rule_is_met else command)]
         if is_verified(self.folder, self.summary):
-            lines.append(("", f"{command} --ignore-stop, if it ended by its stop rule"))
+            lines.append(("", f"{command} --ignore-stop, if the stop rule ended the campaign"))
         return lines
 
 

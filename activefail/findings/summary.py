@@ -159,7 +159,7 @@ class Summary:
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts that `activefail status` prints."""
         settings = self.settings
-        sought = " and ".join(
+        targets = " and ".join(
             f"the {name} boundary" + (f" ({percent(share, 0)})" if share < 1.0 else "")
             for name, share in settings.boundaries.items()
         )
@@ -169,7 +169,7 @@ class Summary:
         names = (*self.outcomes, "numerical failures")
         return [
             ("simulator", f"{settings.simulator}, {settings.variables} variables, seed {settings.seed}"),
-            ("learner", f"{settings.kernel} on {settings.features} features, {settings.criterion} at {sought}"),
+            ("learner", f"{settings.kernel} on {settings.features} features, {settings.criterion} at {targets}"),
             ("done", f"{done}, iteration {self.iteration}"),
             *(
                 (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from activefail.bearing.design import TABLE_1, Model
 from activefail.bearing.simulation import simulate
-from activefail.comparison.score import expected_calibration_error, log_score, probability_of_truth
+from activefail.comparison.measures import expected_calibration_error, log_score, probability_of_truth
 from activefail.execution.pool import ProcessPool
 from activefail.features import feature_map, paper_features
 from activefail.paper import published

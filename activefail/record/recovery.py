@@ -85,7 +85,7 @@ def check_campaign(segments: Sequence[Segment], settings: str, schema: Schema | 
                 segment.settings.splitlines(), settings.splitlines(), f"in {segment.name}", "campaign.toml", lineterm=""
             )
             raise StoreError(
-                f"The settings were changed after the campaign began: the SHA-256 of its campaign.toml is not the one "
+                f"The settings were changed after the campaign began: campaign.toml differs from the settings "
                 f"in segments/{segment.name}. Restore the frozen copy (the segment holds its text, in the dataset "
                 f"'settings'), or start a new campaign in another folder. Changes:\n"
                 + ("\n".join(map(visible, lines)) or "only line endings")

@@ -342,7 +342,7 @@ class FolderStore:
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Guard one change of the folder. If it may be incomplete, this object refuses every later change."""
-        self._refusal = f"Writing to {self.folder} was interrupted. Open it again: acknowledged data is intact."
+        self._refusal = f"Writing to {self.folder} was interrupted. Acknowledged data is intact; resume the campaign."
         try:
             # Before anything is written; `publish` and `replace` check again before a file gets its name.
             self._check_place()
@@ -403,15 +403,20 @@ class FolderStore:
     def _publish(self, segment: Segment, data: bytes) -> None:
         """Commit a segment of new designs, protected against a writer that the lock did not stop."""
         path = self.folder / SEGMENTS / segment.name
-        reason = f"Open {self.folder} again."
         if rival := self._rival(segment):
-            raise StoreError(f"Cannot write {path}: another process has recorded its designs in {rival}. {reason}")
+            raise StoreError(
+                f"Cannot write {path}: another process has recorded designs under the same ids in {rival}. "
+                "Resume the campaign."
+            )
         publish(path, data, self._check_place)
         # The link protects one name only. Of two overlapping names, the later writer sees the other one here.
         if rival := self._rival(segment):
             with suppress(StoreError):
                 self._warn(set_aside(path, f"was written at the same time as {rival}"))
-            raise StoreError(f"Set {path} aside: another process recorded its designs in {rival}. {reason}")
+            raise StoreError(
+                f"{path} was set aside: {rival}, written by another process, has the same design ids. "
+                "Resume the campaign."
+            )
 
     def _rival(self, segment: Segment) -> str | None:
         """Another file that contains ids of the segment."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from activefail.comparison.score import DISPLACEMENT, NEIGHBOURS
+from activefail.comparison.measures import DISPLACEMENT, NEIGHBOURS
 from activefail.comparison.seeds import (
     STATIC,
     ArmScore,
@@ -55,7 +55,7 @@ def _command(plan: ComparisonPlan) -> str:
     return f"activefail compare CAMPAIGN.toml --seeds {plan.seeds} {options} --test {plan.test} --out DIR"
 
 
-def _sought(plan: ComparisonPlan) -> str:
+def _targets(plan: ComparisonPlan) -> str:
     shares = plan.settings.acquisition.boundaries
     if len(shares) == 1:
         return next(iter(shares))
@@ -112,7 +112,7 @@ def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
     )
     return environment.get_template("comparison.md.j2").render(
         title=plan.settings.description or "a campaign",
-        sought=_sought(plan),
+        targets=_targets(plan),
         boundary=boundary,
         seeds=plan.seeds,
         test=plan.test,
@@ -167,7 +167,7 @@ def run_comparison(
             out,
             jobs or os.cpu_count() or 1,
             stage,
-            lambda done, total: stage(f"{done} of {total} arms scored"),
+            lambda done, total: stage(f"{done} of {total} campaigns and static designs scored"),
             stop,
         )
         return None if scores is None else (scores, write_comparison(plan, scores, out))

@@ -122,7 +122,10 @@ def _plausible(score: Score) -> Score:
     if not all(one <= other for one, other in pairwise(shares)):
         raise ValueError(f"`0 <= low <= accuracy <= high <= 1` must hold, got {shares[1:-1]}")
     if not 0.0 <= score.outcome_accuracy <= 1.0 or not score.log_score <= 0.0:
-        raise ValueError(f"outcome_accuracy {score.outcome_accuracy} and log_score {score.log_score}")
+        raise ValueError(
+            f"`0 <= outcome_accuracy <= 1` and `log_score <= 0` must hold, got {score.outcome_accuracy} and "
+            f"{score.log_score}"
+        )
     if score.sampling not in ("active", "static"):
         raise ValueError(f"sampling: must be active or static, got {visible(score.sampling)!r}")
     recalled = [number for one in score.recall.values() for number in (one.recalled, one.total)]
@@ -138,18 +141,18 @@ def _curve(
 ) -> tuple[Curve | None, str | None]:
     """The learning curve, and a note on what it lacks."""
     path = folder / COMPARISON / SCORES
-    note = "no comparison with static designs"
+    note = "a comparison with static designs"
     if path.exists():
         try:
             scores, unanswered = read_scores(path, campaign.simulator.outcomes)
             return Curve(scores, max(one.test_designs for one in scores), "compare", unanswered), None
         except InputError as error:
-            note = f"the comparison cannot be read ({error})"
+            note = f"a readable comparison with static designs ({error})"
     validation = stored_set(store, VALIDATION)
     history = History.of(store.batches)
     done = len(history)
     if validation is None:
-        return None, f"{note}, and no validation set (validation.size)"
+        return None, f"{note}, or a validation set (validation.size)"
     scores = []
     classifier: Classifier | None = None
     initial = campaign.settings.sampling.initial * initial_sets(campaign, history)
@@ -188,7 +191,7 @@ class Evidence:
 
     Attributes:
         curve, reliability, error: None if the folder has no data for it.
-        missing: why evidence is missing, by section of the report.
+        missing: the missing evidence, by section of the report.
     """
 
     curve: Curve | None
@@ -210,8 +213,8 @@ def evidence_of(
     missing = {} if note is None else {"curve": note}
     reliability = _reliability(campaign, store, classifier)
     if reliability is None:
-        missing["reliability"] = "no test set, and no complete initial design"
+        missing["reliability"] = "a test set, or a complete initial design"
     error = verified(campaign, store, classifier, store.batches[-1].iteration, 0.9)
     if error is None:
-        missing["error"] = "the classifier's error is not verified"
+        missing["error"] = "a verification of the classifier's error"
     return Evidence(curve, reliability, error, missing)

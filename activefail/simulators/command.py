@@ -20,8 +20,8 @@ import numpy as np
 
 from activefail.errors import InputError, signal_name
 from activefail.files import end_of, make_folder, read_regular
-from activefail.simulators.answers import designs_by_name, read_answer
 from activefail.simulators.interface import Results, UnusableAnswerError
+from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.space import Array, DesignSpace
 
 LONGEST_EXCERPT = 300
@@ -90,7 +90,7 @@ class CommandSimulator:
                         f"the format of {{{field}}} must have a width and a precision of at most {LONGEST_NUMBER}"
                     )
                 if field not in known:
-                    raise ValueError(f"{{{field}}} is none of {', '.join(f'{{{name}}}' for name in known)}")
+                    raise ValueError(f"{{{field}}} is unknown; use one of {', '.join(f'{{{name}}}' for name in known)}")
             if "out" not in names:
                 raise ValueError("the command must contain {out}, the file for the program's answer")
             for part in parts:

@@ -7,9 +7,9 @@ from functools import cache
 from pathlib import Path
 
 from activefail.errors import ActivefailError, InputError, description_of
-from activefail.simulators.answers import designs_by_name, read_answer
 from activefail.simulators.code_folder import import_from
 from activefail.simulators.interface import Results
+from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.simulators.user_code import SIMULATOR_KEY, load_function
 from activefail.space import Array, DesignSpace
 

@@ -54,7 +54,7 @@ def load_function(
     except _NeverRunError as error:
         raise InputError(
             f"{key}: {module_name} is {error}, in the run folder, which may come from someone else. Code in a "
-            "run folder runs only if you name that folder. If you trust it: --code FOLDER."
+            "run folder runs only if you name that folder. If you trust it, add --code FOLDER."
         ) from None
     except KeyboardInterrupt:
         raise

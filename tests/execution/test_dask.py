@@ -406,7 +406,7 @@ class Unknown(Disc):
 def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(cluster: Cluster) -> None:
     with (
         DaskExecutor(cluster.address) as executor,
-        pytest.raises(SimulationError, match=r"could not simulate design .*The workers need the same activefail"),
+        pytest.raises(SimulationError, match=r"could not simulate design .*The workers need this machine's versions"),
     ):
         executor.run(Unknown(), np.array([[0.0, 20.0]]))
 
@@ -560,10 +560,10 @@ def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(
 def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
     words = ("run", tmp_path / "mine.toml", "--out", tmp_path / "run")
-    refused(activefail(*words, "--executor", "dask"), "--scheduler: required for --executor dask")
-    refused(activefail(*words, "--scheduler", "tcp://127.0.0.1:1"), "--scheduler: only for --executor dask")
+    refused(activefail(*words, "--executor", "dask"), "--executor dask requires --scheduler")
+    refused(activefail(*words, "--scheduler", "tcp://127.0.0.1:1"), "--scheduler requires --executor dask")
     dask = (*words, "--executor", "dask", "--scheduler")
-    refused(activefail(*dask, "127.0.0.1:1", "--workers", "2"), "--workers: only for --executor local")
+    refused(activefail(*dask, "127.0.0.1:1", "--workers", "2"), "--workers requires --executor local")
     for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://"):
         refused(activefail(*dask, address), f"--scheduler: no Dask scheduler answers at {address!r}")
     assert not (tmp_path / "run").exists()

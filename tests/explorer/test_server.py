@@ -217,7 +217,7 @@ def test_a_port_that_is_taken_is_named_with_the_reason(answers):
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(InputError, match=rf"127\.0\.0\.1:{port}: cannot be listened on: Address already in use"):
+        with pytest.raises(InputError, match=rf"Cannot listen on 127\.0\.0\.1:{port}: Address already in use"):
             ExplorerServer("127.0.0.1", port, answers)
 
 

@@ -86,6 +86,7 @@ def commands(folder: Path) -> Iterator[list[str | Path]]:
     yield ["report", folder]
     yield ["explore", folder, "--port", "0"]
     yield ["verify", folder, "--simulations", "10", *code]
+    yield ["probability", folder, "--simulations", "10", *code]
     yield ["compare", folder, "--budgets", "8,12", "--test", "10", *code]
     yield ["resume", folder, "--budget", "14", *code]
 

@@ -209,7 +209,7 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
-        ({"stop": {"probability": "collapse"}}, "stop.probability: must be an outcome whose boundary is sought"),
+        ({"stop": {"probability": "collapse"}}, "stop.probability: must be the outcome of a target boundary"),
         ({"classifier.learns": "drift"}, "classifier.learns: must be one of auto, outcomes, g, got 'drift'"),
     ],
 )

@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from activefail.bearing import TABLE_1, Model, simulate
 from activefail.cli import main
-from activefail.comparison.score import expected_calibration_error
+from activefail.comparison.measures import expected_calibration_error
 from activefail.features import paper_features
 from activefail.paper import published
 from activefail.paper import study as paper

@@ -756,7 +756,9 @@ def test_without_the_lock_a_writer_that_missed_a_compaction_is_fenced(
     for seed in (1, 2):
         first.commit(batch(2, seed))
     assert segments(tmp_path / "run") == ["000000000-000000005.h5"]
-    with pytest.raises(StoreError, match=r"another process has recorded its designs in 000000000-000000005\.h5"):
+    with pytest.raises(
+        StoreError, match=r"another process has recorded designs under the same ids in 000000000-000000005\.h5"
+    ):
         second.commit(batch(2, 9))
     assert read(tmp_path / "run") == contents(first)
 

@@ -29,10 +29,10 @@ from activefail.errors import InputError, place_of
 from activefail.execution.answering import answer
 from activefail.execution.local import ProcessExecutor
 from activefail.parameter import Parameter
-from activefail.simulators.answers import read_answer
 from activefail.simulators.command import CommandSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import RAISED, TIME_LIMIT, UNUSABLE_ANSWER, UnusableAnswerError
+from activefail.simulators.returned import read_answer
 from activefail.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("drift", 0.0, 4.0, "m"), Parameter("T", 1.0, 3.0)), {"storeys": 3.0})
@@ -617,12 +617,12 @@ if float(sys.argv[1]) > 3:
     ("command", "says"),
     [
         ("model {drift}", "the command must contain {out}, the file for the program's answer"),
-        ("model {drfit} {out}", "{drfit} is none of {drift}, {T}, {storeys}, {out}, {here}"),
-        ("model {} {out}", "{} is none of"),
-        ("model {drift.real} {out}", "{drift.real} is none of"),
+        ("model {drfit} {out}", "{drfit} is unknown; use one of {drift}, {T}, {storeys}, {out}, {here}"),
+        ("model {} {out}", "{} is unknown; use one of"),
+        ("model {drift.real} {out}", "{drift.real} is unknown; use one of"),
         ("model {drift:q} {out}", "Unknown format code 'q'"),
         ("model {drift:{nope}} {out}", "the format of {drift} must not contain braces"),
-        ("model {drift {out}", "expected '}' before end of string|is none of"),
+        ("model {drift {out}", "expected '}' before end of string|is unknown"),
         ("model 'a {out}", "No closing quotation"),
     ],
 )
@@ -886,7 +886,7 @@ def test_sets_that_an_earlier_version_of_the_code_simulated_are_simulated_again(
     digests = [hashlib.sha256(text.encode()).hexdigest()[:8] for text in (MODEL, (mine / "model.py").read_text())]
     changed = f"was simulated with different code (simulator.python {digests[0]} -> {digests[1]}); it is not used."
     # Without the code, the program cannot know that it has changed; with it, a reader does not use the sets.
-    unverified = "the classifier's error is not verified"
+    unverified = "a verification of the classifier's error"
     assert unverified not in activefail("report", run, "--out", tmp_path / "1.html").out
     assert unverified in activefail("report", run, "--code", mine, "--out", tmp_path / "2.html").out
     assert outcomes_of_sets(run) == before

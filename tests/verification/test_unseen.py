@@ -176,8 +176,8 @@ def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is
     file.write_text("sampling = { initial = 4, budget = 4 }\nstop = { error = 0.005, simulations = 100 }\n")
     result = activefail("run", file, "--out", tmp_path / "run")
     assert result.code == 0
-    assert "stop.simulations: 100 can show an error of at most 3.0 % at the first look" in result.err
-    assert "needs at least 598" in result.err
+    assert "stop.simulations: with 100 simulations the first look cannot show an error below 3.0 %" in result.err
+    assert "takes at least 598" in result.err
 
 
 def test_nobody_reads_a_share_that_was_rounded_to_all_or_nothing():
