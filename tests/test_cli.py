@@ -945,7 +945,7 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
 
     monkeypatch.setattr("activefail.paper.study.run_study", compiling)
     result = activefail("paper", "--out", tmp_path / "paper")
-    assert (result.code, result.err) == (130, "stopped; nothing was saved. The same command starts over.\n")
+    assert (result.code, result.err) == (130, "stopped; nothing was saved. Run the same command to start over.\n")
 
 
 def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], None] = lambda: None) -> str:
@@ -974,7 +974,7 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
     with holding(f"activefail.paper.study:{place}", *words) as running:
         running.wait()
         err = struck_as_by_a_terminal(running.process)
-    assert err.splitlines()[-1] == "stopped; nothing was saved. The same command starts over."
+    assert err.splitlines()[-1] == "stopped; nothing was saved. Run the same command to start over."
     assert list((tmp_path / "paper").iterdir()) == []
 
 
@@ -1001,7 +1001,10 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
     with holding("activefail.comparison.seeds:score_arm", *words, "--static", "20", "--jobs", "2") as running:
         wait_for(running.process.stderr, "campaigns and classifiers")
         err = struck_as_by_a_terminal(running.process, running.release)
-    assert err.splitlines()[-1] == f"stopped; scores are kept in {tmp_path / 'compared'}. The same command continues."
+    assert (
+        err.splitlines()[-1]
+        == f"stopped; scores are kept in {tmp_path / 'compared'}. Run the same command to continue."
+    )
     result = activefail(*words, "--static", "20")
     assert result.code == 0, result.err
 

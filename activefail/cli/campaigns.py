@@ -163,7 +163,7 @@ def verify(
     print(f"error      {error_text(error)} of the design space on the wrong side of {opened.boundary}")
     print(
         f"           {100 * confidence:g} % interval from {error.in_words}, {error.wrong} of them misclassified; "
-        "the simulations have different weights"
+        "the error is their weighted share"
     )
     print(f"expected   {percent(error.expected, 2)} by the classifier's own probabilities, without an interval")
     show_unseen(summary)

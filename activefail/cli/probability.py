@@ -50,16 +50,16 @@ def probability(
     else:
         print(f"interval   {interval}, with {100 * confidence:g} % confidence")
     print(
-        f"from       {findings.learned} simulations of the campaign, {findings.seen} of them {name}, and "
-        f"{estimate.simulations} fresh ones{failed}, {estimate.beyond} of them {name}"
+        f"from       {findings.learned} simulations of the campaign, {findings.seen} of them ended in {name}, and "
+        f"{estimate.simulations} fresh ones{failed}, {estimate.beyond} of them in {name}"
     )
     print(
         f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; {estimate.wrong} of the fresh "
         "simulations contradict it"
     )
     print(
-        f"recall     {percent(estimate.recall)} of that probability is where the classifier predicts {name}; at least "
-        f"{percent(estimate.recall_low)} with {100 * confidence:g} % confidence"
+        f"recall     {percent(estimate.recall)} of the estimated probability lies where {name} is predicted; "
+        f"at least {percent(estimate.recall_low)} with {100 * confidence:g} % confidence"
     )
     print(
         f"bound      {rounded_up(findings.bound.high)} without a model, one-sided at 90 %, from the "

@@ -24,20 +24,22 @@ def compare(
     ],
     budgets: Annotated[
         str | None,
-        typer.Option(help="Run folder: numbers of simulations, like 250,500; six by default.", show_default=False),
+        typer.Option(
+            help="With a run folder: numbers of simulations, like 250,500; six by default.", show_default=False
+        ),
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(help="Campaign file: number of seeds; 5 by default.", min=1, max=100)
+        int | None, typer.Option(help="With a campaign file: number of seeds; 5 by default.", min=1, max=100)
     ] = None,
     criteria: Annotated[
-        str | None, typer.Option(help="Campaign file: criteria, like entropy,bald; by default the file's.")
+        str | None, typer.Option(help="With a campaign file: criteria, like entropy,bald; by default the file's.")
     ] = None,
     features: Annotated[
-        str | None, typer.Option(help="Campaign file: features, like paper,sliding; by default the file's.")
+        str | None, typer.Option(help="With a campaign file: features, like paper,sliding; by default the file's.")
     ] = None,
     static: Annotated[
         str | None,
-        typer.Option(help="Campaign file: sizes of static designs; by default the file's initial and budget."),
+        typer.Option(help="With a campaign file: sizes of static designs; by default the file's initial and budget."),
     ] = None,
     test: Annotated[
         int | None,
@@ -45,10 +47,12 @@ def compare(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(help="Campaign file: campaigns and static designs in parallel; all cores by default.", min=1),
+        typer.Option(
+            help="With a campaign file: campaigns and static designs in parallel; all cores by default.", min=1
+        ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Campaign file: folder of the comparison.", show_default=False)
+        Path | None, typer.Option(help="With a campaign file: folder of the comparison.", show_default=False)
     ] = None,
     code: Code = None,
 ) -> None:
@@ -117,7 +121,7 @@ def _compare_seeds(plan: "ComparisonPlan", out: Path, jobs: int | None) -> None:
     except KeyboardInterrupt:
         compared = None
     if compared is None:
-        print(f"stopped; scores are kept in {visible(str(out))}. The same command continues.", file=sys.stderr)
+        print(f"stopped; scores are kept in {visible(str(out))}. Run the same command to continue.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
     scores, page = compared
     print("\n".join(comparison_lines(scores)))
@@ -141,7 +145,7 @@ def paper(
     try:
         study = run_study(draws, fresh, seed, show_stage)
     except KeyboardInterrupt:
-        print("stopped; nothing was saved. The same command starts over.", file=sys.stderr)
+        print("stopped; nothing was saved. Run the same command to start over.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     page = write_reproduction(study, out, show_stage)
     print("\n".join(line for claim in claims(study) for line in claim.lines))

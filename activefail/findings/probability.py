@@ -164,9 +164,9 @@ class ProbabilityFindings:
         )
         if self.extrapolated > 0.0:
             sentences.append(
-                f"{percent(self.extrapolated)} of the question lies outside the campaign's design space, where the "
-                "classifier extrapolates. Its share of the failures may be larger. Fresh simulations are drawn there "
-                "too."
+                f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design "
+                "space, where the classifier extrapolates. That part may hold a larger share of the failures. Fresh "
+                "simulations are drawn there too."
             )
         sentences.append(
             f"The outermost designs, with a total probability of {REACH:g}, are never simulated; the upper end of the "

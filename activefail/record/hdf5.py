@@ -118,7 +118,7 @@ class Image:
         """
         declared = self._root.attrs.get_id(name)
         if declared.dtype.kind != "S" or declared.shape != ():
-            raise DamagedError(f"declares the attribute {name!r} as {declared.dtype}, not as a text")
+            raise DamagedError(f"declares the attribute {name!r} as {declared.dtype}, not as text")
         return bytes(self._root.attrs[name]).decode()
 
     def attributes(self, prefix: str) -> dict[str, str]:
@@ -176,10 +176,10 @@ class Image:
         return np.asarray(self._root[name][()])
 
     def text(self, name: str) -> str:
-        """The dataset as a text."""
+        """The dataset as text."""
         declared, _ = self.declared(name)
         if declared.kind != "S":
-            raise DamagedError(f"declares {name!r} as {declared}, not as a text")
+            raise DamagedError(f"declares {name!r} as {declared}, not as text")
         return bytes(self.array(name, declared, (1,))[0]).decode()
 
 

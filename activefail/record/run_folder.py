@@ -216,9 +216,13 @@ class FolderStore:
         except OSError as error:
             raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
         except UnicodeDecodeError:
-            raise StoreError(f"{path} is no longer UTF-8 text. Restore the frozen copy.") from None
+            raise StoreError(
+                f"{path} is no longer UTF-8 text. Restore it: a segment holds its text, in the dataset 'settings'."
+            ) from None
         except ValueError as error:
-            raise StoreError(f"{path} {error}. Restore the frozen copy.") from None
+            raise StoreError(
+                f"{path} {error}. Restore it: a segment holds its text, in the dataset 'settings'."
+            ) from None
         store = cls(folder, settings, schema, FolderLock(folder) if write else None, provenance or {}, decisive)
         try:
             store._load()

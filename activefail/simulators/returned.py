@@ -37,7 +37,9 @@ def read_answer(
     elif levels and not isinstance(answer, Mapping):
         answer = _of_limit_state(answer, outcomes, margins[0], levels)
     if not isinstance(answer, Mapping):
-        raise UnusableAnswerError(f"the answer must be an outcome or a table with one, got {answer!r}")
+        raise UnusableAnswerError(
+            f"the answer must be the name of an outcome, or a dictionary with `outcome`, got {answer!r}"
+        )
     unknown = set(answer) - {"outcome", "margins"}
     if unknown:
         raise UnusableAnswerError(
@@ -50,7 +52,7 @@ def read_answer(
         raise UnusableAnswerError(f"outcome: must be one of {', '.join(outcomes)}, got {outcome!r}")
     if not isinstance(margin_values, Mapping):
         raise UnusableAnswerError(
-            f"margins: must be a table of {', '.join(margins) or 'nothing'}, got {margin_values!r}"
+            f"margins: must be a dictionary of {', '.join(margins) or 'nothing'}, got {margin_values!r}"
         )
     for name in margin_values:
         if name not in margins:

@@ -97,7 +97,8 @@ def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -
     _check_arrays(state, name, expected)
     inducing = state.get(f"{name}/inducing")
     if (inducing is None) != (n <= EXACT):
-        raise DamagedError(f"was learned from {n} designs {'without' if inducing is None else 'with'} inducing points")
+        what = "lacks inducing points, which" if inducing is None else "holds inducing points, although"
+        raise DamagedError(f"{what} {n} designs {'need' if inducing is None else 'need none'}")
     if inducing is not None and (
         inducing.dtype != np.int64
         or inducing.ndim != 1
@@ -239,5 +240,5 @@ def _checked(latent: AnyLatent) -> AnyLatent:
     except (ArithmeticError, LookupError, RuntimeError, ValueError) as error:
         raise DamagedError(f"cannot be used ({type(error).__name__})") from error
     if not (np.isfinite(moments.mean).all() and np.isfinite(moments.sd).all()):
-        raise DamagedError("predicts no finite numbers")
+        raise DamagedError("predicts numbers that are not finite")
     return latent

@@ -113,7 +113,17 @@ def unforged(result: CommandResult) -> None:
 # --- links -------------------------------------------------------------------------------------------------------
 
 PLACES = (
-    *("campaign.toml", ".lock", "report.html", "segments", "state", "sets", "simulations", "compare"),
+    *(
+        "campaign.toml",
+        ".lock",
+        "report.html",
+        "probability.json",
+        "segments",
+        "state",
+        "sets",
+        "simulations",
+        "compare",
+    ),
     *("segments/000000000-000000007.h5", "segments/000000099-000000100.h5", "state/000000001.h5", "state/000000099.h5"),
     *("sets/validation-0.h5", "sets/notes", "compare/scores.csv", "compare/learning_curves.png", "simulations/0123"),
 )

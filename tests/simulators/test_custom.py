@@ -133,15 +133,15 @@ def test_an_outcome_alone_is_an_answer(tmp_path: Path) -> None:
 
 
 UNUSABLE = {
-    "3": "must be an outcome or a table with one, got 3",
-    "None": "must be an outcome or a table with one, got None",
+    "3": "must be the name of an outcome, or a dictionary with `outcome`, got 3",
+    "None": "must be the name of an outcome, or a dictionary with `outcome`, got None",
     "{}": "outcome: must be one of safe, damage, failure, got None",
     "{'outcome': __import__('unittest.mock').mock.ANY}": "outcome: must be one of safe, damage, failure, got <ANY>",
     "'collapse'": "outcome: must be one of safe, damage, failure, got 'collapse'",
-    "['safe']": "must be an outcome or a table with one",
+    "['safe']": "must be the name of an outcome, or a dictionary with `outcome`",
     "{'outcome': ['safe']}": r"outcome: must be one of safe, damage, failure, got \['safe'\]",
     "{'outcome': 'safe', 'margin': {}}": "may contain only outcome and margins, got 'margin'",
-    "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a table of gap, energy",
+    "{'outcome': 'safe', 'margins': [1.0]}": "margins: must be a dictionary of gap, energy",
     "{'outcome': 'safe', 'margins': {'gab': 1.0}}": "margins: 'gab' is not declared in simulator.margins, .* gap",
     "{'outcome': 'safe', 'margins': {'gap': 'wide'}}": "margins.gap: must be a number, got 'wide'",
     "{'outcome': 'safe', 'margins': {'gap': None}}": "margins.gap: must be a number, got None",
@@ -507,7 +507,10 @@ FAILING = {
     "pass": (UNUSABLE_ANSWER, "the program did not write .*answer.json"),
     "open(sys.argv[-1], 'w').write('{')": (UNUSABLE_ANSWER, "answer.json is not JSON"),
     "open(sys.argv[-1], 'wb').write(bytes(range(256)))": (UNUSABLE_ANSWER, "answer.json is not JSON"),
-    "open(sys.argv[-1], 'w').write('[\"safe\"]')": (UNUSABLE_ANSWER, "must be an outcome or a table with one"),
+    "open(sys.argv[-1], 'w').write('[\"safe\"]')": (
+        UNUSABLE_ANSWER,
+        "must be the name of an outcome, or a dictionary with `outcome`",
+    ),
     "json.dump({'outcome': 'collapse'}, open(sys.argv[-1], 'w'))": (UNUSABLE_ANSWER, "must be one of safe, failure"),
 }
 
@@ -1188,9 +1191,11 @@ def test_a_limit_state_returns_its_margin_alone(value: float, outcome: int) -> N
 def test_a_margin_alone_must_tell_the_side_and_be_the_only_one() -> None:
     with pytest.raises(UnusableAnswerError, match="the margin g is NaN; without an outcome it must be a number"):
         read_answer(float("nan"), ("safe", "failure"), ("g",), (0.0,), 0.0)
-    with pytest.raises(UnusableAnswerError, match="must be an outcome or a table with one"):
+    with pytest.raises(UnusableAnswerError, match="must be the name of an outcome, or a dictionary with `outcome`"):
         read_answer(0.5, ("safe", "failure"), (), (), 0.0)
-    with pytest.raises(UnusableAnswerError, match="must be an outcome or a table with one, got True"):
+    with pytest.raises(
+        UnusableAnswerError, match="must be the name of an outcome, or a dictionary with `outcome`, got True"
+    ):
         read_answer(True, ("safe", "failure"), ("g",), (0.0,), 0.0)
 
 
