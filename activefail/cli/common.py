@@ -71,7 +71,7 @@ def make_executor(
     if scheduler is None:
         raise InputError("--executor dask requires --scheduler.")
     if workers is not None:
-        raise InputError("--workers requires --executor local; the Dask cluster sets its own workers.")
+        raise InputError("--workers requires --executor local; the Dask cluster determines the number of workers.")
     from activefail.campaign.provenance import simulation_versions
 
     return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)

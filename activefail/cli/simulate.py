@@ -44,7 +44,7 @@ def simulate(
         Path | None, typer.Option(help="Animate the bearing (.gif or .mp4).", show_default=False)
     ] = None,
     slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
-    restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of a rim impact.")] = 0.65,
+    restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of the contacts.")] = 0.65,
     slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m3].")] = 7850.0,
     loss_of_confinement: Annotated[
         bool, typer.Option(help="Count the bearing as failed once no rim restrains the slider.")

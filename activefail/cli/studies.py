@@ -25,7 +25,7 @@ def compare(
     budgets: Annotated[
         str | None,
         typer.Option(
-            help="With a run folder: numbers of simulations, like 250,500; six by default.", show_default=False
+            help="With a run folder: numbers of simulations, like 250,500; six sizes by default.", show_default=False
         ),
     ] = None,
     seeds: Annotated[

@@ -426,7 +426,8 @@ def plot_snapshots(response: Response, times: Sequence[float] | Mapping[str, flo
     else:
         chosen = [("", time) for time in times]
     if not chosen or not all(math.isfinite(time) for _, time in chosen):
-        raise InputError(f"Snapshots need at least one time, all finite, got {[time for _, time in chosen]}.")
+        times = [time for _, time in chosen]
+        raise InputError(f"Snapshots need at least one time, and every time must be finite, got {times}.")
     motion = Motion(response)
     columns = min(len(chosen), 2)
     rows = math.ceil(len(chosen) / columns)
