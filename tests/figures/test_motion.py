@@ -249,7 +249,7 @@ def test_snapshots_show_rest_touch_the_way_and_the_end_unless_told_otherwise(fai
 
 @pytest.mark.parametrize("times", [[], [math.nan]])
 def test_snapshots_at_no_or_impossible_times_are_refused(failure, times):
-    with pytest.raises(InputError, match="at least one time, all finite"):
+    with pytest.raises(InputError, match="at least one time, and every time must be finite"):
         m.plot_snapshots(failure, times)
 
 
