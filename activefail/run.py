@@ -394,7 +394,7 @@ class Run:
         """Save an estimate beside those of other outcomes from the same record."""
         from activefail.findings.status import read_estimates
 
-        outcomes = read_estimates(self.folder, self.store.digest) | {outcome: numbers}
+        outcomes = read_estimates(self.folder, self.store.digest, self.campaign.simulator.outcomes) | {outcome: numbers}
         saved = {"record": self.store.digest, "outcomes": outcomes}
         self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
 

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from reliability import campaign_on, is_wrong
-from reliability_problems import PROBLEMS
+from reliability_problems import HELD_OUT, PROBLEMS, problem_of
 
 BUDGET = 200
 CANDIDATES = 10_000
@@ -35,7 +35,7 @@ class Limit:
     """A problem's limit state in standard normal space, which counts its evaluations."""
 
     def __init__(self, name):
-        self.problem = PROBLEMS[name]
+        self.problem = problem_of(name)
         self.space = campaign_on(self.problem, 0, 1, BUDGET).space
         self.calls = 0
 
@@ -142,14 +142,16 @@ PEERS = {"ak-mcs": ak_mcs, "form-is": form_is, "subset": subset}
 
 def table(rows):
     print(f"{'problem':14} {'peer':8} {'calls':>14}  {'P/P_ref':>18}  wrong")
-    for name in PROBLEMS:
+    for name in (*PROBLEMS, *HELD_OUT):
         for peer in PEERS:
             own = [row for row in rows if (row["problem"], row["peer"]) == (name, peer)]
             solved = [row for row in own if "probability" in row]
-            if not solved:
-                print(f"{name:14} {peer:8} {'–':>14}  {own[0]['error'] if own else ''}")
+            if not own:
                 continue
-            ratio = np.array([row["probability"] for row in solved]) / PROBLEMS[name].probability
+            if not solved:
+                print(f"{name:14} {peer:8} {'–':>14}  {own[0]['error']}")
+                continue
+            ratio = np.array([row["probability"] for row in solved]) / problem_of(name).probability
             n = np.array([row["calls"] for row in solved])
             wrong = int(is_wrong(ratio).sum()) + len(own) - len(solved)
             print(
@@ -160,7 +162,7 @@ def table(rows):
     for peer in PEERS:
         own = [row for row in rows if row["peer"] == peer]
         if own:
-            ratios = [row.get("probability", 0.0) / PROBLEMS[row["problem"]].probability for row in own]
+            ratios = [row.get("probability", 0.0) / problem_of(row["problem"]).probability for row in own]
             calls = np.median([row["calls"] for row in own])
             wrong = int(is_wrong(np.array(ratios)).sum())
             print(f"{peer}: median {calls:.0f} calls, {wrong} of {len(own)} wrong by more than 20 %")

@@ -5,6 +5,7 @@ four-branch system is from Waarts (2000) with k = 7. The others are made up: a p
 with a disc hidden in the bulk, and two opposite half-spaces in five dimensions.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -182,7 +183,7 @@ def _held_out(name: str) -> Problem:
             return "uniform", low, high
         kinds = {"Normal": "normal", "Gumbel": "gumbel_max", "Exponential": "exponential"}
         # A distribution by mean and sd has no accessor for its kind.
-        (title,) = {kind for name, kind in kinds.items() if name in str(marginal)}
+        (title,) = {kind for name, kind in kinds.items() if re.search(rf"\b{name}", str(marginal))}
         return title, marginal.getMean()[0], marginal.getStandardDeviation()[0]
 
     variables = tuple(variable(distribution.getMarginal(i)) for i in range(distribution.getDimension()))

@@ -8,6 +8,8 @@ import pytest
 from commandline import activefail, record
 from scipy.special import ndtr
 
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.settings import parse_settings
 from activefail.run import open_run
 
 SPACE = """
@@ -86,5 +88,22 @@ def test_margins_that_end_at_failure_are_censored_if_the_campaign_says_so(tmp_pa
     with open_run(tmp_path / "run", code=tmp_path) as run:
         (latent,) = run.classifier.latents
         failed = run.history.training.outcome == 1
-        assert np.ptp(latent.trained.margin[failed]) > 0.1
+        assert np.ptp(run.history.training.margins[failed, 0]) > 0.1
         assert latent.trained.truncated == declared
+        assert (np.ptp(latent.trained.margin[failed]) == 0.0) == declared
+
+
+def test_margins_that_end_at_the_last_outcome_say_nothing_exact_of_an_earlier_one() -> None:
+    settings = parse_settings(
+        'simulator = { python = "limit:run", outcomes = ["safe", "damage", "collapse"], margins = ["g", "h"], '
+        'levels = { g = [1.0, 0.0] }, truncated = ["g"] }\n' + SPACE,
+        "made.toml",
+    )
+    campaign = Campaign.of(settings)
+    outcome = np.array([0, 1, 2, -1], dtype=np.int8)
+    margins = np.array([[2.5, 1.0], [0.5, 2.0], [-3.0, 3.0], [np.nan, np.nan]])
+    for severity, level in ((1, 1.0), (2, 0.0)):
+        related = campaign.margins_at(severity, outcome, margins)
+        assert np.array_equal(related[:, 0], [2.5 - level, 0.5 - level, np.nan, np.nan], equal_nan=True)
+        assert np.array_equal(related[:, 1], margins[:, 1], equal_nan=True)
+    assert margins[2, 0] == -3.0

@@ -154,15 +154,35 @@ def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_
     second = activefail("status", tmp_path / "run").out.splitlines()[1]
     assert second.startswith(f"estimate   probability of failure {numbers['probability']:.3g}, 90 % interval ")
     assert "from 20 fresh simulations; recall at least " in second
+    assert "contradict" not in second
+    text = json.loads(saved.read_text())
+    text["outcomes"]["failure"]["contradictions_where_sure"] = 2
+    saved.write_text(json.dumps(text))
+    second = activefail("status", tmp_path / "run").out.splitlines()[1]
+    assert second.endswith("; fresh simulations contradict the classifier where it was sure: continue the campaign")
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"record": 1}', "[" * 5000, '{"record": "RECORD", "outcomes": [1]}'])
+NUMBERS = (
+    '"probability": 1, "low": 0, "high": 1, "confidence": 0.9, "simulations": 5, "recall_low": 0, '
+    '"extrapolated": 0, "contradictions_where_sure": 0'
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "[]", "{}", '{"record": 1}', "[" * 5000, '{"record": "RECORD", "outcomes": [1]}'),
+        '{"record": "RECORD", "outcomes": {"failure": {NUMBERS, "question": [1]}}}',
+        '{"record": "RECORD", "outcomes": {"failure": {"probability": NaN}}}',
+        '{"record": "RECORD", "outcomes": {"collapse": {NUMBERS}}}',
+    ],
+)
 def test_status_takes_no_estimate_from_a_file_that_the_command_did_not_write(
     ended: Path, tmp_path: Path, text: str
 ) -> None:
     shutil.copytree(ended, tmp_path, dirs_exist_ok=True)
     (tmp_path / "run" / "probability.json").write_text(
-        text.replace("RECORD", read_status(tmp_path / "run").summary.digest)
+        text.replace("RECORD", read_status(tmp_path / "run").summary.digest).replace("NUMBERS", NUMBERS)
     )
     result = activefail("status", tmp_path / "run")
     assert (result.code, result.err) == (0, "")

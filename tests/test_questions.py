@@ -10,8 +10,11 @@ from scipy.special import ndtr
 
 from activefail.campaign.question import Question, read_question
 from activefail.campaign.settings import parse_settings
+from activefail.explorer.answers import Answers
+from activefail.explorer.server import page as explorer
 from activefail.findings.probability import bound_of_fresh
 from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.run import open_run
 
 CAMPAIGN = """
 simulator = { python = "limit:plane", margins = ["g"] }
@@ -105,6 +108,8 @@ def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_pat
     (tmp_path / "made.toml").write_text(ASKING)
     run, true = tmp_path / "run", {"failure": ndtr(-2.0 / 1.45**0.5), "damage or worse": ndtr(-1.0 / 1.45**0.5)}
     assert activefail("run", tmp_path / "made.toml", "--out", run).code == 0
+    assert activefail("report", run, "--code", tmp_path).code == 0
+    assert "an estimate of the probability under the campaign&#39;s question" in (run / "report.html").read_text()
     for beyond, probability in true.items():
         outcome = beyond.split()[0]
         command = ("probability", run, "--code", tmp_path, "--outcome", outcome, "--simulations", "40")
@@ -125,6 +130,11 @@ def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_pat
     assert activefail("report", run, "--code", tmp_path).code == 0
     page = (run / "report.html").read_text()
     assert "<h3>Under the question: a &lt;worse&gt; site</h3>" in page
+    assert "an estimate of the probability" not in page
+    with open_run(run, code=tmp_path) as opened:
+        answers = Answers(opened.findings, opened.failure())
+        shown = explorer(answers.about(), answers.failure)
+    assert "Under a &lt;worse&gt; site: 0." in shown
 
 
 @pytest.mark.parametrize(

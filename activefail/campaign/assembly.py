@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.provenance import BEARING_SOURCES
@@ -115,19 +116,26 @@ class Campaign:
         """The meaning of the record's columns."""
         return Schema(self.space.names, self.simulator.outcomes, self.simulator.causes, self.simulator.margins)
 
-    @property
-    def margin_levels(self) -> Array:
-        """The value of each margin at or below which a design is beyond each boundary, (boundaries, margins)."""
-        boundaries, names = len(self.simulator.outcomes) - 1, self.simulator.margins
-        custom = self.settings.simulator
-        levels = {} if isinstance(custom, str) else custom.levels
-        return np.array([levels.get(name, [0.0] * boundaries) for name in names]).reshape(len(names), boundaries).T
+    def margins_at(self, severity: int, outcome: NDArray[np.int8], margins: Array) -> Array:
+        """The margins of simulations, (n, k), in relation to a boundary: at most 0 beyond it.
 
-    @property
-    def truncated_margins(self) -> tuple[int, ...]:
-        """The margins whose simulations are known to end at the most severe outcome."""
+        A margin whose simulations end at the most severe outcome, as the settings say, is undefined (NaN) there.
+
+        Args:
+            severity: number of the least severe outcome beyond the boundary.
+            outcome: (n,) of the simulations.
+            margins: (n, k) as the simulator reported them.
+        """
         custom = self.settings.simulator
-        return () if isinstance(custom, str) else tuple(map(self.simulator.margins.index, custom.truncated))
+        if isinstance(custom, str):
+            return margins
+        names = self.simulator.margins
+        levels = [custom.levels[name][severity - 1] if name in custom.levels else 0.0 for name in names]
+        related = np.asarray(margins - np.array(levels))
+        ended = outcome == len(self.simulator.outcomes) - 1
+        for name in custom.truncated:
+            related[ended, names.index(name)] = np.nan
+        return related
 
     @property
     def severity(self) -> int:

@@ -11,6 +11,7 @@ STREAMS = {
     "verification": 6,
     "probability": 7,
     "estimate": 8,
+    "check": 9,
 }
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 

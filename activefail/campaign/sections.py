@@ -424,7 +424,7 @@ class QuestionSettings(Section):
         correlation: as in a campaign; the campaign's among the uncertain variables if it is left out.
     """
 
-    description: str = ""
+    description: str = Field("", max_length=200)
     reach: float = Field(1e-8, ge=1e-12, le=0.1)
     space: dict[str, AnyVariable] = Field(min_length=1)
     correlation: list[Annotated[tuple[str, str, float], Field(strict=False)]] | None = None

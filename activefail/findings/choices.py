@@ -46,9 +46,8 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
         text = sentence(outcome, margin, choice.margin_score, choice.outcome_score)
         candidate = names[0] if learns == "auto" and len(names) == 1 else "" if learns == "auto" else learns
         if not text and candidate:
-            column = names.index(candidate)
-            margin = known.margins[:, column] - campaign.margin_levels[severity - 1, column]
-            reason = usable(margin, known.outcome >= severity)
+            margins = campaign.margins_at(severity, known.outcome, known.margins)
+            reason = usable(margins[:, names.index(candidate)], known.outcome >= severity)
             if reason:
                 text = f"{visible(words(outcome))} from the outcomes; the margin {candidate} is not used: {reason}"
         if text:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -91,7 +92,7 @@ class Status:
     def _rule_is_met(self) -> bool:
         try:
             return bool(int(self._state["stop/known"]))
-        except (LookupError, ValueError, TypeError):
+        except (LookupError, ValueError, TypeError, OverflowError):
             return False
 
     @property
@@ -103,7 +104,8 @@ class Status:
     def _from_fresh_simulations(self) -> list[tuple[str, str]]:
         try:
             lines = []
-            for outcome, numbers in read_estimates(self.folder, self.summary.digest).items():
+            saved = read_estimates(self.folder, self.summary.digest, self.summary.outcomes[1:])
+            for outcome, numbers in saved.items():
                 probability, low, high, confidence, recall_low = (
                     float(numbers[key]) for key in ("probability", "low", "high", "confidence", "recall_low")
                 )
@@ -149,11 +151,19 @@ class Status:
         return lines
 
 
-def read_estimates(folder: Path, digest: str) -> dict[str, Any]:
-    """The saved estimates of probabilities by outcome; empty if there are none of the record with this digest."""
+def read_estimates(folder: Path, digest: str, outcomes: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The saved estimates of probabilities by outcome; empty if there are none of the record with this digest.
+
+    Args:
+        folder: the run folder.
+        digest: of its record.
+        outcomes: those whose estimates are wanted.
+    """
     try:
         saved = json.loads(read_regular(folder / ESTIMATE, _LARGEST_ESTIMATE))
-        return dict(saved["outcomes"]) if saved["record"] == digest else {}
+        if saved["record"] != digest:
+            return {}
+        return {name: dict(saved["outcomes"][name]) for name in outcomes if name in saved["outcomes"]}
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         # None yet, or not written by `activefail probability`.
         return {}

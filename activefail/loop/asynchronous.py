@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.random_streams import stream
 from activefail.errors import DamagedError
 from activefail.execution.executor import AsynchronousExecutor
 from activefail.loop.history import History
@@ -25,11 +26,12 @@ from activefail.loop.stopping import (
     check_designs,
     check_looks,
     contradictions,
+    designs_of_check,
     is_whole,
+    look,
     looks_from_state,
     looks_state,
     needs_check,
-    with_look,
 )
 from activefail.loop.task import Task
 from activefail.record.batch import ACTIVE, CHECK, INITIAL, Batch
@@ -111,7 +113,9 @@ class Course:
             last: the commit.
             before: the classifier before it.
         """
+        rule = campaign.settings.probability_rule
         assert self.classifier is not None
+        assert rule is not None
         looks, check, known_through = self.looks, self.check, self.known_through
         if check is not None and before is not None:
             of_check = last.origin == CHECK
@@ -120,17 +124,24 @@ class Course:
                 looks, check = Looks(), None
             else:
                 check = _Check(_without(check.waiting, checked.designs), check.answered + int(checked.answered.sum()))
+        row = look(campaign, history, self.iteration, self.classifier)
+        if not len(row):
+            return replace(self, looks=Looks(), check=None, known_through=0)
+        looks = Looks(np.concatenate([looks.table, row]))
         if check is not None and not len(check.waiting):
-            known_through = len(history) + len(self.flight) if is_whole(campaign, check.answered) else 0
-            looks, check = Looks(), None
+            # Designs beside the check may have widened the posterior again.
+            passed = is_whole(campaign, check.answered) and looks.is_narrow(rule.cov)
+            known_through = len(history) + len(self.flight) if passed else 0
+            looks, check = Looks(row), None
         looks = replace(looks, is_known=len(history) <= known_through)
-        looks = with_look(campaign, history, self.iteration, self.classifier, looks)
         if check is None and needs_check(campaign, history, looks):
-            check = _Check(check_designs(campaign, history, looks, self.iteration + 1), 0)
+            simulated = np.concatenate([history.designs, self.flight])
+            rng = stream(campaign.settings.seed, "check", self.iteration + 1)
+            check = _Check(check_designs(campaign, simulated, looks, rng), 0)
         return replace(self, looks=looks, check=check, known_through=known_through)
 
     def save(self, store: Store) -> None:
-        """Save the classifier and the designs in flight; both can be recomputed from the record."""
+        """Save the classifier, the designs in flight, the looks and the check; the record gives all of them again."""
         if self.classifier is not None:
             state = classifier_state(self.classifier) | {_FLIGHT: self.flight} | looks_state(self.looks)
             if self.known_through:
@@ -217,9 +228,13 @@ def _check_from_state(campaign: Campaign, known: History, state: Mapping[str, ND
     Raises:
         DamagedError: if a campaign cannot save it.
     """
-    for key in (_ANSWERED, _KNOWN_THROUGH):
-        if key in state and (state[key].dtype != np.int64 or state[key].shape != () or int(state[key]) < 0):
-            raise DamagedError(f"holds {key} that is not a whole number of at least 0")
+    designs_of = designs_of_check(campaign)
+    most = {_ANSWERED: designs_of, _KNOWN_THROUGH: len(known) + campaign.settings.sampling.batch}
+    for key, largest in most.items():
+        if key in state and (
+            state[key].dtype != np.int64 or state[key].shape != () or not 0 <= int(state[key]) <= largest
+        ):
+            raise DamagedError(f"holds {key} that is not a whole number from 0 to {largest}")
     if _WAITING not in state:
         return None
     waiting = state[_WAITING]
@@ -230,6 +245,8 @@ def _check_from_state(campaign: Campaign, known: History, state: Mapping[str, ND
         raise DamagedError("holds designs of a check outside the design space, or none")
     if len(_without(designs, known.designs)) < len(designs):
         raise DamagedError("holds designs of a check that already have a result")
+    if len(np.unique(designs, axis=0)) < len(designs) or len(designs) + int(state[_ANSWERED]) > designs_of:
+        raise DamagedError(f"holds a check of other than {designs_of} designs")
     return _Check(designs, int(state[_ANSWERED]))
 
 
@@ -287,7 +304,11 @@ def run_asynchronously(task: Task) -> bool:
         observer.progress(replace(progress, seconds_left=left / rate if rate and course.classifier else None))
         task.check(progress)
         ended = ended or left <= 0 or progress.stop_rule_met
-        arrived = _next_results(task, simulations, course.flight[: max(0, left)], ended)
+        flight = course.flight[: max(0, left)]
+        if ended:
+            # What was in flight when a check passed belongs to the campaign, also if it was interrupted since.
+            flight = flight[: max(0, course.known_through - progress.done) if course.looks.is_known else 0]
+        arrived = _next_results(task, simulations, flight)
         if arrived is None:
             return ended
         designs, results = arrived
@@ -303,16 +324,10 @@ def _origin(design: bytes, initial: set[bytes], checking: set[bytes]) -> int:
     return INITIAL if design in initial else CHECK if design in checking else ACTIVE
 
 
-def _next_results(task: Task, simulations: _Simulations, flight: Array, ended: bool) -> tuple[Array, Results] | None:
-    """Start the designs in flight and wait for the next results; None once nothing is running.
-
-    Args:
-        flight: designs to start.
-        ended: only wait for running simulations, as after a stop request.
-    """
+def _next_results(task: Task, simulations: _Simulations, flight: Array) -> tuple[Array, Results] | None:
+    """Start the designs in flight, unless a stop is requested, and wait for the next results; None if nothing runs."""
     while True:
-        ended = ended or task.observer.stop()
-        if not ended:
+        if not task.observer.stop():
             simulations.start(flight)
         if not simulations:
             return None

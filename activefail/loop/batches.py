@@ -114,7 +114,8 @@ def _run_in_batches(task: Task) -> bool:
         observer.stage("proposing")
         chosen, history = (iteration - 1) * batch, History.of(store.batches)
         if needs_check(campaign, history, learned.looks):
-            origin, designs = CHECK, check_designs(campaign, history, learned.looks, iteration)[:left]
+            rng = stream(campaign.settings.seed, "propose", iteration)
+            origin, designs = CHECK, check_designs(campaign, history.designs, learned.looks, rng)[:left]
         else:
             origin = ACTIVE
             designs = next_designs(campaign, learned.classifier, history, iteration, q=min(batch, left), chosen=chosen)

@@ -46,9 +46,9 @@ def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     if learns == "outcomes" or not names:
         return None
     columns = tuple(range(len(names))) if learns == "auto" else (names.index(learns),)
-    return LearnableMargins(
-        known.margins, campaign.margin_levels, columns, learns != "auto", frozenset(campaign.truncated_margins)
-    )
+    boundaries = range(1, len(campaign.simulator.outcomes))
+    values = np.stack([campaign.margins_at(severity, known.outcome, known.margins) for severity in boundaries])
+    return LearnableMargins(values, columns, learns != "auto")
 
 
 Saved = tuple[int, dict[str, NDArray[Any]], Classifier]

@@ -45,7 +45,8 @@ class Looks:
     Attributes:
         table: (k, 4) simulations, probability, its posterior standard deviation, and the standard error of its
             integration, at each look since the last check.
-        is_known: whether the last batch was a check that contradicted nothing.
+        is_known: whether the last batch was a check that contradicted nothing; in an asynchronous campaign, whether
+            all designs that arrived since such a check were in flight at its end.
     """
 
     table: Array = field(default_factory=lambda: np.empty((0, 4)))
@@ -92,25 +93,25 @@ def looked(
         contradicted = contradictions(campaign, before, batch).any()
         # The budget may have cut the check short.
         looks = Looks(is_known=bool(is_whole(campaign, int(batch.answered.sum())) and not contradicted))
-    return with_look(campaign, known, iteration, classifier, looks)
+    row = look(campaign, known, iteration, classifier)
+    return replace(looks, table=np.concatenate([looks.table, row])) if len(row) else Looks()
 
 
-def with_look(campaign: Campaign, known: History, iteration: int, classifier: Classifier, looks: Looks) -> Looks:
-    """The looks with one more: the probability under the classifier after an iteration."""
+def look(campaign: Campaign, known: History, iteration: int, classifier: Classifier) -> Array:
+    """The row of one look, (1, 4), after an iteration; none, (0, 4), if the boundary is learned from outcomes."""
     rule = campaign.settings.probability_rule
     assert rule is not None
     latent = classifier.latent(rule.probability)
     if not isinstance(latent, MarginLatent):
         # The looks of a classifier of outcomes are too sure of themselves to end a campaign.
-        return Looks()
+        return np.empty((0, 4))
     rng = stream(campaign.settings.seed, "probability", iteration)
-    row = np.array([[len(known), *model_probability(latent, campaign.features, campaign.space, SIZE, rng)]])
-    return replace(looks, table=np.concatenate([looks.table, row]))
+    return np.array([[len(known), *model_probability(latent, campaign.features, campaign.space, SIZE, rng)]])
 
 
 def is_whole(campaign: Campaign, answered: int) -> bool:
     """Whether enough designs of a check gave an outcome."""
-    return answered >= _ANSWERED * _designs_of_check(campaign)
+    return answered >= _ANSWERED * designs_of_check(campaign)
 
 
 LOOKS, KNOWN = "stop/looks", "stop/known"
@@ -164,8 +165,7 @@ def contradictions(campaign: Campaign, classifier: Classifier, batch: History) -
     beyond = batch.outcome >= severity
     wrong = (moments.mean > 0.0) != beyond
     if isinstance(latent, MarginLatent):
-        column = classifier.choices[severity - 1].margin
-        margin = batch.margins[:, column] - campaign.margin_levels[severity - 1, column]
+        margin = campaign.margins_at(severity, batch.outcome, batch.margins)[:, classifier.choices[severity - 1].margin]
         exact = np.isfinite(margin) & ~(latent.trained.truncated & (margin <= 0.0))
         warped = latent.trained.warped(np.where(exact, margin, 0.0))
         wrong |= exact & (np.abs(-warped - moments.mean) > _FARTHEST * moments.sd)
@@ -181,12 +181,18 @@ def needs_check(campaign: Campaign, history: History, looks: Looks) -> bool:
     return bool((history.outcome >= severity).any()) and looks.is_narrow(rule.cov)
 
 
-def _designs_of_check(campaign: Campaign) -> int:
+def designs_of_check(campaign: Campaign) -> int:
+    """Number of designs of a check."""
     return 4 + 2 * campaign.space.dimension
 
 
-def check_designs(campaign: Campaign, history: History, looks: Looks, iteration: int) -> Array:
-    """The designs of a check, (4 + 2 d, d)."""
-    rng = stream(campaign.settings.seed, "propose", iteration)
-    count = _designs_of_check(campaign)
-    return hidden_places(campaign.space, history.designs, looks.probability, count, rng)
+def check_designs(campaign: Campaign, simulated: Array, looks: Looks, rng: np.random.Generator) -> Array:
+    """The designs of a check, (4 + 2 d, d).
+
+    Args:
+        campaign: the campaign.
+        simulated: (n, d) designs that were simulated or are being simulated.
+        looks: of the stop rule.
+        rng: generator of the places.
+    """
+    return hidden_places(campaign.space, simulated, looks.probability, designs_of_check(campaign), rng)

@@ -29,6 +29,7 @@ def failure_section(findings: Findings, failure: FailureFindings | None) -> dict
         "model": f"{failure.probability[-1]:.3g}",
         "model_interval": None if math.isnan(low) else f"{low:.3g} to {high:.3g}",
         "estimate": _estimate(failure),
+        "asks": bool(findings.campaign.question.digest),
         "asked": _asked(failure.asked),
         "bound": rounded_up(failure.bound),
         "seen": int(failure.seen[-1]),
@@ -70,6 +71,9 @@ def _asked(asked: ProbabilityFindings | None) -> dict[str, Any] | None:
         "simulations": estimate.simulations,
         "wrong": estimate.wrong,
         "surprising": estimate.surprising,
+        "extrapolated": asked.is_extrapolated,
+        "recall": percent(estimate.recall),
+        "recall_low": percent(estimate.recall_low),
         "outside": percent(asked.extrapolated),
     }
 

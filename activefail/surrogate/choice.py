@@ -4,7 +4,7 @@ A margin carries more information than its sign, unless the simulation ends at f
 Evidence decides: the log probability that each model gives to the side of a design that was left out.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +62,10 @@ def usable(margin: Array, beyond: NDArray[np.bool_]) -> str:
         return f"it is infinite in {int(np.isinf(margin).sum())} simulations"
     contradictions = int((short <= 0.0).sum() + (margin[beyond] > 0.0).sum())
     if contradictions:
-        return f"its sign contradicts the outcome of {contradictions} simulations; it must be at most 0 at failure"
+        return (
+            f"its sign contradicts the outcome of {contradictions} simulations; a margin must be at most its level "
+            "(0 by default) exactly beyond the boundary"
+        )
     if len(short) < 2 or np.ptp(short) == 0.0:
         return "fewer than two different positive values are known"
     return ""
@@ -74,16 +77,10 @@ def defined(margin: Array) -> tuple[Array, bool]:
     return np.where(undefined, 0.0, margin), bool(undefined.any())
 
 
-def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None, truncated: bool = False) -> MarginFit:
-    """The regression of a usable margin, (n,), at scaled features, (n, m).
-
-    Args:
-        F, margin: the simulations.
-        warm: as for `fit_margin`.
-        truncated: whether simulations are known to end at failure; otherwise the margins decide (`is_truncated`).
-    """
+def fit_defined(F: Array, margin: Array, warm: MarginFit | None = None) -> MarginFit:
+    """The regression of a usable margin, (n,), at scaled features, (n, m)."""
     values, has_undefined = defined(margin)
-    return fit_margin(F, values, truncated or has_undefined or is_truncated(values), warm)
+    return fit_margin(F, values, has_undefined or is_truncated(values), warm)
 
 
 def is_due(previous: Choice | None, n: int, beyond: NDArray[np.bool_]) -> bool:
@@ -93,14 +90,7 @@ def is_due(previous: Choice | None, n: int, beyond: NDArray[np.bool_]) -> bool:
     return bool(previous.one_sided and beyond.any() and not beyond.all())
 
 
-def choose(
-    F: Array,
-    beyond: NDArray[np.bool_],
-    margins: Array,
-    columns: Sequence[int],
-    kernel: str,
-    truncated: Collection[int] = (),
-) -> Choice:
+def choose(F: Array, beyond: NDArray[np.bool_], margins: Array, columns: Sequence[int], kernel: str) -> Choice:
     """Choose by the evidence of the first 200 simulations or fewer.
 
     With all designs on one side a classifier knows nothing, so a usable margin is chosen without a comparison.
@@ -111,7 +101,6 @@ def choose(
         margins: (n, k) margins of the simulator.
         columns: the margins that may be chosen.
         kernel: of the classifier.
-        truncated: the margins whose simulations are known to end at failure.
     """
     n, one_sided = len(F), bool(beyond.all() or not beyond.any())
     candidates = [column for column in columns if not usable(margins[:, column], beyond)]
@@ -123,7 +112,7 @@ def choose(
     for column in candidates:
         if usable(margins[rows, column], beyond[rows]):
             continue
-        scores[column] = fit_defined(F[rows], margins[rows, column], truncated=column in truncated).sign_score()
+        scores[column] = fit_defined(F[rows], margins[rows, column]).sign_score()
     if not scores:
         return Choice(OUTCOMES, n, one_sided=one_sided)
     best = max(scores, key=scores.__getitem__)

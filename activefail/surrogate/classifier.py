@@ -141,26 +141,14 @@ class LearnableMargins:
     """The margins that a classifier may learn from.
 
     Attributes:
-        values: (n, k) float64, one column for each of the simulator's margins.
-        levels: (b, k) the value at or below which a design is beyond each of the b boundaries.
+        values: (b, n, k) float64, for each boundary one column for each of the simulator's margins, at most 0 beyond.
         columns: those that may be chosen.
         required: whether the one column must be used, without a comparison.
-        truncated: those whose simulations are known to end at the most severe outcome.
     """
 
     values: Array
-    levels: Array
     columns: tuple[int, ...]
     required: bool = False
-    truncated: frozenset[int] = frozenset()
-
-    def of(self, severity: int) -> Array:
-        """The margins of one boundary, (n, k), each at most 0 beyond it."""
-        return np.asarray(self.values - self.levels[severity - 1])
-
-    def truncated_at(self, severity: int) -> frozenset[int]:
-        """The margins that say no more than their sign beyond one boundary."""
-        return self.truncated if severity == len(self.levels) else frozenset()
 
 
 def train(
@@ -197,8 +185,7 @@ def train(
             choice = _choice(F, outcome, severity, margins, kernel, previous)
             if choice.margin != OUTCOMES:
                 start = before.trained if isinstance(before, MarginLatent) else None
-                truncated = choice.margin in margins.truncated_at(severity)
-                return MarginLatent(fit_defined(F, margins.of(severity)[:, choice.margin], start, truncated)), choice
+                return MarginLatent(fit_defined(F, margins.values[severity - 1][:, choice.margin], start)), choice
         fitted = before.trained if isinstance(before, Latent) else None
         return Latent(fit(torch.from_numpy(F), _boundary_labels(outcome, severity), kernel, fitted)), choice
 
@@ -217,11 +204,11 @@ def _choice(
     previous: Choice | None,
 ) -> Choice:
     """What a boundary is learned from: as before, unless the models must be compared again."""
-    n, beyond, values = len(F), outcome >= severity, margins.of(severity)
+    n, beyond, values = len(F), outcome >= severity, margins.values[severity - 1]
     if margins.required:
         column = margins.columns[0]
         return Choice(OUTCOMES if usable(values[:, column], beyond) else column, n)
     holds = previous is not None and (previous.margin == OUTCOMES or not usable(values[:, previous.margin], beyond))
     if previous is not None and holds and not is_due(previous, n, beyond):
         return previous
-    return choose(F, beyond, values, margins.columns, kernel, margins.truncated_at(severity))
+    return choose(F, beyond, values, margins.columns, kernel)

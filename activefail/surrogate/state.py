@@ -136,7 +136,7 @@ def classifier_from_state(
     for severity, name in enumerate(outcomes[1:], start=1):
         beyond = outcome >= severity
         if margins is not None:
-            values = margins.of(severity)
+            values = margins.values[severity - 1]
             choice = _choice(state[f"{name}/choice"], values, margins.columns, beyond)
             choices.append(choice)
             if choice.margin != OUTCOMES:

@@ -226,11 +226,12 @@ def changes(store: FolderStore) -> dict[str, Callable[[], object]]:
         "commit": lambda: store.commit(one),
         "state": lambda: store.write_state(9, {"a": np.zeros(2)}),
         "set": lambda: store.write_set("validation-0", *kept),
+        "text": lambda: store.write_text("probability.json", "{}"),
         "quarantine": lambda: store.read_set("foreign"),
     }
 
 
-@pytest.mark.parametrize("change", ["commit", "state", "set", "quarantine"])
+@pytest.mark.parametrize("change", ["commit", "state", "set", "text", "quarantine"])
 @pytest.mark.parametrize("fate", ["moved", "moved and replaced", "removed and replaced"])
 @pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
 def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name(
@@ -256,7 +257,7 @@ def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name
             with pytest.raises(StoreError, match=r"was moved, removed or replaced while .* Nothing more is written"):
                 changed[change]()
         # Not even if the folder comes back.
-        for later in ("commit", "state", "set"):
+        for later in ("commit", "state", "set", "text"):
             with pytest.raises(
                 StoreError, match=r"Committed batches are in the folder at its new place; resume it there"
             ):
@@ -272,7 +273,7 @@ def without_flock(*arguments: object) -> None:
     raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
 
-@pytest.mark.parametrize("change", ["commit", "state", "set"])
+@pytest.mark.parametrize("change", ["commit", "state", "set", "text"])
 @pytest.mark.parametrize("call", ["os.open", "os.fsync", "os.link", "os.replace"])
 def test_a_folder_that_is_replaced_during_a_write_gets_no_file_of_another_campaign(
     call: str, change: str, uninterrupted: Course, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, survived: Survived

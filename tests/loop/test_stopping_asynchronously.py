@@ -13,18 +13,19 @@ from activefail.loop.asynchronous import Course, learned_so_far, resumed
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.progress import Observer, Progress
-from activefail.record.batch import ACTIVE, CHECK, INITIAL
+from activefail.record.batch import ACTIVE, CHECK, INITIAL, Batch
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.surrogate.state import classifier_state
 from activefail.surrogate.threads import one_thread
 
-FLIGHT, BUDGET = 3, 120
+FLIGHT, BUDGET = 6, 120
 
 
 def plan(**changes: object) -> Campaign:
-    return campaign_on(FourBranch(), sampling__batch=FLIGHT, sampling__asynchronous=True, **changes)
+    return campaign_on(FourBranch(), seed=2, sampling__batch=FLIGHT, sampling__asynchronous=True, **changes)
 
 
 def take(campaign: Campaign, store: Store, observer: Observer | None = None, **options: bool) -> Store:
@@ -53,6 +54,18 @@ def ended() -> tuple[Campaign, Store]:
     return campaign, take(campaign, MemoryStore(campaign.schema))
 
 
+@pytest.fixture(scope="module")
+def checking(ended: tuple[Campaign, Store], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Course]:
+    """A run folder at the beginning of a check, and its course."""
+    campaign, whole = ended
+    first = next(number for number, batch in enumerate(whole.batches) if (batch.origin == CHECK).any())
+    folder = tmp_path_factory.mktemp("checking") / "run"
+    with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store, one_thread():
+        for batch in whole.batches[:first]:
+            store.commit(batch)
+        return folder, resumed(campaign, store)
+
+
 def test_it_ends_by_itself_after_a_check_that_contradicted_nothing(ended: tuple[Campaign, Store]) -> None:
     campaign, store = ended
     history = History.of(store.batches)
@@ -74,33 +87,83 @@ def test_resumed_after_its_end_it_simulates_nothing_more(ended: tuple[Campaign, 
     assert kept(again) == kept(store)
 
 
-def test_stopped_at_any_commit_it_continues_to_the_same_campaign(ended: tuple[Campaign, Store], tmp_path: Path) -> None:
+def last_of_check(store: Store) -> int:
+    """Number of commits through the last one of a check."""
+    return max(number for number, batch in enumerate(store.batches, start=1) if (batch.origin == CHECK).any())
+
+
+@pytest.mark.parametrize("when", ["within the check", "after the check"])
+def test_stopped_at_once_it_continues_to_the_same_campaign(
+    ended: tuple[Campaign, Store], tmp_path: Path, when: str
+) -> None:
     campaign, whole = ended
-    n = len(whole.batches)
-    of_check = [number for number, batch in enumerate(whole.batches, start=1) if (batch.origin == CHECK).any()]
-    for commits in (of_check[0], of_check[-1]):
-        folder = tmp_path / str(commits)
-        with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
+    commits = last_of_check(whole) - (when == "within the check")
+    # Some designs were in flight when the check passed; they belong to the campaign.
+    assert commits < len(whole.batches)
+    folder = tmp_path / "run"
+    with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
 
-            class Stop(Exception):  # noqa: N818  (at once, as a kill would)
-                pass
+        class Stop(Exception):  # noqa: N818  (at once, as a kill would)
+            pass
 
-            def halt(progress: Progress, store: Store = store, commits: int = commits) -> None:
-                if len(store.batches) == commits:
-                    raise Stop
+        def halt(progress: Progress) -> None:
+            if len(store.batches) == commits:
+                raise Stop
 
-            if commits < n:
-                with pytest.raises(Stop):
-                    take(campaign, store, Observer(halt))
-                with one_thread():
-                    assert bits(resumed(campaign, store)) == bits(resumed(campaign, copied(campaign, store)))
-        with FolderStore.open(folder, campaign.schema, write=True) as store:
-            take(campaign, store)
-            assert kept(store) == kept(whole)
-        # A reader learns the same from the record alone.
+        with pytest.raises(Stop):
+            take(campaign, store, Observer(halt))
         with one_thread():
-            alone = learned_so_far(campaign, copied(campaign, whole), write=False)
-        assert alone.looks.is_known
+            saved = resumed(campaign, store)
+            assert bits(saved) == bits(resumed(campaign, copied(campaign, store)))
+        assert (saved.check is None, saved.looks.is_known) == (when == "after the check",) * 2
+        assert (saved.known_through > 0) == (when == "after the check")
+    with FolderStore.open(folder, campaign.schema, write=True) as store:
+        take(campaign, store)
+        assert kept(store) == kept(whole)
+
+
+def test_a_reader_learns_the_same_from_the_record_alone(ended: tuple[Campaign, Store]) -> None:
+    campaign, whole = ended
+    with one_thread():
+        saved, alone = (learned_so_far(campaign, one, write=False) for one in (whole, copied(campaign, whole)))
+    assert alone.looks.is_known
+    assert alone.looks.table.tobytes() == saved.looks.table.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("failed", "is_wide", "known"), [(0, False, True), (2, False, True), (3, False, False), (0, True, False)]
+)
+def test_a_check_passes_if_enough_of_it_gave_an_outcome_and_the_posterior_is_still_narrow(
+    ended: tuple[Campaign, Store],
+    checking: tuple[Path, Course],
+    monkeypatch: pytest.MonkeyPatch,
+    failed: int,
+    is_wide: bool,
+    known: bool,
+) -> None:
+    (campaign, whole), (_, before) = ended, checking
+    assert before.check is not None
+    assert before.classifier is not None
+    first = next(number for number, batch in enumerate(whole.batches) if (batch.origin == CHECK).any())
+    X = before.check.waiting
+    results = campaign.simulator.run(X)
+    outcome, margins = results.outcome.copy(), results.margins.copy()
+    # What the classifier expects, so that nothing contradicts it.
+    moments = before.classifier.latents[0].moments(campaign.features(X))
+    outcome[:] = moments.mean > 0.0
+    margins[:] = np.nan
+    outcome[:failed] = NUMERICAL_FAILURE
+    answered = Results(outcome, results.cause, margins, results.seconds)
+    batch = Batch(before.next_iteration, X, np.full(len(X), CHECK, dtype=np.int8), answered)
+    row = before.looks.table[-1:] * (np.array([1.0, 1.0, 100.0, 1.0]) if is_wide else 1.0)
+    monkeypatch.setattr("activefail.loop.asynchronous.look", lambda *_: row)
+    monkeypatch.setattr("activefail.loop.asynchronous.learn", lambda *_: before.classifier)
+    with one_thread():
+        after = before.after(campaign, (*whole.batches[:first], batch))
+    assert after.looks.is_known is known
+    n = len(History.of(whole.batches[:first])) + len(X)
+    pending = [row for row in before.flight.tolist() if row not in X.tolist()]
+    assert after.known_through == (n + len(pending) if known else 0)
 
 
 def test_more_simulations_than_were_in_flight_at_the_check_meet_the_rule_no_longer(
@@ -140,18 +203,6 @@ def test_a_contradiction_ends_the_check_and_the_search_continues(ended: tuple[Ca
     assert not after.looks.is_known
 
 
-@pytest.fixture(scope="module")
-def checking(ended: tuple[Campaign, Store], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Course]:
-    """A run folder at the beginning of a check, and its course."""
-    campaign, whole = ended
-    first = next(number for number, batch in enumerate(whole.batches) if (batch.origin == CHECK).any())
-    folder = tmp_path_factory.mktemp("checking") / "run"
-    with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store, one_thread():
-        for batch in whole.batches[:first]:
-            store.commit(batch)
-        return folder, resumed(campaign, store)
-
-
 ANSWERED = np.empty(0)
 """Stands for a design that has a result."""
 
@@ -160,6 +211,8 @@ ANSWERED = np.empty(0)
     ("key", "value"),
     [
         ("check/answered", np.array(-1)),
+        ("check/answered", np.array(8)),
+        ("check/known_through", np.array(10**6)),
         ("check/known_through", np.array(0.5)),
         ("check/waiting", np.zeros((2, 3))),
         ("check/waiting", np.zeros((0, 2))),
