@@ -281,8 +281,8 @@ class Run:
         """What each boundary is learned from, and why; empty without a choice, or before the initial design is done."""
         from activefail.findings.choices import choices_in_words
 
-        history, sampling = self.history, self.settings.sampling
-        if sampling.asynchronous or len(history) < sampling.initial or not self.learns_from_margins:
+        history = self.history
+        if len(history) < self.settings.sampling.initial or not self.learns_from_margins:
             return []
         return choices_in_words(self.campaign, history, self.classifier) if len(history.training) else []
 
