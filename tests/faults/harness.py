@@ -162,13 +162,13 @@ class Victims:
 def traced(pid: int, *options: str) -> Iterator[None]:
     """Have strace watch a process that waits, until it ends."""
     with tempfile.TemporaryFile("w+") as errors:
-        strace = subprocess.Popen(["strace", "-q", "-p", str(pid), *options], stderr=errors)
+        strace = subprocess.Popen(["strace", "-p", str(pid), *options], stderr=errors)
         try:
-            status = Path(f"/proc/{pid}/status")
-            while "TracerPid:\t0\n" in status.read_text():
+            # As soon as strace is its tracer the process may still make calls that strace does not see. Once strace
+            # says that it has attached, it has interrupted the process as well.
+            while f"Process {pid} attached" not in (said := os.pread(errors.fileno(), 10_000, 0).decode()):
                 if strace.poll() is not None:
-                    errors.seek(0)
-                    pytest.fail(f"strace ended: {errors.read()}")
+                    pytest.fail(f"strace ended: {said}")
                 time.sleep(0.001)
             yield
             strace.wait(PATIENCE)
