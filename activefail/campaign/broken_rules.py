@@ -21,7 +21,7 @@ def _keys(settings: type[BaseModel], path: Sequence[str]) -> list[str]:
     match path:
         case []:
             section: Any = settings
-        case ["space", _, kind]:
+        case [*_, "space", _, kind]:
             section = FixedVariable if kind == f"{WITH}value" else Variable
         case [*_, "simulator" | "features" | "stop" as name, kind]:
             section = KINDS[name][kind.removeprefix(WITH)]
@@ -34,7 +34,7 @@ def _keys(settings: type[BaseModel], path: Sequence[str]) -> list[str]:
 def _unknown_key(settings: type[BaseModel], path: Sequence[str], key: str) -> str:
     """The message for a key that the section at a path does not have."""
     match path:
-        case ["space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
+        case [*_, "space", _, _] if key in (*Variable.model_fields, *FixedVariable.model_fields):
             return "a variable has either `low` and `high` or `value`"
         case [*_, "simulator" | "features" | "stop" as name, kind]:
             present = kind.removeprefix(WITH)
@@ -54,7 +54,11 @@ def broken_rule(settings: type[BaseModel], error: Any) -> str:
         settings: the model of all settings.
         error: an entry of pydantic's `ValidationError.errors()`.
     """
-    parts = [part for part in error["loc"] if part not in (NAME, RANGE) and not str(part).startswith(WITH)]
+    # The last part of an unknown key's place is the user's, even if it reads like one of our tags.
+    whole = error["loc"]
+    places, last = (whole[:-1], whole[-1:]) if error["type"] == "extra_forbidden" else (whole, ())
+    parts = [part for part in places if part not in (NAME, RANGE) and not str(part).startswith(WITH)]
+    parts += last
     path = ".".join(_key(str(part)) for part in parts) or "the file"
     message = error["msg"].removeprefix("Value error, ")
     match error["type"]:

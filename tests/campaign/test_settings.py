@@ -158,6 +158,10 @@ BROKEN = {
         'simulator = { python = "a:b", margins = ["peak drift"] }',
         ["simulator.margins: must be identifiers, got 'peak drift'"],
     ),
+    "an unknown key that reads like a kind of table": (
+        '[space]\nx = { low = 1, high = 2, "a range" = 3 }\n',
+        ['space.x."a range": unknown key'],
+    ),
     "a level of no margin": (
         'simulator = { python = "a:b", margins = ["g"], levels = { h = [0.1] } }',
         ["simulator.levels: must name one of simulator.margins (g), got 'h'"],

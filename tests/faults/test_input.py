@@ -146,7 +146,11 @@ def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
     for rule in result.err.splitlines()[1:] or [result.err]:
         key = rule.removeprefix(f"activefail: {file}:").strip().partition(":")[0]
         # The key, one within the value that was given, or the table whose values do not fit each other or the key.
-        assert dotted(path).startswith(key) or key.startswith(dotted(path)) or dotted(path) in rule, rule
+        # An expression may have no usable value for what the space says.
+        of_expression = key == "classifier.features" and path[0] == "space" and "over the space" in rule
+        assert dotted(path).startswith(key) or key.startswith(dotted(path)) or dotted(path) in rule or of_expression, (
+            rule
+        )
         assert re.search(
             r"got |; in |unknown key|required|at least 1|must be an identifier|lacks|no such|there is no|cannot|needs",
             rule,
@@ -167,7 +171,7 @@ def test_a_key_that_there_is_not_is_refused_by_file_and_key(
     for part in path:
         section = section[part]
     # Where any name is one of the user's.
-    if not isinstance(section, dict) or name in section or path[-1:] in [("space",), ("expressions",)]:
+    if not isinstance(section, dict) or name in section or path[-1:] in [("space",), ("expressions",), ("levels",)]:
         hypothesis.reject()
     settings = changed(good, (*path, name), value)
     file = taken.with_name("mine.toml")
