@@ -210,7 +210,7 @@ def _check_names(space: DesignSpace, simulator: Simulator) -> None:
             raise InputError(f"space.{name}: `activefail predict` adds a column of this name; rename it.")
     for name in simulator.margins:
         if name in (*space.names, *_COLUMNS):
-            raise InputError(f"simulator.margins: the exported table already has a column {name!r}; rename it.")
+            raise InputError(f"simulator.margins: the exported table already has a column {name!r}; rename the margin.")
 
 
 def _check_learning(settings: CampaignSettings, simulator: Simulator) -> None:
