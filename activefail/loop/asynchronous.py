@@ -223,7 +223,7 @@ def _check_flight(campaign: Campaign, known: History, flight: NDArray[np.generic
 
 
 def _check_from_state(campaign: Campaign, known: History, state: Mapping[str, NDArray[Any]]) -> _Check | None:
-    """The running check of a saved state; None if there is none.
+    """The check that was running when a state was saved; None if none was.
 
     Raises:
         DamagedError: if a campaign cannot save it.

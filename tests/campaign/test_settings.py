@@ -178,7 +178,7 @@ BROKEN = {
         'simulator = { python = "a:b", margins = ["g"], levels = { g = [nan] } }',
         ["simulator.levels.g.0: must be a finite number, got nan"],
     ),
-    "a truncated margin that is none": (
+    "a truncated margin that is not declared": (
         'simulator = { python = "a:b", truncated = ["g"] }',
         ["simulator.truncated: must name one of simulator.margins (none), got 'g'"],
     ),
