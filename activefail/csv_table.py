@@ -48,15 +48,7 @@ class DesignTable:
             InputError: naming the file, and row, column, rule and value of the first invalid cell.
         """
         with _reading(path) as lines:
-            header = next(lines, None)
-            if header is None:
-                raise InputError(f"{path}: is empty; a header with the columns {', '.join(names)} is required.")
-            header = [name.strip() for name in header]
-            for name in header:
-                if header.count(name) > 1:
-                    raise InputError(
-                        f"{path}: column {name!r}: must occur only once, occurs {header.count(name)} times."
-                    )
+            header = _header(path, next(lines, None), f" with the columns {', '.join(names)}")
             missing = [name for name in names if name not in header]
             for separator in (";", "\t"):
                 if missing and len(header) == 1 and separator in header[0]:
@@ -77,7 +69,7 @@ class DesignTable:
                 problem = _problem(cells, header, columns, check)
                 if problem is not None:
                     raise InputError(f"{path}: row {rows} (line {lines.line_num}), {problem}.")
-        return cls(path, tuple(header), tuple(names), rows)
+        return cls(path, header, tuple(names), rows)
 
     def chunks(self) -> Iterator[tuple[list[list[str]], Array]]:
         """The rows as text with their designs, (n, d), up to ROWS_AT_ONCE at a time."""
@@ -98,7 +90,7 @@ def _designs(texts: list[list[str]], columns: list[int]) -> Array:
     return np.array([[float(cells[column]) for column in columns] for cells in texts])
 
 
-def _problem(cells: list[str], header: list[str], columns: list[int], check: Check) -> str | None:
+def _problem(cells: list[str], header: Sequence[str], columns: list[int], check: Check) -> str | None:
     if len(cells) != len(header):
         return f"must have {len(header)} cells, like the header, has {len(cells)}"
     design = np.empty(len(columns))
@@ -157,3 +149,38 @@ def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Se
             yield write
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}.") from None
+
+
+def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]], list[int]]:
+    """The header of a CSV file, its rows as text without blank lines, and the line at which each row ends.
+
+    Raises:
+        InputError: naming the file, and row and line, if it cannot be read, has no header or two columns of one name,
+            or a row has another number of cells than the header.
+    """
+    rows: list[list[str]] = []
+    ends: list[int] = []
+    with _reading(path) as lines:
+        header = _header(path, next(lines, None), "")
+        for cells in filter(None, lines):
+            if len(cells) != len(header):
+                place = f"{path}: row {len(rows) + 1} (line {lines.line_num})"
+                raise InputError(f"{place}: must have {len(header)} cells, like the header, has {len(cells)}.")
+            rows.append(cells)
+            ends.append(lines.line_num)
+    return header, rows, ends
+
+
+def _header(path: Path, cells: list[str] | None, required: str) -> tuple[str, ...]:
+    """The names of a table's columns.
+
+    Raises:
+        InputError: if there are none, or two of one name.
+    """
+    if cells is None:
+        raise InputError(f"{path}: is empty; a header{required} is required.")
+    header = tuple(name.strip() for name in cells)
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(f"{path}: column {name!r}: must occur only once, occurs {header.count(name)} times.")
+    return header

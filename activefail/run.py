@@ -20,12 +20,19 @@ from activefail.surrogate.threads import one_thread
 from activefail.visible import quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pandas import DataFrame
+
+    from activefail.campaign.results_table import Table
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
     from activefail.execution.executor import AsynchronousExecutor, Executor
+    from activefail.features import FeatureMap
     from activefail.findings.failure import FailureFindings
     from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
+    from activefail.loop.in_flight import HandedOut
     from activefail.loop.learning import Learned
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
@@ -118,7 +125,7 @@ class Run:
     def summary(self) -> Summary:
         """The state of the campaign in counts."""
         # Not the file's text: an older version may have omitted settings that have defaults now.
-        return Summary.of(self.settings.text(), self.campaign.simulator.outcomes, self.store.batches)
+        return Summary.of(self.settings.text(), self.campaign.simulator.outcomes, self.store.batches, self.store.asked)
 
     def resume_command(
         self,
@@ -183,6 +190,155 @@ class Run:
         if budget < (done := len(self.history)):
             raise InputError(f"budget: must be at least {done}, the number of recorded simulations, got {budget}.")
 
+    @property
+    def handed_out(self) -> "HandedOut":
+        """The designs that were handed out, those in flight among them."""
+        from activefail.loop.in_flight import HandedOut
+
+        return HandedOut.of(self.store)
+
+    @property
+    def simulations(self) -> "DataFrame":
+        """The simulations so far, in the order of the record, with the columns of `activefail export`."""
+        from activefail.findings.frames import simulations_frame
+
+        return simulations_frame(self.campaign, self.handed_out, self.store.batches)
+
+    @property
+    def in_flight(self) -> "DataFrame":
+        """The designs in flight: `id`, the variables in their units, and the fixed quantities."""
+        from activefail.findings.frames import designs_frame
+
+        return designs_frame(self.campaign, self.handed_out.in_flight)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Simulations so far by outcome, then `numerical_failure` and the designs `in_flight`."""
+        history, outcomes = self.history, self.campaign.simulator.outcomes
+        counts = dict(zip(outcomes, history.counts(len(outcomes)).tolist(), strict=True))
+        failures = len(history.failed_designs)
+        return {**counts, "numerical_failure": failures, "in_flight": len(self.handed_out.in_flight)}
+
+    @property
+    def features(self) -> "FeatureMap":
+        """The map from designs, (n, d) in the variables' units, to the scaled features, (n, m), of the classifier."""
+        return self.campaign.features
+
+    # ------------------------------------------------------------------------------------------- elsewhere
+
+    def ask(self, n: int = 1, *, beyond: bool = False, ignore_stop: bool = False) -> "DataFrame":
+        """Hand out designs to be simulated elsewhere; they are in flight, and durable, once this returns.
+
+        Nobody gets one of them again, also not after a crash; `in_flight` lists them. The proposals are those of
+        `take`: the initial design first, then what the criterion chooses, given the designs in flight.
+
+        Args:
+            n: number of designs.
+            beyond: whether to hand out designs beyond the budget.
+            ignore_stop: whether to hand out designs although the stop rule is met.
+
+        Returns:
+            The columns of `in_flight`. If there are not n, `attrs["reason"]` says why; otherwise it is empty.
+
+        Raises:
+            InputError: if n is no whole number or below 1, or the campaign is asynchronous.
+            StoreError: if the run is not open for writing, or the designs cannot be recorded.
+
+        Example:
+            >>> while len(designs := run.ask(8)):
+            ...     run.tell(designs.assign(outcome=[simulate(design) for _, design in designs.iterrows()]))
+        """
+        from activefail.findings.frames import designs_frame
+        from activefail.loop.asking import ask
+
+        check_whole("n", n, 1)
+        with one_thread():
+            proposed = ask(self.campaign, self.store, n, None if beyond else self.settings.sampling.budget, ignore_stop)
+        frame = designs_frame(self.campaign, proposed.designs)
+        frame.attrs["reason"] = proposed.reason
+        return frame
+
+    def tell(self, table: Any) -> int:
+        """Record results of designs in flight; they are durable once this returns.
+
+        A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded.
+
+        Args:
+            table: a DataFrame, a dictionary of columns, a list of dictionaries, one dictionary, or the path of a CSV
+                file, with the columns `id` and `outcome`, the campaign's margins (empty where undefined), and
+                optionally `cause`, `seconds` and the variables, which must not have changed. The outcome
+                "numerical_failure" is that of a simulation without a result. Where one margin has levels, the outcome
+                may be left out. Other columns are ignored, as are rows without outcome and margins.
+
+        Returns:
+            Number of new results.
+
+        Raises:
+            InputError: naming row, column, rule and value.
+            StoreError: if the run is not open for writing, or the results cannot be recorded.
+        """
+        from activefail.campaign.results_table import ResultTable
+        from activefail.loop.asking import RowError, tell
+
+        told = ResultTable.told(self.campaign, _table(table))
+        asked = self.handed_out.asked
+        told.check_designs(self.campaign, asked.id, asked.designs)
+        try:
+            new = tell(self.campaign, self.store, told.ids, told.results)
+        except RowError as error:
+            raise InputError(f"{told.table.places[told.rows[error.row]]}: {error}.") from None
+        self._learned = None
+        return new
+
+    def drop(self, ids: "Iterable[int] | int") -> int:
+        """Give designs in flight up: they get no result, and proposals avoid them as they avoid numerical failures.
+
+        Args:
+            ids: of the designs.
+
+        Returns:
+            Number of designs that were in flight; one that was dropped before is not counted.
+
+        Raises:
+            InputError: if an id is unknown or has a result; nothing is dropped then.
+            StoreError: if the run is not open for writing, or this cannot be recorded.
+        """
+        import numpy as np
+
+        from activefail.loop.asking import drop
+
+        numbers = [ids] if isinstance(ids, SupportsIndex) else list(ids)
+        for number in numbers:
+            check_whole("ids", number, 0)
+        return drop(self.store, np.array([index(number) for number in numbers], dtype=np.int64))
+
+    def add(self, table: Any) -> int:
+        """Record simulations that were not asked for, such as last year's; they are durable once this returns.
+
+        The classifier learns from them. They are no part of the initial design, which is a sample of the design space,
+        and do not count towards the budget. A simulation that is recorded already is ignored.
+
+        Args:
+            table: as for `tell`, with all variables in place of `id`.
+
+        Returns:
+            Number of new simulations.
+
+        Raises:
+            InputError: naming row, column, rule and value.
+            StoreError: if the run is not open for writing, or they cannot be recorded.
+        """
+        from activefail.campaign.results_table import ResultTable
+        from activefail.loop.asking import RowError, add
+
+        added = ResultTable.added(self.campaign, _table(table))
+        try:
+            new = add(self.campaign, self.store, added.designs, added.results)
+        except RowError as error:
+            raise InputError(f"{added.table.places[added.rows[error.row]]}: {error}.") from None
+        self._learned = None
+        return new
+
     # ------------------------------------------------------------------------------------------- actions
 
     def take(
@@ -212,6 +368,7 @@ class Run:
         from activefail.loop.batches import run
 
         self.check_budget(budget)
+        self.campaign.check_simulates()
         if executor is None:
             with self._local_executor() as local:
                 return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
@@ -293,6 +450,53 @@ class Run:
 
         with one_thread():
             return findings_of(self.folder, self.campaign, self.store, self.classifier)
+
+    def predict(self, X: Any) -> "DataFrame":
+        """Predictions of the classifier.
+
+        Args:
+            X: designs in the variables' units: an (n, d) array in the order of `space`, a DataFrame, or a list of
+                dictionaries.
+
+        Returns:
+            One row for each design, in the given order: the variables, the probability `p_<outcome>` of each outcome,
+            and mean and standard deviation of the latent of the target boundary, `latent_mean` and `latent_sd`. The
+            latent is positive where the outcome is probably beyond the boundary.
+
+        Raises:
+            InputError: if there is no simulation to learn from, a variable is missing or a value is not finite.
+        """
+        from activefail.findings.frames import designs_of, predictions_frame
+
+        designs, classifier = designs_of(self.campaign, X), self.classifier
+        with one_thread():
+            return predictions_frame(self.campaign, classifier, designs)
+
+    def model(self, outcome: str | None = None) -> Any:
+        """The latent of a boundary as a BoTorch model of a GPyTorch variational GP.
+
+        Its inputs are the scaled features, (..., q, m), that `features` computes from designs.
+
+        Args:
+            outcome: of the boundary; the (main) target if None.
+
+        Raises:
+            InputError: if the outcome has no boundary, its boundary is learned from a margin, or there is no simulation
+                to learn from.
+        """
+        from activefail.surrogate.classifier import Latent
+
+        boundaries = self.campaign.simulator.outcomes[1:]
+        outcome = self.boundary if outcome is None else outcome
+        if outcome not in boundaries:
+            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
+        latent = self.classifier.latent(outcome)
+        if not isinstance(latent, Latent):
+            raise InputError(
+                f"outcome: the boundary of {outcome} is learned from a margin, whose regression has no BoTorch model; "
+                '`classifier.learns = "outcomes"` learns it from the outcomes.'
+            )
+        return latent.model
 
     def predict_table(
         self, source: Path, target: Path, begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None
@@ -477,6 +681,7 @@ class Run:
     def _local_executor(self) -> "AsynchronousExecutor":
         from activefail.execution.local import local_executor
 
+        self.campaign.check_simulates()
         return local_executor(self.campaign.simulator, time_limit=self.campaign.time_limit)
 
     # ------------------------------------------------------------------------------------------- opening, closing
@@ -490,6 +695,12 @@ class Run:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+def _table(table: Any) -> "Table":
+    from activefail.campaign.results_table import Table
+
+    return Table.of_csv(table) if isinstance(table, Path) else Table.of_python(table)
 
 
 def check_whole(name: str, number: SupportsIndex, least: int) -> None:

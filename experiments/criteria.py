@@ -73,7 +73,14 @@ def trajectory(
             return scores
         iteration, done = iteration + 1, done + batch
         known = History(X, outcome, np.zeros(len(X), dtype=np.int64), np.zeros(len(X), dtype=np.int8))
-        proposed = next_designs(campaign, classifier, known, iteration, q=batch, chosen=(iteration - 1) * batch)
+        proposed = next_designs(
+            campaign,
+            classifier,
+            known,
+            stream(campaign.settings.seed, "propose", iteration),
+            q=batch,
+            chosen=(iteration - 1) * batch,
+        )
         more_X, more_outcome = answered(campaign, proposed)
         X, outcome = np.concatenate([X, more_X]), np.concatenate([outcome, more_outcome])
         classifier = learned(campaign, X, outcome, classifier)

@@ -34,7 +34,14 @@ def first_failure(campaign: Campaign, problem: RareProblem, searching: bool) -> 
         if searching:
             zeros = np.zeros(len(X), dtype=np.int8)
             known = History(X, outcome, zeros.astype(np.int64), zeros)
-            proposed = next_designs(campaign, classifier, known, iteration, q=BATCH, chosen=chosen)
+            proposed = next_designs(
+                campaign,
+                classifier,
+                known,
+                stream(campaign.settings.seed, "propose", iteration),
+                q=BATCH,
+                chosen=chosen,
+            )
         else:
             proposed = propose_shared(
                 classifier,

@@ -17,6 +17,7 @@ from activefail.record.batch import Schema
 from activefail.record.layout import SIMULATIONS
 from activefail.simulators.bearing import DfpSimulator
 from activefail.simulators.command import CommandSimulator
+from activefail.simulators.elsewhere import ElsewhereSimulator
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import Simulator
 from activefail.simulators.user_code import FEATURES_KEY, SIMULATOR_KEY, load_function
@@ -95,21 +96,38 @@ class Campaign:
     def time_limit(self) -> float | None:
         """Time limit of one simulation [s]; None for the bearing, and if no limit is set."""
         simulator = self.settings.simulator
-        return None if isinstance(simulator, str) else simulator.time_limit
+        return simulator.time_limit if isinstance(simulator, sections.CustomSimulatorSettings) else None
 
     @property
     def decisive(self) -> tuple[str, ...]:
-        """The entries of the provenance that decide the result of a simulation; none for a program.
+        """The entries of the provenance that decide the result of a simulation; none for a program or elsewhere.
 
         Features and libraries do not: they change proposals, or the last bits of a result.
         """
         match self.settings.simulator:
             case sections.PythonSimulatorSettings():
                 return (SIMULATOR_KEY,)
-            case sections.CommandSimulatorSettings():
+            case sections.CommandSimulatorSettings() | sections.ElsewhereSettings():
                 return ()
             case _:
                 return (BEARING_SOURCES,)
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether simulations are made elsewhere, so that activefail cannot make any."""
+        return isinstance(self.settings.simulator, sections.ElsewhereSettings)
+
+    def check_simulates(self) -> None:
+        """Check that activefail can make the campaign's simulations.
+
+        Raises:
+            InputError: if they are made elsewhere.
+        """
+        if self.is_elsewhere:
+            raise InputError(
+                "simulator.elsewhere: activefail cannot make these simulations. `activefail create` makes the run "
+                "folder, `activefail ask` hands designs out, and `activefail tell` records their results."
+            )
 
     @property
     def schema(self) -> Schema:
@@ -177,6 +195,8 @@ def _simulator(
                 spec.levels_of_number,
             )
             return command, {}
+        case sections.ElsewhereSettings() as spec:
+            return ElsewhereSimulator(tuple(spec.outcomes), tuple(spec.margins)), {}
         case _:
             return DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration()), {}
 

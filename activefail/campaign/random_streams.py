@@ -12,6 +12,7 @@ STREAMS = {
     "probability": 7,
     "estimate": 8,
     "check": 9,
+    "ask": 10,
 }
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 

@@ -148,22 +148,20 @@ _Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w
 """A Python function, "module:function"."""
 
 
-class CustomSimulatorSettings(Section):
-    """Settings of every custom simulator.
+class OutcomeSettings(Section):
+    """What the simulations of a campaign return, whoever makes them.
 
     Attributes:
         outcomes: two or three names, the least severe first.
         margins: names of the numbers that it returns besides the outcome.
         levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
         truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
-        time_limit: of one simulation [s]; no limit if None.
     """
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
     margins: list[str] = Field([], max_length=100)
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
-    time_limit: float | None = Field(None, gt=0.0, le=1e9)
 
     @field_validator("outcomes", "margins")
     @classmethod
@@ -211,6 +209,22 @@ def _check_margin(name: str, info: ValidationInfo) -> None:
     margins = info.data.get("margins")
     if margins is not None and name not in margins:
         raise ValueError(f"must name one of simulator.margins ({', '.join(margins) or 'none'}), got {name!r}")
+
+
+class CustomSimulatorSettings(OutcomeSettings):
+    """Settings of a custom simulator that activefail calls.
+
+    Attributes:
+        time_limit: of one simulation [s]; no limit if None.
+    """
+
+    time_limit: float | None = Field(None, gt=0.0, le=1e9)
+
+
+class ElsewhereSettings(OutcomeSettings):
+    """Simulations that are made elsewhere: `ask` hands their designs out, `tell` records their results."""
+
+    elsewhere: Literal[True]
 
 
 class PythonSimulatorSettings(CustomSimulatorSettings):
@@ -319,7 +333,11 @@ class ProbabilityStop(Section):
 
 
 KINDS: dict[str, dict[str, type[Section]]] = {
-    "simulator": {"python": PythonSimulatorSettings, "command": CommandSimulatorSettings},
+    "simulator": {
+        "python": PythonSimulatorSettings,
+        "command": CommandSimulatorSettings,
+        "elsewhere": ElsewhereSettings,
+    },
     "features": {"python": PythonFeaturesSettings, "expressions": ExpressionFeaturesSettings},
     "stop": {"error": Stop, "probability": ProbabilityStop},
 }

@@ -20,6 +20,7 @@ from activefail.campaign.sections import (
     BearingSettings,
     ClassifierSettings,
     CommandSimulatorSettings,
+    ElsewhereSettings,
     FixedVariable,
     Limits,
     ProbabilityStop,
@@ -55,7 +56,8 @@ class CampaignSettings(Section):
     simulator: Annotated[
         Annotated[Literal["dfp"], Tag(NAME)]
         | Annotated[PythonSimulatorSettings, Tag(f"{WITH}python")]
-        | Annotated[CommandSimulatorSettings, Tag(f"{WITH}command")],
+        | Annotated[CommandSimulatorSettings, Tag(f"{WITH}command")]
+        | Annotated[ElsewhereSettings, Tag(f"{WITH}elsewhere")],
         by_key(KINDS["simulator"]),
     ] = "dfp"
     bearing: BearingSettings = BearingSettings()
@@ -124,6 +126,19 @@ class CampaignSettings(Section):
             raise ValueError(
                 "`stop.probability` cannot be combined with `question`; put its distributions into `space`"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _needs_no_simulations_of_its_own(self) -> Self:
+        if isinstance(self.simulator, ElsewhereSettings):
+            rules = {
+                "stop.error": isinstance(self.stop, Stop),
+                "validation.size": self.validation.size > 0,
+                "sampling.asynchronous": self.sampling.asynchronous,
+            }
+            for key, is_set in rules.items():
+                if is_set:
+                    raise ValueError(f"`{key}` needs a simulator that activefail can call, not `elsewhere`")
         return self
 
     @property

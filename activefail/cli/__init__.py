@@ -2,6 +2,7 @@
 
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
 from activefail.cli.campaigns import export, predict, resume, run, status, verify
+from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
 from activefail.cli.probability import probability
 from activefail.cli.report import report
@@ -9,7 +10,25 @@ from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 
 # In the order of `activefail --help`.
-for _command in (simulate, run, resume, status, predict, verify, probability, export, compare, report, explore, paper):
+for _command in (
+    simulate,
+    run,
+    resume,
+    status,
+    create,
+    ask,
+    tell,
+    drop,
+    add,
+    predict,
+    verify,
+    probability,
+    export,
+    compare,
+    report,
+    explore,
+    paper,
+):
     app.command(cls=Command)(ends_on_ctrl_c(_command))
 
 __all__ = ["app", "main", "program"]

@@ -58,8 +58,9 @@ def make_executor(
     """Create the executor that the options select.
 
     Raises:
-        InputError: if the options are inconsistent, or the cluster cannot be reached.
+        InputError: if simulations are made elsewhere, the options are inconsistent, or the cluster cannot be reached.
     """
+    campaign.check_simulates()
     if name == "local":
         from activefail.execution.local import local_executor
 

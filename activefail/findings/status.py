@@ -49,7 +49,7 @@ class Status:
         summary = self.summary
         try:
             path = state_file(self.folder, summary.iteration)
-            return decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {summary.digest})
+            return decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {summary.digest})[1]
         except (OSError, ValueError, StoreError, DamagedError):
             return {}
 
@@ -142,8 +142,10 @@ class Status:
     def continuation(self) -> list[tuple[str, str]]:
         """Titles and texts of how to continue; empty once the budget is spent."""
         settings = self.summary.settings
-        if self.summary.done >= settings.budget:
+        if self.summary.done + len(self.summary.in_flight) >= settings.budget:
             return []
+        if settings.is_elsewhere:
+            return [("continue", f"activefail ask {quoted(self.folder)} --n {settings.batch} --csv todo.csv")]
         command = f"activefail resume {quoted(self.folder)}{' --code FOLDER' if settings.custom_code else ''}"
         lines = [("continue", f"{command} --ignore-stop" if self._rule_is_met else command)]
         if is_verified(self.folder, self.summary):
@@ -185,5 +187,5 @@ def read_status(folder: Path) -> Status:
     with open_campaign(folder, write=False, features=False) as (campaign, store):
         warnings = store.new_warnings()
         return Status(
-            folder, Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches), warnings
+            folder, Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches, store.asked), warnings
         )

@@ -17,15 +17,19 @@ from numpy.typing import NDArray
 from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import StoreError
 from activefail.files import check_dots, read_regular
-from activefail.record.batch import INITIAL, Batch
-from activefail.record.layout import LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
+from activefail.record.asked import LARGEST_ASKED, NO_ROW, Asked, decode_asked, rows_with_results
+from activefail.record.batch import GIVEN, INITIAL, Batch
+from activefail.record.layout import ASKED, LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
 from activefail.record.recovery import is_segment, plain_files
-from activefail.record.segment import Outline, chain_start, decode_outline
+from activefail.record.segment import Outline, chain_start, decode_outline, decode_segment
 from activefail.shares import percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.verification.stored_sets import first_part, name_of_look, name_of_verification
 from activefail.verification.unseen import unseen_outcomes, unseen_warning
 from activefail.visible import visible
+
+_IDS_SHOWN = 20
+"""Most ids of designs in flight that `status` lists."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +37,14 @@ class SettingsInBrief:
     """A campaign's settings in brief. All text is made visible, since a run folder may come from a stranger.
 
     Attributes:
-        simulator: its name, "module:function", or the command.
+        simulator: its name, "module:function", the command, or "elsewhere".
         variables: number of variables.
         initial: simulations of the initial design.
         features: their name; or "variables", if included, with "module:function" or the names of expressions.
         custom_code: whether the simulator or the features are user code.
         stop_simulations: simulations of a look of the stop rule; None without a rule.
+        batch: simulations of a batch.
+        is_elsewhere: whether simulations are made elsewhere.
         boundaries: share of each target boundary, by outcome.
     """
 
@@ -54,6 +60,8 @@ class SettingsInBrief:
     boundaries: dict[str, float]
     custom_code: bool = False
     stop_simulations: int | None = None
+    batch: int = 1
+    is_elsewhere: bool = False
 
     @classmethod
     def of(cls, text: str) -> Self:
@@ -67,10 +75,15 @@ class SettingsInBrief:
         match settings:
             case {
                 "description": str(description),
-                "simulator": str(simulator) | {"python": str(simulator)} | {"command": str(simulator)},
+                "simulator": (
+                    str(simulator)
+                    | {"python": str(simulator)}
+                    | {"command": str(simulator)}
+                    | {"elsewhere": True as simulator}
+                ),
                 "seed": int(seed),
                 "space": dict(space),
-                "sampling": {"initial": int(initial), "budget": int(budget)},
+                "sampling": {"initial": int(initial), "budget": int(budget), "batch": int(batch)},
                 "classifier": {
                     "kernel": str(kernel),
                     "features": (str() | {"python": str()} | {"expressions": dict()} as features),
@@ -79,7 +92,7 @@ class SettingsInBrief:
             } if all(isinstance(one, dict) for one in space.values()) and _is_boundary(boundary):
                 return cls(
                     visible(description),
-                    visible(simulator),
+                    "elsewhere" if simulator is True else visible(simulator),
                     seed,
                     sum("value" not in variable for variable in space.values()),
                     initial,
@@ -88,8 +101,12 @@ class SettingsInBrief:
                     visible(_features_in_words(features)),
                     visible(criterion),
                     {visible(name): share for name, share in boundary_shares(boundary).items()},
-                    not isinstance(settings["simulator"], str) or (isinstance(features, dict) and "python" in features),
+                    not isinstance(simulator, bool)
+                    and not isinstance(settings["simulator"], str)
+                    or (isinstance(features, dict) and "python" in features),
                     _stop_simulations(settings.get("stop")),
+                    batch,
+                    simulator is True,
                 )
             case _:
                 raise ValueError("These are not the settings of a campaign with all defaults.")
@@ -131,8 +148,9 @@ class Summary:
         settings: of the campaign.
         outcomes: names of the outcomes, as visible text.
         iteration: active batches so far.
-        initial, chosen: (number of outcomes + 1,) recorded simulations of the initial design and active ones, by
-            outcome, numerical failures last.
+        initial, chosen, given: (number of outcomes + 1,) recorded simulations of the initial design, those that the
+            campaign chose, and those that it did not ask for, by outcome, numerical failures last.
+        in_flight: ids of the designs in flight.
         margins: names of the margins, if they were read.
         digest: the record's digest after its last batch, if it was read.
     """
@@ -142,18 +160,20 @@ class Summary:
     iteration: int
     initial: NDArray[np.int64]
     chosen: NDArray[np.int64]
+    given: NDArray[np.int64]
+    in_flight: tuple[int, ...] = ()
     margins: tuple[str, ...] = ()
     digest: str = ""
 
     @property
     def counts(self) -> NDArray[np.int64]:
         """All recorded simulations by outcome, numerical failures last."""
-        return self.initial + self.chosen
+        return self.initial + self.chosen + self.given
 
     @property
     def done(self) -> int:
-        """Number of recorded simulations."""
-        return int(self.counts.sum())
+        """Number of recorded simulations that count towards the budget."""
+        return int((self.initial + self.chosen).sum())
 
     @property
     def lines(self) -> list[tuple[str, str]]:
@@ -173,30 +193,48 @@ class Summary:
             ("done", f"{done}, iteration {self.iteration}"),
             *(
                 (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))
-                for title, counts in (("initial", self.initial), ("chosen", self.chosen), ("all", self.counts))
+                for title, counts in self._origins
             ),
+            *([("in flight", self._in_flight)] if self.in_flight else []),
         ]
+
+    @property
+    def _origins(self) -> list[tuple[str, NDArray[np.int64]]]:
+        given = [("given", self.given)] if self.given.any() else []
+        return [("initial", self.initial), ("chosen", self.chosen), *given, ("all", self.counts)]
+
+    @property
+    def _in_flight(self) -> str:
+        shown = ", ".join(map(str, self.in_flight[:_IDS_SHOWN])) + (", ..." if len(self.in_flight) > _IDS_SHOWN else "")
+        return f"{len(self.in_flight)} designs, ids {shown}"
 
     @property
     def unseen_warning(self) -> str:
         """The warning about outcomes without a simulation; empty if there are none, or no simulations yet."""
-        if self.done == 0:
+        if not self.counts.any():
             return ""
         unseen = unseen_outcomes(self.outcomes, self.counts)
         answered, unanswered = int(self.initial[:-1].sum()), int(self.initial[-1])
         return unseen_warning(unseen, int(self.counts[:-1].sum()), answered, unanswered)
 
     @classmethod
-    def of(cls, settings: str, outcomes: tuple[str, ...], batches: Sequence[Batch]) -> Self:
-        """The summary of a campaign's batches; `settings` is TOML with all defaults."""
+    def of(cls, settings: str, outcomes: tuple[str, ...], batches: Sequence[Batch], asked: Asked) -> Self:
+        """The summary of a campaign's batches and the designs that were handed out.
+
+        Args:
+            settings: TOML with all defaults.
+            outcomes, batches, asked: of the record.
+        """
         none = np.empty(0, dtype=np.int8)
-        initial, chosen = (
-            np.concatenate([none, *(one.results.outcome[(one.origin == INITIAL) == first] for one in batches)])
-            for first in (True, False)
+        outcome = np.concatenate([none, *(batch.results.outcome for batch in batches)])
+        origin = np.concatenate([none, *(batch.origin for batch in batches)])
+        return cls(
+            SettingsInBrief.of(settings),
+            _shown(outcomes),
+            batches[-1].iteration if batches else 0,
+            *_by_origin(outcome, origin, len(outcomes)),
+            _in_flight(asked, batches),
         )
-        n = len(outcomes)
-        iteration = batches[-1].iteration if batches else 0
-        return cls(SettingsInBrief.of(settings), _shown(outcomes), iteration, _counts(initial, n), _counts(chosen, n))
 
 
 def is_verified(folder: Path, summary: Summary) -> bool:
@@ -227,18 +265,26 @@ def read_summary(folder: Path) -> Summary | None:
             key=lambda outline: outline.first,
         )
         brief = SettingsInBrief.of(settings)
+        in_flight: tuple[int, ...] = ()
+        if (folder / ASKED).exists() and outlines:
+            # Only designs tell which of those that were handed out have a result.
+            schema = outlines[0].schema
+            data = read_regular(folder / ASKED, LARGEST_ASKED)
+            asked = decode_asked(data, chain_start(settings, schema), len(schema.variables))
+            segments = [decode_segment(name, (folder / SEGMENTS / name).read_bytes()) for name in names]
+            in_flight = _in_flight(asked, [batch for segment in segments for batch in segment.batches])
     except (OSError, MemoryError, RecursionError, ValueError, StoreError):
         return None
     if not outlines or not _is_chain(outlines, settings):
         return None
     outcomes = outlines[0].schema.outcomes
-    n = len(outcomes)
-    initial = chosen = np.zeros(n + 1, dtype=np.int64)
-    for outline in outlines:
-        initial = initial + _counts(outline.outcome[outline.origin == INITIAL], n)
-        chosen = chosen + _counts(outline.outcome[outline.origin != INITIAL], n)
+    counts = _by_origin(
+        np.concatenate([outline.outcome for outline in outlines]),
+        np.concatenate([outline.origin for outline in outlines]),
+        len(outcomes),
+    )
     last, margins = outlines[-1], outlines[0].schema.margins
-    return Summary(brief, _shown(outcomes), int(last.iterations[-1]), initial, chosen, margins, last.after)
+    return Summary(brief, _shown(outcomes), int(last.iterations[-1]), *counts, in_flight, margins, last.after)
 
 
 def _shown(names: Sequence[str]) -> tuple[str, ...]:
@@ -253,6 +299,20 @@ def _is_chain(outlines: Sequence[Outline], settings: str) -> bool:
         and all(outline.settings == settings and outline.schema == first.schema for outline in outlines)
         and all((a.last + 1, a.after) == (b.first, b.before) for a, b in pairwise(outlines))
     )
+
+
+def _by_origin(outcome: NDArray[np.int8], origin: NDArray[np.int8], outcomes: int) -> list[NDArray[np.int64]]:
+    """The counts of the initial design, of chosen and of given simulations."""
+    of_origin = origin == INITIAL, (origin != INITIAL) & (origin != GIVEN), origin == GIVEN
+    return [_counts(outcome[rows], outcomes) for rows in of_origin]
+
+
+def _in_flight(asked: Asked, batches: Sequence[Batch]) -> tuple[int, ...]:
+    """The ids of the designs in flight."""
+    designs = np.concatenate([np.empty((0, asked.designs.shape[1])), *(batch.designs for batch in batches)])
+    origin = np.concatenate([np.empty(0, dtype=np.int8), *(batch.origin for batch in batches)])
+    waiting = (rows_with_results(asked, designs, origin) == NO_ROW) & (asked.dropped == 0)
+    return tuple(asked.id[waiting].tolist())
 
 
 def _counts(outcome: NDArray[np.int8], outcomes: int) -> NDArray[np.int64]:

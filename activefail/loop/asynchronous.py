@@ -101,7 +101,8 @@ class Course:
         if free == 0:
             return replace(course, flight=flight)
         chosen = max(0, proposed - len(initial))
-        designs = next_designs(campaign, classifier, history, iteration + 1, q=free, chosen=chosen, pending=flight)
+        rng = stream(campaign.settings.seed, "propose", iteration + 1)
+        designs = next_designs(campaign, classifier, history, rng, q=free, chosen=chosen, pending=flight)
         return replace(course, flight=np.concatenate([flight, designs]))
 
     def _looked(self, campaign: Campaign, history: History, last: Batch, before: Classifier | None) -> "Course":

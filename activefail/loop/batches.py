@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
+from activefail.errors import InputError
 from activefail.execution.executor import AsynchronousExecutor, Executor
 from activefail.loop.asynchronous import run_asynchronously
 from activefail.loop.history import History
+from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import Learned, current
 from activefail.loop.observed import ObservedExecutor
 from activefail.loop.progress import Observer, standing
@@ -81,26 +83,35 @@ def run(
 def _run_in_batches(task: Task) -> bool:
     campaign, store, observer, budget = task.campaign, task.store, task.observer, task.budget
     batch, rule = campaign.settings.sampling.batch, campaign.settings.error_rule
-    initial = task.initial
-    while (progress := standing(campaign, store.batches, budget)).done < len(initial):
+    # Designs in flight are simulated elsewhere, and count towards the budget.
+    handed_out = HandedOut.of(store)
+    flight, initial = handed_out.in_flight, handed_out.initial_left(campaign)
+    if (flight.origin == CHECK).any():
+        raise InputError(_CHECK_IN_FLIGHT)
+    iteration = handed_out.next_iteration(campaign)
+    while len(initial):
+        progress = standing(campaign, store.batches, budget)
         observer.progress(progress)
         task.check(progress)
-        if progress.done >= budget:
+        left = budget - progress.done - len(flight)
+        if left <= 0:
             # Do not train on a part of the initial design: a later resume would start from that state.
             return True
         if observer.stop():
             return False
         observer.stage("simulating the initial design")
-        designs = initial[progress.done : min(progress.done + batch, budget)]
-        _simulate_and_record(task, 0, INITIAL, designs)
+        designs, initial = np.split(initial, [min(batch, left)])
+        _simulate_and_record(task, iteration, INITIAL, designs)
 
-    task.check(progress)
+    task.check(standing(campaign, store.batches, budget))
+    if not History.of(store.batches).answered.any():
+        raise InputError(_NOTHING_KNOWN)
     observer.stage("learning")
     learned = current(campaign, store, write=True)
     seconds = None
     while True:
         progress = standing(campaign, store.batches, budget)
-        left = max(0, budget - progress.done)
+        left = max(0, budget - progress.done - len(flight))
         verify_now = rule is not None and progress.iteration % rule.every == 0
         progress = task.judged(progress, learned.classifier, verify_now, learned.looks)
         observer.progress(replace(progress, seconds_left=None if seconds is None else seconds * -(-left // batch)))
@@ -113,18 +124,38 @@ def _run_in_batches(task: Task) -> bool:
         iteration = progress.iteration + 1
         observer.stage("proposing")
         chosen, history = (iteration - 1) * batch, History.of(store.batches)
+        rng = stream(campaign.settings.seed, "propose", iteration)
         if needs_check(campaign, history, learned.looks):
-            rng = stream(campaign.settings.seed, "propose", iteration)
-            origin, designs = CHECK, check_designs(campaign, history.designs, learned.looks, rng)[:left]
+            known = np.concatenate([history.designs, flight.designs])
+            origin, designs = CHECK, check_designs(campaign, known, learned.looks, rng)[:left]
         else:
             origin = ACTIVE
-            designs = next_designs(campaign, learned.classifier, history, iteration, q=min(batch, left), chosen=chosen)
+            designs = next_designs(
+                campaign,
+                learned.classifier,
+                history,
+                rng,
+                q=min(batch, left),
+                chosen=chosen,
+                pending=flight.designs if len(flight) else None,
+                dropped=store.asked.given_up,
+            )
         observer.stage("simulating")
         _simulate_and_record(task, iteration, origin, designs)
         observer.stage("learning")
         learned = Learned.after(campaign, History.of(store.batches), iteration, learned)
         store.write_state(iteration, learned.state)
         seconds = time.monotonic() - start
+
+
+_CHECK_IN_FLIGHT = (
+    "The stop rule's check is in flight: `activefail tell` its results, or `activefail drop` its designs, then resume."
+)
+
+_NOTHING_KNOWN = (
+    "The whole initial design is in flight or was dropped, so there is nothing to learn from yet: `activefail tell` "
+    "results first."
+)
 
 
 def _simulate_and_record(task: Task, iteration: int, origin: int, designs: Array) -> None:

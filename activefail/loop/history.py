@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.record.batch import INITIAL, Batch
+from activefail.record.batch import GIVEN, INITIAL, Batch
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 
@@ -20,7 +20,7 @@ class History:
         designs: (n, d), in the variables' units; (0, 0) for an empty record.
         outcome: (n,) int8, index into the simulator's outcomes, or NUMERICAL_FAILURE.
         iteration: (n,) int64, iteration of each simulation's batch; 0 in the initial design.
-        origin: (n,) int8, INITIAL, ACTIVE or CHECK.
+        origin: (n,) int8, INITIAL, ACTIVE, CHECK or GIVEN.
         margins: (n, k) float64, one column for each of the simulator's margins; (0, 0) for an empty record.
     """
 
@@ -77,6 +77,11 @@ class History:
     def initial(self) -> NDArray[np.bool_]:
         """Which simulations belong to the initial design, (n,); only these are a sample of the design space."""
         return np.asarray(self.origin == INITIAL)
+
+    @property
+    def asked_for(self) -> int:
+        """How many simulations count towards the budget: all but those that the campaign did not ask for."""
+        return int((self.origin != GIVEN).sum())
 
     @property
     def failed_designs(self) -> Array:

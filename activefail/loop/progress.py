@@ -23,7 +23,7 @@ class Progress:
 
     Attributes:
         iteration: active batches so far.
-        done: recorded simulations, including the initial design and numerical failures.
+        done: recorded simulations that count towards the budget, numerical failures included.
         budget: simulations in all.
         counts: (number of outcomes,) recorded simulations by outcome.
         numerical_failures: recorded simulations without an outcome.
@@ -72,9 +72,9 @@ def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Pro
     counts = history.counts(len(outcomes))
     return Progress(
         iteration=history.last_iteration,
-        done=len(history),
+        done=history.asked_for,
         budget=budget,
         counts=counts,
-        numerical_failures=len(history) - int(counts.sum()),
+        numerical_failures=int((~history.answered).sum()),
         unseen=unseen_outcomes(outcomes, counts),
     )

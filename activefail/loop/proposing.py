@@ -41,23 +41,28 @@ def next_designs(
     campaign: Campaign,
     classifier: Classifier,
     history: History,
-    iteration: int,
+    rng: np.random.Generator,
     *,
     q: int,
     chosen: int,
     pending: Array | None = None,
+    dropped: Array | None = None,
 ) -> Array:
-    """Propose the designs, (q, d), of an iteration.
+    """Propose designs, (q, d).
 
     Args:
         campaign: the campaign.
         classifier: trained on all of `history`.
         history: all simulations so far; proposals avoid its numerical failures and search for outcomes it lacks.
-        iteration: of the proposed batch, from 1 on.
+        rng: generator of the candidates.
         q: number of designs.
         chosen: number of earlier active designs; the shares of boundaries and exploration carry over between batches.
         pending: (k, d) designs in flight, without a result yet.
+        dropped: (k, d) designs that were given up; proposals avoid them as they avoid numerical failures.
     """
+    failed = history.failed_designs
+    if dropped is not None and len(dropped):
+        failed = np.concatenate([failed, dropped])
     settings = campaign.settings
     return propose_shared(
         classifier,
@@ -67,9 +72,9 @@ def next_designs(
         exploration=settings.acquisition.exploration,
         first=chosen,
         q=q,
-        rng=stream(settings.seed, "propose", iteration),
+        rng=rng,
         pending=pending,
-        failed=history.failed_designs,
+        failed=failed,
         unseen=search_for_unseen(campaign, history, classifier),
         widening=1.0 if settings.probability_rule is None else WIDENING,
     )

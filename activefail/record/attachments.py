@@ -21,8 +21,8 @@ def encode_state(iteration: int, arrays: Mapping[str, NDArray[Any]], chain: str)
     return encode(content, {"schema_version": str(SCHEMA_VERSION), "iteration": str(iteration), "chain": chain})
 
 
-def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> dict[str, NDArray[Any]]:
-    """The arrays of the state of an iteration, learned from a record with one of these digests.
+def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> tuple[str, dict[str, NDArray[Any]]]:
+    """The digest of the record that a state was learned from, which is one of these digests, and its arrays.
 
     Raises:
         DamagedError: if the file is damaged, or belongs to another iteration or record.
@@ -33,7 +33,7 @@ def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> dict[
         # The state may include a batch that was quarantined later.
         if image.attribute("chain") not in digests or image.attribute("iteration") != str(iteration):
             raise DamagedError("was not learned from the batches of this record")
-        return {unquote(name): _state_array(image, name) for name in image.names}
+        return image.attribute("chain"), {unquote(name): _state_array(image, name) for name in image.names}
 
 
 def encode_set(X: Array, results: Results, schema: Schema, campaign: str, provenance: Mapping[str, str]) -> bytes:

@@ -22,6 +22,9 @@ ACTIVE = 1
 CHECK = 2
 """Origin of a design that looks for what the classifier may have missed before a campaign ends."""
 
+GIVEN = 3
+"""Origin of a design that the campaign did not ask for."""
+
 
 # Little-endian on every machine: the digests are computed from these bytes.
 COLUMNS = {"designs": "<f8", "origin": "i1", "outcome": "i1", "cause": "i1", "margins": "<f8", "seconds": "<f8"}
@@ -34,7 +37,7 @@ class Batch:
     Attributes:
         iteration: iteration of the loop; 0 is the initial design.
         designs: (n, d) float64, in the variables' units; at least one row.
-        origin: (n,) int8, INITIAL, ACTIVE or CHECK.
+        origin: (n,) int8, INITIAL, ACTIVE, CHECK or GIVEN.
         results: results of the n designs.
 
     Raises:

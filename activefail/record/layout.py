@@ -20,6 +20,9 @@ SEGMENTS, STATES, SETS = "segments", "state", "sets"
 FOLDERS = (SEGMENTS, STATES, SETS)
 """Folders of the record: batches, saved states, and sets of designs outside the budget."""
 
+ASKED = "asked.h5"
+"""The designs that were handed out to be simulated elsewhere."""
+
 SIMULATIONS = "simulations"
 """The folder in which custom programs run."""
 
@@ -38,7 +41,7 @@ REPORT = "report.html"
 ESTIMATE = "probability.json"
 """The last estimate of `probability`, for readers that do not repeat it."""
 
-_RESERVED = (SETTINGS, LOCK, REPORT, ESTIMATE, *FOLDERS, SIMULATIONS, COMPARISON)
+_RESERVED = (SETTINGS, LOCK, ASKED, REPORT, ESTIMATE, *FOLDERS, SIMULATIONS, COMPARISON)
 
 
 def state_file(folder: Path, iteration: int) -> Path:
@@ -115,7 +118,7 @@ def run_folder_owning(path: Path) -> Path | None:
         folder = candidate.parent
         if not _is_run_folder(folder):
             continue
-        names = (SETTINGS, LOCK, *FOLDERS, SIMULATIONS) if candidate == path else (*FOLDERS, SIMULATIONS)
+        names = (SETTINGS, LOCK, ASKED, *FOLDERS, SIMULATIONS) if candidate == path else (*FOLDERS, SIMULATIONS)
         # Compare through the file system, which may ignore case; by name if the file does not exist yet.
         if candidate.name in names or any(_is_same(candidate, folder / name) for name in names):
             return folder

@@ -6,8 +6,9 @@ from typing import Any, Self
 from numpy.typing import NDArray
 
 from activefail.errors import StoreError
+from activefail.record.asked import Asked
 from activefail.record.batch import Batch, Schema, checked_copy, copy_results
-from activefail.record.store import STATES_KEPT, check_set, checked_state
+from activefail.record.store import STATES_KEPT, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
@@ -19,6 +20,8 @@ class MemoryStore:
         self.schema = schema
         self._batches: tuple[Batch, ...] = ()
         self._states: dict[int, dict[str, NDArray[Any]]] = {}
+        self._learned_from: dict[int, int] = {}
+        self._asked = Asked.none(len(schema.variables))
         self._sets: dict[str, tuple[Array, Results]] = {}
         self._open = True
 
@@ -37,17 +40,33 @@ class MemoryStore:
         self._check_open()
         kept = [i for i in sorted(self._states) if i < iteration][1 - STATES_KEPT :]
         self._states = {i: self._states[i] for i in kept} | {iteration: checked_state(iteration, arrays)}
+        self._learned_from[iteration] = self._batches_through(iteration)
+
+    def _batches_through(self, iteration: int) -> int:
+        return sum(batch.iteration <= iteration for batch in self._batches)
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
         """The newest state (see Store)."""
-        if not self._states:
+        valid = [i for i in self._states if self._learned_from[i] == self._batches_through(i)]
+        if not valid:
             return None
-        iteration = max(self._states)
+        iteration = max(valid)
         return iteration, {name: array.copy() for name, array in self._states[iteration].items()}
 
     def reject_state(self, iteration: int, reason: str) -> None:
         """Forget a state (see Store)."""
         self._states.pop(iteration, None)
+
+    @property
+    def asked(self) -> Asked:
+        """The designs that were handed out (see Store)."""
+        return self._asked.copy()
+
+    def write_asked(self, asked: Asked) -> None:
+        """Keep the designs that were handed out (see Store)."""
+        self._check_open()
+        check_asked(asked, self.schema)
+        self._asked = asked.copy()
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

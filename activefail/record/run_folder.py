@@ -3,6 +3,7 @@
     <folder>/campaign.toml              frozen copy of the settings
              segments/<first>-<last>.h5 whole batches, immutable; states can be learned again from them
              state/<iteration>.h5       what was learned; the last three
+             asked.h5                   designs that were handed out to be simulated elsewhere
              sets/<name>.h5             designs outside the budget and their results, simulated once
              .lock                      one writer at a time
 
@@ -10,6 +11,7 @@ Every batch extends a chain of digests that starts with the settings and the sch
 altered or from another campaign is detected. Merging segments does not change the chain.
 """
 
+import itertools
 import os
 import re
 import tomllib
@@ -24,9 +26,11 @@ from activefail import __version__
 from activefail.errors import DamagedError, InputError, StoreError, SyncError
 from activefail.files import TEMPORARY, make_folder, publish, read_regular, replace, sync_folder
 from activefail.record import compaction
+from activefail.record.asked import LARGEST_ASKED, Asked, decode_asked, encode_asked
 from activefail.record.attachments import decode_set, decode_state, encode_set, encode_state
 from activefail.record.batch import Batch, Schema, checked_copy
 from activefail.record.layout import (
+    ASKED,
     FOLDERS,
     LARGEST_SETTINGS,
     LOCK,
@@ -51,7 +55,7 @@ from activefail.record.recovery import (
     set_aside,
 )
 from activefail.record.segment import Segment, chain_start, encode_segment
-from activefail.record.store import STATES_KEPT, check_set, checked_state
+from activefail.record.store import STATES_KEPT, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array
 from activefail.visible import visible
@@ -459,7 +463,7 @@ class FolderStore:
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays (see Store)."""
         self._writable()
-        data = encode_state(iteration, checked_state(iteration, arrays), self.digest)
+        data = encode_state(iteration, checked_state(iteration, arrays), self._digest_after(iteration))
         with self._writing():
             replace(state_file(self.folder, iteration), data, self._check_place)
             self._rejected.discard(iteration)
@@ -481,6 +485,18 @@ class FolderStore:
         names = [name for name in plain_files(folder) if re.fullmatch(r"\d{9,}\.h5", name)]
         return sorted((int(name.removesuffix(".h5")), folder / name) for name in names)
 
+    def _digest_after(self, iteration: int) -> str:
+        """The chain's digest after the last batch of the iterations up to this one."""
+        digest = self._start
+        for segment in self._segments:
+            if segment.batches[0].iteration > iteration:
+                break
+            ends = itertools.accumulate(map(len, segment.batches), initial=segment.first)
+            for batch, end in zip(segment.batches, itertools.islice(ends, 1, None), strict=True):
+                if batch.iteration <= iteration:
+                    digest = segment.chain[end]
+        return digest
+
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
         """The newest intact state of this record (see Store)."""
         digests = {digest for segment in self._segments for digest in segment.chain.values()} or {self._start}
@@ -489,7 +505,10 @@ class FolderStore:
                 continue
             try:
                 with reading(path):
-                    return iteration, decode_state(path.read_bytes(), iteration, digests)
+                    chain, arrays = decode_state(path.read_bytes(), iteration, digests)
+                # A state of this record that lacks a later batch of its iteration is no fault.
+                if chain == self._digest_after(iteration):
+                    return iteration, arrays
             except FileNotFoundError:
                 continue
             except DamagedError as error:
@@ -500,6 +519,31 @@ class FolderStore:
         """Skip a state from now on (see Store)."""
         self._rejected.add(iteration)
         self._warn(f"state/{iteration:09d}.h5 {reason}; it is skipped.")
+
+    @property
+    def asked(self) -> Asked:
+        """The designs that were handed out (see Store)."""
+        if self.schema is None:
+            return Asked.none(0)
+        path = self.folder / ASKED
+        try:
+            with reading(path):
+                return decode_asked(read_regular(path, LARGEST_ASKED), self._start, len(self.schema.variables))
+        except FileNotFoundError:
+            return Asked.none(len(self.schema.variables))
+        except (DamagedError, ValueError) as error:
+            raise StoreError(
+                f"{path} {error}. It lists the designs in flight. Restore it from a copy; if you remove it, designs in "
+                "flight may be handed out again."
+            ) from None
+
+    def write_asked(self, asked: Asked) -> None:
+        """Keep the designs that were handed out (see Store)."""
+        schema = self._writable()
+        check_asked(asked, schema)
+        data = encode_asked(asked, self._start)
+        with self._writing():
+            replace(self.folder / ASKED, data, self._check_place)
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

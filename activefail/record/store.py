@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.errors import InputError
+from activefail.record.asked import Asked
 from activefail.record.batch import Batch, Schema
 from activefail.simulators.interface import Results
 from activefail.space import Array
@@ -63,6 +64,7 @@ class Store(Protocol):
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays, learned from the batches so far; durable when this returns.
 
+        A state that includes fewer batches of its iteration than the record is skipped: its iteration went on.
         A state of the same iteration is replaced. States of later iterations are dropped: they belong to
         discarded batches. The newest three states are kept. A lost state costs only time, as it can be learned
         again.
@@ -78,7 +80,10 @@ class Store(Protocol):
         ...
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
-        """The newest state and its iteration, among intact, not rejected states learned from these batches."""
+        """The newest state and its iteration, among intact, not rejected states learned from these batches.
+
+        A state of an iteration that got another batch since is none of them.
+        """
         ...
 
     def reject_state(self, iteration: int, reason: str) -> None:
@@ -89,6 +94,24 @@ class Store(Protocol):
         Args:
             iteration: iteration of the state, which need not exist.
             reason: completes "<file> ..." in a warning.
+        """
+        ...
+
+    @property
+    def asked(self) -> Asked:
+        """The designs that were handed out to be simulated elsewhere, as of the last `write_asked`.
+
+        Raises:
+            StoreError: if they cannot be read; nothing says then which designs are in flight.
+        """
+        ...
+
+    def write_asked(self, asked: Asked) -> None:
+        """Keep the designs that were handed out, in place of the former list; durable when this returns.
+
+        Raises:
+            InputError: if the designs have another number of variables.
+            StoreError: if they cannot be written, or the store may not write; the former list stays.
         """
         ...
 
@@ -136,6 +159,14 @@ def checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[st
         if array.dtype not in (np.float64, np.int64):
             raise InputError(f"A state holds float64 and int64 arrays, got {array.dtype} for {name!r}.")
     return state
+
+
+def check_asked(asked: Asked, schema: Schema) -> None:
+    """Raise InputError if designs that were handed out do not have the schema's variables."""
+    if asked.designs.shape[1] != len(schema.variables):
+        raise InputError(
+            f"`designs` must have {len(schema.variables)} columns {schema.variables}, got {asked.designs.shape[1]}."
+        )
 
 
 def check_set(name: str, X: Array, results: Results, schema: Schema) -> None:

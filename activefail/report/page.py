@@ -379,7 +379,7 @@ def render(
         "beyond": findings.beyond,
         "missing": evidence.missing,
         "done": done,
-        "unseen": Summary.of(settings.text(), outcomes, store.batches).unseen_warning,
+        "unseen": Summary.of(settings.text(), outcomes, store.batches, store.asked).unseen_warning,
         "left": max(0, settings.sampling.budget - done) if failure is None or not failure.is_known else 0,
         "folder": run_folder,
         "commands": [

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from activefail.errors import InputError, StoreError
+from activefail.record.asked import Asked
 from activefail.record.batch import ACTIVE, INITIAL, Batch, Schema
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
@@ -205,6 +206,7 @@ def test_a_closed_store_refuses_writing_and_still_shows_its_batches(kind: Kind) 
         lambda: store.commit(batch(2, 1)),
         lambda: store.write_state(1, {"a": np.zeros(1)}),
         lambda: store.write_set("test", np.zeros((2, 2)), results(2, 0)),
+        lambda: store.write_asked(asked(0)),
     ):
         with pytest.raises(StoreError, match="closed"):
             write()
@@ -248,6 +250,61 @@ def test_the_last_three_states_stay_and_a_rejected_one_is_skipped_until_it_is_wr
     saved = store.latest_state()
     assert saved is not None
     assert saved[1]["i"] == 7
+
+
+def test_a_state_is_skipped_once_its_iteration_has_another_batch(kind: Kind) -> None:
+    kind.store.commit(batch(2, 0, 0))
+    kind.store.write_state(0, {"i": np.array(0)})
+    kind.store.commit(batch(2, 1, 1))
+    kind.store.write_state(1, {"i": np.array(1)})
+    kind.store.commit(batch(1, 2, 1))
+    store = kind.reopen()
+    saved = store.latest_state()
+    assert saved is not None
+    assert saved[0] == 0
+    store.write_state(1, {"i": np.array(2)})
+    saved = store.latest_state()
+    assert saved is not None
+    assert (saved[0], saved[1]["i"]) == (1, 2)
+
+
+def asked(*ids: int) -> Asked:
+    designs = np.random.default_rng(len(ids)).normal(size=(len(ids), 2))
+    return Asked.of(np.array(ids, dtype=np.int64), designs, ACTIVE, 3)
+
+
+def asked_bits(one: Asked) -> list[object]:
+    return bits(one.id, one.designs, one.origin, one.learned, one.dropped)
+
+
+def test_a_new_record_has_handed_out_no_designs(kind: Kind) -> None:
+    assert len(kind.store.asked) == 0
+
+
+def test_designs_that_were_handed_out_come_back_bit_for_bit_and_the_last_list_holds(kind: Kind) -> None:
+    first = asked(0, 1, 4)
+    kind.store.write_asked(first)
+    store = kind.reopen()
+    assert asked_bits(store.asked) == asked_bits(first)
+    longer = first.and_then(asked(7, 9)).without(np.array([False, True, False, False, True]))
+    store.write_asked(longer)
+    assert asked_bits(kind.reopen().asked) == asked_bits(longer)
+
+
+def test_the_list_of_handed_out_designs_shares_no_array_with_its_caller(kind: Kind) -> None:
+    given = asked(0, 1)
+    before = asked_bits(given)
+    kind.store.write_asked(given)
+    given.designs[:] = 0.0
+    kind.store.asked.designs[:] = 1.0
+    assert asked_bits(kind.store.asked) == before
+
+
+def test_handed_out_designs_of_another_dimension_are_refused_and_the_list_stays(kind: Kind) -> None:
+    kind.store.write_asked(asked(5))
+    with pytest.raises(InputError, match="must have 2 columns"):
+        kind.store.write_asked(Asked.none(3))
+    assert kind.store.asked.id.tolist() == [5]
 
 
 def test_a_state_of_a_negative_iteration_is_refused(kind: Kind) -> None:

@@ -585,7 +585,7 @@ def test_a_broken_state_is_skipped_for_an_older_one_and_only_three_are_kept(tmp_
     folder = tmp_path / "run"
     with FolderStore.create(folder, SETTINGS, SCHEMA) as store:
         for iteration in range(5):
-            store.commit(batch(2, iteration))
+            store.commit(batch(2, iteration, iteration))
             store.write_state(iteration, {"i": np.array(iteration)})
         assert sorted(os.listdir(folder / "state")) == ["000000002.h5", "000000003.h5", "000000004.h5"]
         (folder / "state" / "000000004.h5").write_bytes(b"")
@@ -603,14 +603,14 @@ def test_a_state_that_learned_from_a_quarantined_batch_is_skipped(tmp_path: Path
     folder = tmp_path / "run"
     with FolderStore.create(folder, SETTINGS, SCHEMA) as store:
         for iteration in range(2):
-            store.commit(batch(2, iteration))
+            store.commit(batch(2, iteration, iteration))
             store.write_state(iteration, {"i": np.array(iteration)})
     segment_file(folder, 1).write_bytes(b"")
     with FolderStore.open(folder, SCHEMA, write=True) as store:
         state = store.latest_state()
         assert state is not None
         assert state[0] == 0
-        store.commit(batch(2, 77))
+        store.commit(batch(2, 77, 1))
         state = store.latest_state()
         assert state is not None
         assert state[0] == 0

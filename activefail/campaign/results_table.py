@@ -1,0 +1,319 @@
+"""Tables of results that a user tells or adds: what their columns mean, and which rules they must keep."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign import sections
+from activefail.campaign.assembly import Campaign
+from activefail.csv_table import read_cells
+from activefail.errors import InputError
+from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError
+from activefail.simulators.returned import read_answer
+from activefail.space import Array, DesignSpace
+
+_ID, _OUTCOME, _CAUSE, _SECONDS = "id", "outcome", "cause", "seconds"
+
+_SAME_DESIGN = 1e-9
+"""Largest difference of a variable from the design that was handed out, in units of its range.
+
+Programs print numbers with fewer digits than they compute with."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a user.
+
+    Attributes:
+        name: how messages name it: its path, or nothing.
+        columns: their names.
+        rows: their cells, text or numbers.
+        places: how messages name each row.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    rows: list[list[Any]]
+    places: list[str]
+
+    @classmethod
+    def of_csv(cls, path: Path) -> Self:
+        """The table in a CSV file.
+
+        Raises:
+            InputError: as `read_cells` does.
+        """
+        columns, rows, ends = read_cells(path)
+        places = [f"{path}: row {row + 1} (line {end})" for row, end in enumerate(ends)]
+        return cls(f"{path}: ", columns, [list(row) for row in rows], places)
+
+    @classmethod
+    def of_python(cls, table: Any) -> Self:
+        """A pandas DataFrame, a mapping of columns, or a sequence of mappings, one for each row.
+
+        Raises:
+            InputError: if it is none of these.
+        """
+        import pandas as pd
+
+        if isinstance(table, Mapping) and not any(_is_column(value) for value in table.values()):
+            table = [table]
+        try:
+            frame = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"table: must be a DataFrame, a dictionary of columns, or a list of dictionaries: {error}."
+            ) from None
+        columns = tuple(map(str, frame.columns))
+        for name in columns:
+            if columns.count(name) > 1:
+                raise InputError(f"column {name!r}: must occur only once, occurs {columns.count(name)} times.")
+        # By column: rows of a frame of mixed types would turn whole numbers into floats.
+        cells = [frame.iloc[:, column].tolist() for column in range(len(columns))]
+        rows = [list(row) for row in zip(*cells, strict=True)] if columns else []
+        return cls("", columns, rows, [f"row {row}" for row in range(len(rows))])
+
+    def require(self, names: Sequence[str]) -> None:
+        """Check that columns exist.
+
+        Raises:
+            InputError: naming the first that is missing.
+        """
+        for name in names:
+            if name not in self.columns:
+                raise InputError(
+                    f"{self.name}column {name!r}: required, but missing; the required columns are {','.join(names)}."
+                )
+
+    def cell(self, row: int, name: str) -> Any:
+        """A cell; None if it is empty or its column is missing."""
+        if name not in self.columns:
+            return None
+        value = self.rows[row][self.columns.index(name)]
+        if isinstance(value, str):
+            return value.strip() or None
+        return None if _is_missing(value) else value
+
+    def number(self, row: int, name: str) -> float:
+        """A cell as a number, infinity and NaN included; NaN if it is empty.
+
+        Raises:
+            InputError: if it is no number.
+        """
+        value = self.cell(row, name)
+        if value is None:
+            return math.nan
+        try:
+            if isinstance(value, bool | np.bool_):
+                raise ValueError
+            # 1_000 is a number in Python alone.
+            return float(value.replace("_", "?") if isinstance(value, str) else value)
+        except (TypeError, ValueError, OverflowError):
+            raise self.broken(row, name, "must be a number", value) from None
+
+    def finite(self, row: int, name: str) -> float:
+        """A cell as a finite number.
+
+        Raises:
+            InputError: if it is none.
+        """
+        number = self.number(row, name)
+        if not math.isfinite(number):
+            value = self.cell(row, name)
+            raise self.broken(row, name, "must be a finite number", "an empty cell" if value is None else value)
+        return number
+
+    def designs(self, space: DesignSpace) -> Array:
+        """The designs in the rows, (n, d).
+
+        Raises:
+            InputError: if a variable is missing, or a cell is no finite number.
+        """
+        self.require(space.names)
+        columns = [[self.finite(row, name) for row in range(len(self.rows))] for name in space.names]
+        return np.array(columns, dtype=np.float64).T.reshape(len(self.rows), space.dimension)
+
+    def broken(self, row: int, column: str, rule: str, value: object) -> InputError:
+        """The error of a cell that breaks a rule."""
+        return InputError(f"{self.places[row]}, column {column}: {rule}, got {value!r}.")
+
+
+def _is_column(value: object) -> bool:
+    return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) or hasattr(value, "to_numpy")
+
+
+def _is_missing(value: object) -> bool:
+    """Whether a cell is None, NaN or pandas' NA."""
+    try:
+        return value is None or bool(value != value)
+    except (TypeError, ValueError):  # pandas' NA has no truth value
+        return type(value).__name__ == "NAType"
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """The results in a table.
+
+    Attributes:
+        table: the table.
+        rows: (n,) the rows that hold a result.
+        ids: (n,) int64, of the designs; empty in a table of simulations that were not asked for.
+        designs: (n, d) float64, NaN where the table has no such column.
+        results: of the n designs.
+    """
+
+    table: Table
+    rows: tuple[int, ...]
+    ids: NDArray[np.int64]
+    designs: Array
+    results: Results
+
+    @classmethod
+    def told(cls, campaign: Campaign, table: Table) -> Self:
+        """The results of designs that were handed out. Rows without any result are skipped.
+
+        Raises:
+            InputError: naming row, column, rule and value of the first cell that breaks a rule.
+        """
+        table.require([_ID, *_required(campaign)])
+        answers = [_OUTCOME, *campaign.simulator.margins]
+        rows = [row for row in range(len(table.rows)) if any(table.cell(row, name) is not None for name in answers)]
+        ids = np.array([_whole(table, row) for row in rows], dtype=np.int64)
+        return cls(table, tuple(rows), ids, _designs(campaign, table, rows), _results(campaign, table, rows))
+
+    @classmethod
+    def added(cls, campaign: Campaign, table: Table) -> Self:
+        """Simulations that were not asked for, of designs in the design space.
+
+        Raises:
+            InputError: naming row, column, rule and value of the first cell that breaks a rule.
+        """
+        table.require([*campaign.space.names, *_required(campaign)])
+        rows = list(range(len(table.rows)))
+        designs = _designs(campaign, table, rows)
+        for row, design in zip(rows, designs.tolist(), strict=True):
+            for parameter, value in zip(campaign.space.parameters, design, strict=True):
+                if not parameter.low <= value <= parameter.high:
+                    rule = f"`{parameter.low:g} <= {parameter.name} <= {parameter.high:g}` must hold"
+                    raise table.broken(row, parameter.name, rule, value)
+        none = np.empty(0, dtype=np.int64)
+        return cls(table, tuple(rows), none, designs, _results(campaign, table, rows))
+
+    def check_designs(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> None:
+        """Check that no design was changed since it was handed out.
+
+        Args:
+            campaign: the campaign.
+            ids: (k,) of the designs that were handed out.
+            designs: (k, d) these designs.
+
+        Raises:
+            InputError: naming row, column and both values.
+        """
+        place = {number: k for k, number in enumerate(ids.tolist())}
+        for row, number, told in zip(self.rows, self.ids.tolist(), self.designs.tolist(), strict=True):
+            if number not in place:
+                continue  # `tell` reports an unknown id
+            for parameter, value, asked in zip(
+                campaign.space.parameters, told, designs[place[number]].tolist(), strict=True
+            ):
+                if abs(value - asked) > _SAME_DESIGN * (parameter.high - parameter.low):  # false for NaN
+                    rule = f"must be {asked!r}, as handed out with id {number}; `add` records another design"
+                    raise self.table.broken(row, parameter.name, rule, value)
+
+
+def _required(campaign: Campaign) -> list[str]:
+    """The columns of a result: the outcome, or the only margin, if that decides it."""
+    return list(campaign.simulator.margins) if _levels(campaign) else [_OUTCOME]
+
+
+def _levels(campaign: Campaign) -> tuple[float, ...]:
+    custom = campaign.settings.simulator
+    return custom.levels_of_number if isinstance(custom, sections.OutcomeSettings) else ()
+
+
+def _whole(table: Table, row: int) -> int:
+    value = table.cell(row, _ID)
+    if value is None:
+        raise table.broken(row, _ID, "must be a whole number", "an empty cell")
+    if isinstance(value, str) and value.isascii() and value.isdecimal() and len(value) < 19:
+        return int(value)
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
+        number = float(value)
+        if abs(number) < 2**53 and number == int(number):
+            return int(number)
+    raise table.broken(row, _ID, "must be a whole number", value)
+
+
+def _designs(campaign: Campaign, table: Table, rows: Sequence[int]) -> Array:
+    """The designs of rows, (n, d), NaN where a column is missing. Fixed quantities must have their values.
+
+    Raises:
+        InputError: if a cell is no finite number.
+    """
+    designs = np.full((len(rows), campaign.space.dimension), np.nan)
+    for column, name in enumerate(campaign.space.names):
+        if name in table.columns:
+            designs[:, column] = [table.finite(row, name) for row in rows]
+    for name, value in campaign.space.fixed.items():
+        if name in table.columns:
+            for row in rows:
+                if abs(table.finite(row, name) - value) > _SAME_DESIGN * abs(value):
+                    raise table.broken(row, name, f"must be {value!r}, its fixed value", table.cell(row, name))
+    return designs
+
+
+def _results(campaign: Campaign, table: Table, rows: Sequence[int]) -> Results:
+    """The results of rows.
+
+    Raises:
+        InputError: naming row, column, rule and value of the first cell that breaks a rule.
+    """
+    k = len(campaign.simulator.margins)
+    empty = Results(
+        np.empty(0, dtype=np.int8), np.empty(0, dtype=np.int8), np.empty((0, k)), np.empty(0, dtype=np.float64)
+    )
+    return Results.concatenate([empty, *(_result(campaign, table, row) for row in rows)])
+
+
+def _result(campaign: Campaign, table: Table, row: int) -> Results:
+    outcomes, margins = campaign.simulator.outcomes, campaign.simulator.margins
+    values = {name: table.number(row, name) for name in margins}
+    seconds = 0.0 if table.cell(row, _SECONDS) is None else table.number(row, _SECONDS)
+    if not 0.0 <= seconds < math.inf:
+        raise table.broken(row, _SECONDS, "`0 <= seconds < inf` must hold", seconds)
+    name = table.cell(row, _OUTCOME)
+    cause = np.array([_cause(campaign, table, row)], dtype=np.int8)
+    if name == "numerical_failure":
+        known = np.array([[values[margin] for margin in margins]]).reshape(1, len(margins))
+        return Results(np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, known, np.array([seconds]))
+    answer: object = {"outcome": name, "margins": values}
+    if name is None:
+        if not (levels := _levels(campaign)):
+            raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", "an empty cell")
+        answer = values[margins[0]]
+    elif name not in outcomes:
+        raise table.broken(row, _OUTCOME, f"must be one of {', '.join((*outcomes, 'numerical_failure'))}", name)
+    else:
+        levels = ()
+    try:
+        result = read_answer(answer, outcomes, margins, levels, seconds)
+    except UnusableAnswerError as error:
+        raise InputError(f"{table.places[row]}: {error}.") from None
+    return Results(result.outcome, cause, result.margins, result.seconds)
+
+
+def _cause(campaign: Campaign, table: Table, row: int) -> int:
+    """The code of a cause; 0 if none is given."""
+    name, causes = table.cell(row, _CAUSE), campaign.simulator.causes
+    if name is None:
+        return 0
+    known = {**{text: code for code, text in EXECUTION_CAUSES.items()}, **{text: i for i, text in enumerate(causes)}}
+    if name not in known:
+        raise table.broken(row, _CAUSE, f"must be empty or one of {', '.join(filter(None, known))}", name)
+    return known[name]

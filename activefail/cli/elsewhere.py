@@ -1,0 +1,119 @@
+"""Commands on simulations done elsewhere: create, ask, tell, drop, add."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from activefail.cli.common import Code, RunFolder, opened_run, show_unseen, show_warnings
+from activefail.errors import InputError
+from activefail.record.layout import check_output
+from activefail.visible import quoted, visible
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Designs = Annotated[int, typer.Option("--n", help="Number of designs.", min=1, max=100_000)]
+
+
+def create(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file.", metavar="CAMPAIGN.toml", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
+    seed: Annotated[int | None, typer.Option(help="Random seed; overrides the file's.", show_default=False)] = None,
+    budget: Annotated[
+        int | None, typer.Option(help="Number of simulations; overrides the file's.", show_default=False)
+    ] = None,
+) -> None:
+    """Create a run folder without simulating anything."""
+    from activefail.run import campaign_for, create_run
+
+    check_output("--out", out)
+    with create_run(out, campaign_for(out, campaign, seed, budget)) as created:
+        show_warnings(created.store.new_warnings())
+    print(f"created    {visible(str(out))}")
+    print(f"continue   activefail ask {quoted(out)} --n {created.settings.sampling.batch} --csv todo.csv")
+
+
+def ask(
+    folder: RunFolder,
+    csv: Annotated[Path, typer.Option(help="Table of designs to write.", show_default=False)],
+    n: Designs = 1,
+    in_flight: Annotated[
+        bool, typer.Option("--in-flight", help="Write the designs in flight again; hand out no others.")
+    ] = False,
+    beyond: Annotated[bool, typer.Option("--beyond", help="Hand out designs beyond the budget.")] = False,
+    ignore_stop: Annotated[
+        bool, typer.Option("--ignore-stop", help="Hand out designs even if the stop rule is met.")
+    ] = False,
+    code: Code = None,
+) -> None:
+    """Hand out designs to be simulated elsewhere."""
+    from activefail.csv_table import writing
+
+    check_output("--csv", csv)
+    with opened_run(folder, write=not in_flight, code=code) as opened:
+        space = opened.space
+        # The table first: if it cannot be written, no design is handed out.
+        with writing(csv, ["id", *space.names, *space.fixed]) as write:
+            table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
+            write([[int(cells[0]), *map(repr, cells[1:])] for cells in table.itertuples(index=False)])
+        show_warnings(opened.store.new_warnings())
+    if reason := table.attrs.get("reason", ""):
+        print(f"{len(table)} instead of {n} designs: {visible(reason)}", file=sys.stderr)
+    print(f"{_numbers(table)} written to {visible(str(csv))}")
+
+
+def _numbers(table: "DataFrame") -> str:
+    if not len(table):
+        return "no designs"
+    ids = table["id"].tolist()
+    if len(ids) == 1:
+        return f"1 design, id {ids[0]},"
+    is_run = ids[-1] - ids[0] == len(ids) - 1
+    return f"{len(ids)} designs, ids {f'{ids[0]} to {ids[-1]}' if is_run else ', '.join(map(str, ids))},"
+
+
+def tell(
+    folder: RunFolder,
+    csv: Annotated[Path, typer.Option(help="Table of results, with the column id.", show_default=False)],
+    code: Code = None,
+) -> None:
+    """Record the results of designs that were handed out."""
+    with opened_run(folder, write=True, code=code) as opened:
+        new = opened.tell(csv)
+        left, summary = opened.counts["in_flight"], opened.summary
+    print(f"{new} new results recorded; {left} designs in flight")
+    show_unseen(summary)
+
+
+def drop(
+    folder: RunFolder,
+    ids: Annotated[str, typer.Option(help="Ids of designs in flight, separated by commas.", show_default=False)],
+    code: Code = None,
+) -> None:
+    """Give up designs in flight; they are not proposed again."""
+    numbers = [_id(text.strip()) for text in ids.split(",")]
+    with opened_run(folder, write=True, code=code) as opened:
+        number = opened.drop(numbers)
+        left = opened.counts["in_flight"]
+    print(f"{number} designs dropped; {left} designs in flight")
+
+
+def _id(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 19):
+        raise InputError(f"--ids: must be whole numbers separated by commas, got {text!r}.")
+    return int(text)
+
+
+def add(
+    folder: RunFolder,
+    csv: Annotated[Path, typer.Option(help="Table of simulations, with all variables.", show_default=False)],
+    code: Code = None,
+) -> None:
+    """Record simulations that were not asked for, such as last year's."""
+    with opened_run(folder, write=True, code=code) as opened:
+        new = opened.add(csv)
+        summary = opened.summary
+    print(f"{new} simulations added")
+    show_unseen(summary)

@@ -1,0 +1,87 @@
+"""Tables of the Python interface as pandas DataFrames: simulations, designs in flight, predictions."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activefail.campaign.assembly import Campaign, predicted_columns
+from activefail.errors import InputError
+from activefail.loop.in_flight import HandedOut
+from activefail.record.asked import Asked
+from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
+from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
+from activefail.space import Array
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from activefail.surrogate.classifier import Classifier
+
+ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
+"""The name of each origin in tables."""
+
+
+def designs_frame(campaign: Campaign, asked: Asked) -> "DataFrame":
+    """Designs that were handed out: `id`, the variables, and the fixed quantities."""
+    import pandas as pd
+
+    columns: dict[str, Any] = {"id": asked.id}
+    columns |= dict(zip(campaign.space.names, asked.designs.T, strict=True))
+    columns |= {name: np.full(len(asked), value) for name, value in campaign.space.fixed.items()}
+    return pd.DataFrame(columns)
+
+
+def simulations_frame(campaign: Campaign, handed_out: HandedOut, batches: tuple[Batch, ...]) -> "DataFrame":
+    """The simulations of a record, in its order, with the columns of an exported table."""
+    import pandas as pd
+
+    history, simulator = handed_out.history, campaign.simulator
+    names = {NUMERICAL_FAILURE: "numerical_failure", **dict(enumerate(simulator.outcomes))}
+    designs = history.designs.reshape(len(history), campaign.space.dimension)
+    margins = history.margins.reshape(len(history), len(simulator.margins))
+    causes = [code for batch in batches for code in batch.results.cause.tolist()]
+    return pd.DataFrame(
+        {
+            "id": handed_out.ids,
+            "iteration": history.iteration,
+            "origin": [ORIGINS[code] for code in history.origin.tolist()],
+            **dict(zip(campaign.space.names, designs.T, strict=True)),
+            "outcome": [names[code] for code in history.outcome.tolist()],
+            "cause": [cause_name(simulator.causes, code) for code in causes],
+            **dict(zip(simulator.margins, margins.T, strict=True)),
+            "seconds": [value for batch in batches for value in batch.results.seconds.tolist()],
+        }
+    )
+
+
+def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array) -> "DataFrame":
+    """Predictions for designs, (n, d): the variables, the probability of each outcome, and the latent's moments."""
+    import pandas as pd
+
+    latent = classifier.latent(campaign.settings.acquisition.main_boundary).moments(campaign.features(X))
+    values = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
+    columns = dict(zip(campaign.space.names, X.T, strict=True))
+    return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)))
+
+
+def designs_of(campaign: Campaign, X: Any) -> Array:
+    """Designs, (n, d), from an array in the space's order, a DataFrame, or a list of dictionaries.
+
+    Raises:
+        InputError: if a variable is missing, a value is not a finite number, or the shape is wrong.
+    """
+    from activefail.campaign.results_table import Table
+
+    space = campaign.space
+    if isinstance(X, np.ndarray):
+        if X.ndim != 2 or X.shape[1] != space.dimension or X.dtype.kind not in "fiu":
+            raise InputError(
+                f"X: must be an (n, {space.dimension}) array of numbers with the columns {', '.join(space.names)}, "
+                f"got shape {X.shape} and type {X.dtype}."
+            )
+        designs = X.astype(np.float64)
+        if not np.isfinite(designs).all():
+            row, column = np.argwhere(~np.isfinite(designs))[0].tolist()
+            raise InputError(f"X: row {row}, column {space.names[column]}: must be finite, got {designs[row, column]}.")
+        return designs
+    return Table.of_python(X).designs(space)

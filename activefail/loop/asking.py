@@ -1,0 +1,288 @@
+"""Simulations done elsewhere: designs are handed out, and their results are recorded when they arrive.
+
+The proposals are those of the loop with batches: `ask` proposes what the loop would simulate next, and `tell` records it
+as the loop does. Asked for and told batch by batch, a campaign has the same bits. Designs in flight are conditioned on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.random_streams import stream
+from activefail.errors import InputError
+from activefail.loop.in_flight import HandedOut
+from activefail.loop.learning import current
+from activefail.loop.proposing import next_designs
+from activefail.loop.stopping import check_designs, needs_check
+from activefail.record.asked import NEVER, Asked
+from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
+from activefail.record.store import Store
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
+from activefail.space import Array
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """What `ask` hands out.
+
+    Attributes:
+        designs: with their ids, in flight from now on.
+        reason: why there are fewer than were asked for, or more; empty if there are as many.
+    """
+
+    designs: Asked
+    reason: str = ""
+
+
+def check_batches(campaign: Campaign) -> None:
+    """Check that a campaign's results may arrive in any way.
+
+    Raises:
+        InputError: if it is asynchronous: its designs in flight follow from the record alone.
+    """
+    if campaign.settings.sampling.asynchronous:
+        raise InputError(
+            "sampling.asynchronous: applies to simulations that activefail starts itself. Designs that are asked for "
+            "are learned from as soon as they are told, also without this setting."
+        )
+
+
+def ask(campaign: Campaign, store: Store, n: int, budget: int | None, ignore_stop: bool = False) -> Proposed:
+    """Hand out n designs; they are in flight once this returns.
+
+    Args:
+        campaign: the campaign.
+        store: its record, open for writing.
+        n: number of designs.
+        budget: simulations in all, those in flight included; None for no limit.
+        ignore_stop: whether to propose designs although the stop rule is met.
+
+    Raises:
+        InputError: if the campaign is asynchronous.
+        StoreError: if the designs cannot be recorded.
+    """
+    check_batches(campaign)
+    handed = HandedOut.of(store)
+    flight, none = handed.in_flight, Asked.none(campaign.space.dimension)
+    reason = ""
+    if budget is not None and (room := budget - handed.history.asked_for - len(flight)) < n:
+        n = max(0, room)
+        reason = f"the budget is {budget} simulations, with {len(flight)} in flight"
+        if n == 0:
+            return Proposed(none, reason)
+    left = handed.initial_left(campaign)
+    if len(left):
+        if len(left) < n:
+            reason = "the initial design ends here"
+        return _hand_out(store, handed, left[:n], INITIAL, NEVER, reason)
+    if not handed.history.answered.any():
+        return Proposed(none, "no simulation has given an outcome yet, so there is nothing to learn from")
+    if (flight.origin == CHECK).any():
+        ids = ", ".join(map(str, flight.id[flight.origin == CHECK].tolist()))
+        return Proposed(none, f"the stop rule waits for the results of its check, ids {ids}")
+    learned = current(campaign, store, write=True)
+    if learned.looks.is_known and not ignore_stop:
+        return Proposed(none, "the stop rule is met")
+    history = handed.history
+    iteration = history.last_iteration + 1
+    earlier = int((handed.asked.learned == iteration - 1).sum())
+    # The first designs after an iteration are those of the loop.
+    name, index = ("propose", iteration) if earlier == 0 else ("ask", len(handed.asked))
+    rng = stream(campaign.settings.seed, name, index)
+    if needs_check(campaign, history, learned.looks):
+        simulated = np.concatenate([history.designs, flight.designs])
+        designs = check_designs(campaign, simulated, learned.looks, rng)
+        if len(designs) > n:
+            reason = f"the {len(designs)} designs of the stop rule's check belong together"
+        return _hand_out(store, handed, designs, CHECK, iteration - 1, reason)
+    chosen = int((history.origin == ACTIVE).sum() + (flight.origin == ACTIVE).sum())
+    designs = next_designs(
+        campaign,
+        learned.classifier,
+        history,
+        rng,
+        q=n,
+        chosen=chosen,
+        pending=flight.designs if len(flight) else None,
+        dropped=handed.asked.given_up,
+    )
+    return _hand_out(store, handed, designs, ACTIVE, iteration - 1, reason)
+
+
+def _hand_out(store: Store, handed: HandedOut, designs: Array, origin: int, learned: int, reason: str) -> Proposed:
+    first = handed.next_id
+    new = Asked.of(np.arange(first, first + len(designs)), np.array(designs), origin, learned)
+    store.write_asked(handed.asked.and_then(new))
+    return Proposed(new, reason)
+
+
+def tell(campaign: Campaign, store: Store, ids: NDArray[np.int64], results: Results) -> int:
+    """Record the results of designs that were handed out; they are durable once this returns.
+
+    Args:
+        campaign: the campaign.
+        store: its record, open for writing.
+        ids: (n,) of the designs. They may be any of those in flight, in any order.
+        results: of the n designs.
+
+    Returns:
+        Number of new results; a result that was told before is none.
+
+    Raises:
+        InputError: if an id is unknown or was dropped, or has another result already; nothing is recorded then.
+        StoreError: if the results cannot be recorded.
+    """
+    handed = HandedOut.of(store)
+    place = {number: k for k, number in enumerate(handed.asked.id.tolist())}
+    recorded = {number: row for row, number in enumerate(handed.ids.tolist())}
+    new: dict[int, int] = {}
+    for row, number in enumerate(ids.tolist()):
+        answer = results[row : row + 1]
+        if number in recorded:
+            batch = _row(store, recorded[number])
+            if not _is_same(batch, answer):
+                raise RowError(row, f"id {number} has the result {_shown(campaign, batch)} already", campaign, answer)
+        elif number not in place:
+            raise RowError(row, f"id {number} is unknown: no design was handed out under it", campaign, answer)
+        elif handed.asked.dropped[place[number]]:
+            raise RowError(row, f"id {number} was dropped; `add` records its result", campaign, answer)
+        elif number in new and not _is_same(results[new[number] : new[number] + 1], answer):
+            before = _shown(campaign, results[new[number] : new[number] + 1])
+            raise RowError(row, f"id {number} has the result {before} in an earlier row", campaign, answer)
+        else:
+            new.setdefault(number, row)
+    if not new:
+        return 0
+    numbers = sorted(new)
+    places = [place[number] for number in numbers]
+    told = handed.asked[np.array(places)]
+    store.commit(
+        Batch(
+            handed.next_iteration(campaign),
+            told.designs,
+            told.origin,
+            results[np.array([new[number] for number in numbers])],
+        )
+    )
+    return len(new)
+
+
+class RowError(InputError):
+    """A row of a table of results that cannot be recorded.
+
+    Attributes:
+        row: of the table of results, from 0.
+    """
+
+    def __init__(self, row: int, reason: str, campaign: Campaign, answer: Results) -> None:
+        super().__init__(f"{reason}, got {_shown(campaign, answer)}")
+        self.row = row
+
+
+def drop(store: Store, ids: NDArray[np.int64]) -> int:
+    """Give designs in flight up: they get no result, and are not proposed again.
+
+    Args:
+        store: the record, open for writing.
+        ids: (n,) of the designs.
+
+    Returns:
+        Number of designs that were in flight; a design that was dropped before is none.
+
+    Raises:
+        InputError: if an id is unknown or has a result; nothing is dropped then.
+        StoreError: if it cannot be recorded.
+    """
+    handed = HandedOut.of(store)
+    known = set(handed.asked.id.tolist())
+    recorded = set(handed.ids.tolist())
+    for number in ids.tolist():
+        if number in recorded:
+            raise InputError(f"ids: must be of designs in flight; id {number} has a result.")
+        if number not in known:
+            raise InputError(f"ids: must be of designs in flight; id {number} is unknown.")
+    given_up = np.isin(handed.asked.id, ids)
+    number = int((given_up & (handed.asked.dropped == 0)).sum())
+    if number:
+        store.write_asked(handed.asked.without(given_up))
+    return number
+
+
+def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
+    """Record simulations that were not asked for; they are durable once this returns.
+
+    The classifier learns from them. They are no part of the initial design, and do not count towards the budget.
+
+    Args:
+        campaign: the campaign.
+        store: its record, open for writing.
+        X: (n, d) designs.
+        results: of the n designs.
+
+    Returns:
+        Number of new simulations; one that is recorded already with this result is none.
+
+    Raises:
+        InputError: if a design is in flight, or is recorded with another result; nothing is recorded then.
+        StoreError: if the simulations cannot be recorded.
+    """
+    check_batches(campaign)
+    handed = HandedOut.of(store)
+    flight = handed.in_flight
+    in_flight = {design.tobytes(): number for design, number in zip(flight.designs, flight.id.tolist(), strict=True)}
+    recorded = {design.tobytes(): row for row, design in enumerate(handed.history.designs)}
+    new: dict[bytes, int] = {}
+    for row in range(len(X)):
+        design, answer = X[row].tobytes(), results[row : row + 1]
+        if design in in_flight:
+            number = in_flight[design]
+            raise RowError(
+                row, f"the design is in flight with id {number}; `tell` records its result", campaign, answer
+            )
+        if design in recorded:
+            before = _row(store, recorded[design])
+            where = f"as id {handed.ids[recorded[design]]}"
+        elif design in new:
+            before, where = results[new[design] : new[design] + 1], "in an earlier row"
+        else:
+            new[design] = row
+            continue
+        if not _is_same(before, answer):
+            raise RowError(row, f"the same design has the result {_shown(campaign, before)} {where}", campaign, answer)
+    if not new:
+        return 0
+    rows = np.array(list(new.values()))
+    origin = np.full(len(rows), GIVEN, dtype=np.int8)
+    store.commit(Batch(handed.next_iteration(campaign), X[rows], origin, results[rows]))
+    return len(rows)
+
+
+def _row(store: Store, row: int) -> Results:
+    """The results of one row of the record."""
+    for batch in store.batches:
+        if row < len(batch):
+            return batch.results[row : row + 1]
+        row -= len(batch)
+    raise IndexError(row)
+
+
+def _is_same(one: Results, other: Results) -> bool:
+    """Whether two results are equal, but for their times."""
+    return bool(
+        one.outcome[0] == other.outcome[0]
+        and one.cause[0] == other.cause[0]
+        and np.array_equal(one.margins, other.margins, equal_nan=True)
+    )
+
+
+def _shown(campaign: Campaign, result: Results) -> str:
+    """A result in words."""
+    simulator, code = campaign.simulator, int(result.outcome[0])
+    words = [simulator.outcomes[code] if code != NUMERICAL_FAILURE else "numerical_failure"]
+    if cause := cause_name(simulator.causes, int(result.cause[0])):
+        words.append(f"cause {cause}")
+    pairs = zip(simulator.margins, result.margins[0].tolist(), strict=True)
+    words += [f"{name} {value!r}" for name, value in pairs if not np.isnan(value)]
+    return ", ".join(words)

@@ -1,0 +1,96 @@
+"""Which designs were handed out, which of them have a result, and which are still in flight."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.assembly import Campaign
+from activefail.loop.history import History
+from activefail.loop.proposing import initial_designs, initial_sets
+from activefail.record.asked import NEVER, NO_ROW, Asked, rows_with_results
+from activefail.record.batch import GIVEN, INITIAL
+from activefail.record.store import Store
+from activefail.space import Array
+
+
+@dataclass(frozen=True, eq=False)
+class HandedOut:
+    """The designs of a campaign, each in one of these states: in flight, with a result, or dropped.
+
+    Every design that entered the campaign has an id: the number of designs that entered before it, whether they were
+    handed out, simulated by the loop, or given.
+
+    Attributes:
+        history: the n simulations of the record.
+        asked: the k designs that were handed out.
+    """
+
+    history: History
+    asked: Asked
+
+    @classmethod
+    def of(cls, store: Store) -> Self:
+        """The designs of a record."""
+        return cls(History.of(store.batches), store.asked)
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """The row of the record with the result of each design that was handed out, (k,); NO_ROW without a result."""
+        return rows_with_results(self.asked, self.history.designs, self.history.origin)
+
+    @property
+    def has_result(self) -> NDArray[np.bool_]:
+        """Which designs that were handed out have a result, (k,)."""
+        return np.asarray(self.rows != NO_ROW)
+
+    @property
+    def in_flight(self) -> Asked:
+        """The designs that were handed out and have neither a result nor been dropped."""
+        return self.asked[~self.has_result & (self.asked.dropped == 0)]
+
+    @cached_property
+    def handed_out(self) -> NDArray[np.bool_]:
+        """Which simulations of the record, (n,), were handed out."""
+        handed_out = np.zeros(len(self.history), dtype=bool)
+        handed_out[self.rows[self.has_result]] = True
+        return handed_out
+
+    @property
+    def next_id(self) -> int:
+        """The id of the next design that enters the campaign."""
+        return len(self.asked) + int((~self.handed_out).sum())
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """The ids of the simulations of the record, (n,)."""
+        ids = np.empty(len(self.history), dtype=np.int64)
+        ids[self.rows[self.has_result]] = self.asked.id[self.has_result]
+        # The others entered when they were recorded, so they have the remaining ids in their order.
+        ids[~self.handed_out] = np.setdiff1d(np.arange(self.next_id), self.asked.id)
+        return ids
+
+    def initial_left(self, campaign: Campaign) -> Array:
+        """The designs of the initial design, (k, d), that have neither been simulated nor handed out, in order."""
+        initial = initial_designs(campaign, initial_sets(campaign, self.history))
+        known = {design.tobytes() for design in self.asked.designs}
+        known |= {design.tobytes() for design in self.history.designs}
+        return initial[[design.tobytes() not in known for design in initial]]
+
+    def next_iteration(self, campaign: Campaign) -> int:
+        """The iteration of the next results: one more than the last that a proposal learned from.
+
+        So results that arrive in parts give the same classifiers as the same results at once.
+        """
+        learned = int(self.asked.learned.max(initial=NEVER))
+        by_loop = ~self.handed_out & (self.history.origin != GIVEN)
+        if by_loop.any():
+            last = int(self.history.iteration[by_loop].max())
+            # The loop learns from iteration 0 once it has completed the initial design, which `ask` may do in its place.
+            asked_last = int(self.asked.id[self.asked.origin == INITIAL].max(initial=-1))
+            completed = int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))
+            if last or completed:
+                learned = max(learned, last)
+        return learned + 1

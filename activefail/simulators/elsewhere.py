@@ -1,0 +1,30 @@
+"""Simulations that activefail does not make itself."""
+
+from dataclasses import dataclass
+
+from activefail.errors import InputError
+from activefail.simulators.interface import Results
+from activefail.space import Array
+
+
+@dataclass(frozen=True)
+class ElsewhereSimulator:
+    """The outcomes and margins of simulations that are made elsewhere: by hand, in a batch queue, in a laboratory.
+
+    Attributes:
+        outcomes, margins: the names that a result may contain.
+    """
+
+    outcomes: tuple[str, ...]
+    margins: tuple[str, ...]
+
+    causes = ("",)
+    releases_gil = True
+
+    def run(self, X: Array) -> Results:
+        """Refuse: there is nothing to call.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError("simulator.elsewhere: these simulations are not made by activefail.")

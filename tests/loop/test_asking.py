@@ -1,0 +1,431 @@
+"""Simulations done elsewhere: handed out once, told in any order, with the bits of the loop."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaign.stub import CENTRE, disc, distance
+from hypothesis import settings as examples
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.opening import create_folder
+from activefail.errors import InputError, SimulationError, StoreError
+from activefail.execution.local import ThreadExecutor
+from activefail.loop.asking import RowError, add, ask, drop, tell
+from activefail.loop.batches import run
+from activefail.loop.in_flight import HandedOut
+from activefail.loop.learning import current
+from activefail.record.asked import Asked
+from activefail.record.batch import ACTIVE, GIVEN, INITIAL, Batch, columns_of
+from activefail.record.memory import MemoryStore
+from activefail.record.run_folder import FolderStore
+from activefail.record.store import Store
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.space import Array
+
+INITIAL_SIZE, BUDGET, BATCH = 12, 28, 4
+
+
+def take(campaign: Campaign, store: Store | None = None, budget: int = BUDGET) -> Store:
+    store = MemoryStore(campaign.schema) if store is None else store
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, budget)
+    return store
+
+
+def asked_and_told(campaign: Campaign, parts: Callable[[Asked], list[Asked]], store: Store | None = None) -> Store:
+    """The store of a campaign whose every batch was asked for, and told in parts."""
+    store = MemoryStore(campaign.schema) if store is None else store
+    while len(designs := ask(campaign, store, BATCH, BUDGET).designs):
+        for part in parts(designs):
+            tell(campaign, store, part.id, campaign.simulator.run(part.designs))
+    return store
+
+
+def rows(store: Store) -> list[bytes]:
+    """Every bit of a record but the wall times and the borders of commits."""
+    columns = [columns_of(batch) | {"iteration": np.full(len(batch), batch.iteration)} for batch in store.batches]
+    return [np.concatenate([one[name] for one in columns]).tobytes() for name in columns[0] if name != "seconds"]
+
+
+def state(store: Store) -> tuple[int, dict[str, bytes]]:
+    saved = store.latest_state()
+    assert saved is not None
+    return saved[0], {name: array.tobytes() for name, array in saved[1].items()}
+
+
+@pytest.fixture(scope="module")
+def looped() -> Store:
+    return take(disc())
+
+
+def whole(designs: Asked) -> list[Asked]:
+    return [designs]
+
+
+def in_two(designs: Asked) -> list[Asked]:
+    return [designs[:1], designs[1:]]
+
+
+def reversed_rows(designs: Asked) -> list[Asked]:
+    return [designs[np.arange(len(designs))[::-1]]]
+
+
+@pytest.mark.parametrize("parts", [whole, in_two, reversed_rows])
+def test_a_campaign_that_is_asked_for_and_told_has_the_bits_of_the_loop(
+    looped: Store, parts: Callable[[Asked], list[Asked]]
+) -> None:
+    told = asked_and_told(disc(), parts)
+    assert rows(told) == rows(looped)
+    current(disc(), told, write=True)
+    assert state(told) == state(looped)
+
+
+def test_the_bits_are_the_same_if_the_classifier_is_read_between_two_parts(looped: Store) -> None:
+    campaign = disc()
+    told = MemoryStore(campaign.schema)
+    while len(designs := ask(campaign, told, BATCH, BUDGET).designs):
+        for part in in_two(designs):
+            tell(campaign, told, part.id, campaign.simulator.run(part.designs))
+            current(campaign, told, write=True)
+    assert rows(told) == rows(looped)
+    current(campaign, told, write=True)
+    assert state(told) == state(looped)
+
+
+@pytest.mark.parametrize("loop_first", [True, False])
+@pytest.mark.parametrize("at", [4, 12, 20])
+def test_a_campaign_goes_from_the_loop_to_asking_and_back_with_the_same_bits(
+    looped: Store, loop_first: bool, at: int
+) -> None:
+    campaign = disc()
+    store: Store = MemoryStore(campaign.schema)
+    if loop_first:
+        take(campaign, store, at)
+        asked_and_told(campaign, whole, store)
+    else:
+        while len(HandedOut.of(store).history) < at:
+            designs = ask(campaign, store, BATCH, BUDGET).designs
+            tell(campaign, store, designs.id, campaign.simulator.run(designs.designs))
+        take(campaign, store)
+    assert rows(store) == rows(looped)
+
+
+def test_the_initial_design_is_handed_out_first_and_a_batch_ends_with_it() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    first = ask(campaign, store, 7, BUDGET)
+    second = ask(campaign, store, 7, BUDGET)
+    assert (len(first.designs), first.reason) == (7, "")
+    assert (len(second.designs), second.reason) == (5, "the initial design ends here")
+    third = ask(campaign, store, 7, BUDGET)
+    assert len(third.designs) == 0
+    assert "no simulation has given an outcome yet" in third.reason
+    handed = HandedOut.of(store).in_flight
+    assert handed.id.tolist() == list(range(12))
+    assert (handed.origin == INITIAL).all()
+
+
+def test_proposals_keep_away_from_the_designs_in_flight() -> None:
+    campaign = disc()
+    store = take(campaign, budget=INITIAL_SIZE)
+    one_by_one = [ask(campaign, store, 1, BUDGET).designs for _ in range(8)]
+    X = np.concatenate([one.designs for one in one_by_one])
+    assert len(np.unique(X, axis=0)) == 8
+    unit = campaign.space.to_unit(X)
+    gaps = np.linalg.norm(unit[:, None] - unit[None], axis=2)[np.triu_indices(8, 1)]
+    assert gaps.min() > 0.01
+    assert [int(one.id[0]) for one in one_by_one] == list(range(12, 20))
+
+
+def test_the_budget_counts_designs_in_flight_and_says_so() -> None:
+    campaign = disc()
+    store = take(campaign, budget=BUDGET - 3)
+    proposed = ask(campaign, store, 5, BUDGET)
+    assert len(proposed.designs) == 3
+    assert "the budget is 28 simulations" in proposed.reason
+    assert len(ask(campaign, store, 5, BUDGET).designs) == 0
+    assert len(ask(campaign, store, 5, None).designs) == 5
+
+
+def test_dropped_designs_are_neither_proposed_again_nor_counted() -> None:
+    campaign = disc()
+    store = take(campaign, budget=INITIAL_SIZE)
+    first = ask(campaign, store, 4, BUDGET).designs
+    assert drop(store, first.id[:2]) == 2
+    assert drop(store, first.id[:2]) == 0
+    assert HandedOut.of(store).in_flight.id.tolist() == first.id[2:].tolist()
+    later = ask(campaign, store, 4, BUDGET).designs
+    gaps = np.linalg.norm(
+        campaign.space.to_unit(later.designs)[:, None] - campaign.space.to_unit(first.designs)[None, :2], axis=2
+    )
+    assert gaps.min() > 0.01
+    with pytest.raises(RowError, match="id 12 was dropped; `add` records its result, got safe"):
+        tell(campaign, store, first.id[:1], results(0))
+
+
+def results(*outcomes: int, margin: float = 0.5) -> Results:
+    n = len(outcomes)
+    return Results(np.array(outcomes, dtype=np.int8), np.zeros(n, dtype=np.int8), np.full((n, 1), margin), np.zeros(n))
+
+
+def test_a_result_that_is_told_twice_is_recorded_once_and_another_one_is_refused() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    designs = ask(campaign, store, 2, BUDGET).designs
+    assert tell(campaign, store, designs.id, results(0, 1)) == 2
+    assert tell(campaign, store, designs.id, results(0, 1)) == 0
+    with pytest.raises(RowError, match="id 1 has the result broken, distance 0.5 already, got safe, distance 0.5"):
+        tell(campaign, store, designs.id, results(0, 0))
+    assert len(HandedOut.of(store).history) == 2
+
+
+def test_a_table_of_results_is_recorded_whole_or_not_at_all() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    designs = ask(campaign, store, 2, BUDGET).designs
+    with pytest.raises(RowError, match="id 7 is unknown") as caught:
+        tell(campaign, store, np.array([0, 7]), results(0, 1))
+    assert caught.value.row == 1
+    with pytest.raises(RowError, match="id 0 has the result safe, distance 0.5 in an earlier row, got broken"):
+        tell(campaign, store, np.array([0, 0]), results(0, 1))
+    assert store.batches == ()
+    assert tell(campaign, store, np.array([0, 0]), results(0, 0)) == 1
+    assert HandedOut.of(store).in_flight.id.tolist() == [1]
+    assert len(designs) == 2
+
+
+def test_added_simulations_are_learned_from_and_are_no_part_of_the_initial_design_or_the_budget() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    X = campaign.space.from_unit(np.random.default_rng(5).random((40, 2)))
+    assert add(campaign, store, X, campaign.simulator.run(X)) == 40
+    assert add(campaign, store, X, campaign.simulator.run(X)) == 0
+    take(campaign, store)
+    history = HandedOut.of(store).history
+    assert ((history.origin == GIVEN).sum(), history.asked_for, history.initial.sum()) == (40, BUDGET, INITIAL_SIZE)
+    inside = current(campaign, store, write=False).classifier.probabilities(campaign.space.from_unit(CENTRE[None]))
+    assert inside[0, 1] > 0.9
+
+
+def test_an_added_design_in_flight_or_with_another_result_is_refused() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    designs = ask(campaign, store, 2, BUDGET).designs
+    with pytest.raises(RowError, match="the design is in flight with id 0; `tell` records its result"):
+        add(campaign, store, designs.designs[:1], results(0))
+    tell(campaign, store, designs.id, results(0, 1))
+    with pytest.raises(RowError, match=r"the same design has the result safe, distance 0\.5 as id 0, got broken"):
+        add(campaign, store, designs.designs[:1], results(1))
+    assert add(campaign, store, designs.designs, results(0, 1)) == 0
+
+
+def test_a_dropped_design_may_be_added_later() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    designs = ask(campaign, store, 2, BUDGET).designs
+    drop(store, designs.id[:1])
+    assert add(campaign, store, designs.designs[:1], results(1)) == 1
+    handed = HandedOut.of(store)
+    assert (handed.in_flight.id.tolist(), handed.ids.tolist()) == ([1], [2])
+
+
+def test_ids_count_what_entered_the_campaign_in_the_order_of_entering() -> None:
+    campaign = disc()
+    store = take(campaign, budget=INITIAL_SIZE)
+    first = ask(campaign, store, 2, BUDGET).designs
+    X = campaign.space.from_unit(np.array([[0.1, 0.2]]))
+    add(campaign, store, X, campaign.simulator.run(X))
+    second = ask(campaign, store, 2, BUDGET).designs
+    assert (first.id.tolist(), second.id.tolist()) == ([12, 13], [15, 16])
+    tell(campaign, store, second.id, campaign.simulator.run(second.designs))
+    tell(campaign, store, first.id, campaign.simulator.run(first.designs))
+    assert HandedOut.of(store).ids.tolist() == [*range(12), 14, 15, 16, 12, 13]
+
+
+def test_the_loop_leaves_designs_in_flight_alone_and_within_the_budget() -> None:
+    campaign = disc()
+    store = take(campaign, budget=INITIAL_SIZE)
+    flight = ask(campaign, store, 3, BUDGET).designs
+    take(campaign, store)
+    handed = HandedOut.of(store)
+    assert (handed.in_flight.id.tolist(), len(handed.history)) == (flight.id.tolist(), BUDGET - 3)
+    tell(campaign, store, flight.id, campaign.simulator.run(flight.designs))
+    assert len(HandedOut.of(store).history) == BUDGET
+
+
+def test_the_loop_simulates_what_is_left_of_an_initial_design_and_waits_for_a_first_result() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    flight = ask(campaign, store, 5, BUDGET).designs
+    take(campaign, store, INITIAL_SIZE)
+    assert len(HandedOut.of(store).history) == INITIAL_SIZE - 5
+    assert len(np.unique(np.concatenate([flight.designs, HandedOut.of(store).history.designs]), axis=0)) == 12
+    empty = MemoryStore(campaign.schema)
+    ask(campaign, empty, INITIAL_SIZE, BUDGET)
+    with pytest.raises(InputError, match="The whole initial design is in flight or was dropped"):
+        take(campaign, empty)
+
+
+def test_an_initial_design_in_which_everything_failed_is_followed_by_another() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    first = ask(campaign, store, INITIAL_SIZE, BUDGET).designs
+    tell(campaign, store, first.id, results(*[NUMERICAL_FAILURE] * INITIAL_SIZE, margin=np.nan))
+    second = ask(campaign, store, 4, BUDGET).designs
+    assert (second.origin == INITIAL).all()
+    assert not np.isin(second.designs[:, 0], first.designs[:, 0]).any()
+
+
+def test_an_asynchronous_campaign_is_not_asked() -> None:
+    campaign = disc(asynchronous=True, batch=2)
+    store = MemoryStore(campaign.schema)
+    with pytest.raises(InputError, match=r"sampling\.asynchronous: applies to simulations that activefail starts"):
+        ask(campaign, store, 1, BUDGET)
+    with pytest.raises(InputError, match=r"sampling\.asynchronous"):
+        add(campaign, store, np.zeros((1, 2)), results(0))
+
+
+# --- any order of anything ---------------------------------------------------------------------------------------
+
+
+class Interleaved(RuleBasedStateMachine):
+    """Any order of ask, tell, drop, add, crash and reopening, in a run folder."""
+
+    folder: Path
+
+    @initialize()
+    def begin(self) -> None:
+        self.campaign = disc(initial=4, budget=1000)
+        Interleaved.number += 1
+        self.place = self.folder / str(Interleaved.number)
+        self.store = create_folder(self.place, self.campaign)
+        self.asked: dict[int, bytes] = {}
+        self.told: dict[int, int] = {}
+        self.dropped: set[int] = set()
+        self.given: set[bytes] = set()
+
+    number = 0
+
+    def outcome(self, X: Array) -> Results:
+        return self.campaign.simulator.run(X)
+
+    @rule(n=st.integers(1, 3))
+    def ask(self, n: int) -> None:
+        proposed = ask(self.campaign, self.store, n, 1000)
+        assert len(proposed.designs) == n or proposed.reason
+        for number, design in zip(proposed.designs.id.tolist(), proposed.designs.designs, strict=True):
+            assert number not in self.asked
+            assert design.tobytes() not in {*self.asked.values(), *self.given}
+            self.asked[number] = design.tobytes()
+
+    def flight(self) -> list[int]:
+        return sorted(self.asked.keys() - self.told.keys() - self.dropped)
+
+    @precondition(lambda self: self.flight())
+    @rule(data=st.data())
+    def tell(self, data: st.DataObject) -> None:
+        ids = data.draw(st.lists(st.sampled_from(self.flight()), min_size=1, unique=True))
+        X = np.array([np.frombuffer(self.asked[number]) for number in ids])
+        told = self.outcome(X)
+        assert tell(self.campaign, self.store, np.array(ids), told) == len(ids)
+        self.told |= dict(zip(ids, told.outcome.tolist(), strict=True))
+
+    @precondition(lambda self: self.told)
+    @rule(data=st.data(), other=st.booleans())
+    def tell_again(self, data: st.DataObject, other: bool) -> None:
+        number = data.draw(st.sampled_from(sorted(self.told)))
+        again = self.outcome(np.frombuffer(self.asked[number])[None])
+        if not other:
+            assert tell(self.campaign, self.store, np.array([number]), again) == 0
+            return
+        wrong = Results(1 - again.outcome, again.cause, again.margins, again.seconds)
+        with pytest.raises(InputError, match="already"):
+            tell(self.campaign, self.store, np.array([number]), wrong)
+
+    @precondition(lambda self: self.flight())
+    @rule(data=st.data())
+    def drop(self, data: st.DataObject) -> None:
+        number = data.draw(st.sampled_from(self.flight()))
+        assert drop(self.store, np.array([number])) == 1
+        self.dropped.add(number)
+
+    @rule(u=st.floats(0.01, 0.99), v=st.floats(0.01, 0.99))
+    def add(self, u: float, v: float) -> None:
+        X = self.campaign.space.from_unit(np.array([[u, v]]))
+        before = X.tobytes() in self.given
+        assert add(self.campaign, self.store, X, self.outcome(X)) == (not before)
+        self.given.add(X.tobytes())
+
+    @rule()
+    def reopen(self) -> None:
+        self.store.close()
+        self.store = FolderStore.open(self.place, self.campaign.schema, write=True)
+
+    @rule(before=st.booleans(), kind=st.sampled_from(["ask", "tell", "drop"]))
+    def crash(self, before: bool, kind: str) -> None:
+        """Die in the one write of a command, before or after it is durable, and open the folder again."""
+        flight = self.flight()
+        if kind != "ask" and not flight:
+            return
+        with pytest.MonkeyPatch.context() as patch:
+            for name in ("commit", "write_asked"):
+                original = getattr(self.store, name)
+
+                def dies(value: object, original: Callable[[object], None] = original) -> None:
+                    if not before:
+                        original(value)
+                    raise Died
+
+                patch.setattr(self.store, name, dies)
+            try:
+                if kind == "ask":
+                    ask(self.campaign, self.store, 2, 1000)
+                elif kind == "drop":
+                    drop(self.store, np.array(flight[:1]))
+                else:
+                    told = self.outcome(np.frombuffer(self.asked[flight[0]])[None])
+                    tell(self.campaign, self.store, np.array(flight[:1]), told)
+            except Died:
+                pass
+            else:
+                return
+        self.reopen()
+        # What was not acknowledged may be there, but whole: the folder says which.
+        handed = HandedOut.of(self.store)
+        if not before and kind == "ask":
+            new = handed.asked[np.isin(handed.asked.id, list(self.asked), invert=True)]
+            assert len(new)
+            self.asked |= {n: x.tobytes() for n, x in zip(new.id.tolist(), new.designs, strict=True)}
+        elif not before and kind == "drop":
+            self.dropped.add(flight[0])
+        elif not before:
+            self.told[flight[0]] = int(told.outcome[0])
+
+    @invariant()
+    def every_design_is_in_flight_answered_or_dropped(self) -> None:
+        if not hasattr(self, "store"):
+            return
+        handed = HandedOut.of(self.store)
+        assert {n: x.tobytes() for n, x in zip(handed.asked.id.tolist(), handed.asked.designs, strict=True)} == self.asked
+        answered = set(handed.asked.id[handed.has_result].tolist())
+        dropped = set(handed.asked.id[handed.asked.dropped == 1].tolist())
+        flight = set(handed.in_flight.id.tolist())
+        assert (answered, dropped, flight) == (set(self.told), self.dropped, set(self.flight()))
+        assert len(answered) + len(dropped) + len(flight) == len(handed.asked)
+        assert len(handed.history) == len(self.told) + len(self.given)
+        outcome = dict(zip(handed.ids.tolist(), handed.history.outcome.tolist(), strict=True))
+        assert {number: outcome[number] for number in self.told} == self.told
+        assert len(set(handed.ids.tolist())) == len(handed.ids)
+
+    def teardown(self) -> None:
+        if hasattr(self, "store"):
+            self.store.close()
+
+
+class Died(Exception):
+    """The process would be gone."""
+
+
+def test_any_order_of_ask_tell_drop_add_crash_and_reopening_keeps_every_design_in_one_place(
+    tmp_path: Path, every_fault: bool
+) -> None:
+    Interleaved.folder = tmp_path
+    machine = Interleaved.TestCase
+    machine.settings = examples(max_examples=1000 if every_fault else 25, stateful_step_count=15, deadline=None)
+    machine().runTest()
