@@ -144,7 +144,7 @@ class Table:
 
 
 def _is_column(value: object) -> bool:
-    return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) or hasattr(value, "to_numpy")
+    return (isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)) or hasattr(value, "to_numpy")
 
 
 def _is_missing(value: object) -> bool:

@@ -186,6 +186,5 @@ def read_status(folder: Path) -> Status:
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
         warnings = store.new_warnings()
-        return Status(
-            folder, Summary.of(campaign.settings.text(), campaign.simulator.outcomes, store.batches, store.asked), warnings
-        )
+        outcomes = campaign.simulator.outcomes
+        return Status(folder, Summary.of(campaign.settings.text(), outcomes, store.batches, store.asked), warnings)

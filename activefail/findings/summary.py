@@ -101,8 +101,7 @@ class SettingsInBrief:
                     visible(_features_in_words(features)),
                     visible(criterion),
                     {visible(name): share for name, share in boundary_shares(boundary).items()},
-                    not isinstance(simulator, bool)
-                    and not isinstance(settings["simulator"], str)
+                    (not isinstance(simulator, bool) and not isinstance(settings["simulator"], str))
                     or (isinstance(features, dict) and "python" in features),
                     _stop_simulations(settings.get("stop")),
                     batch,

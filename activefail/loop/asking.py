@@ -1,7 +1,8 @@
 """Simulations done elsewhere: designs are handed out, and their results are recorded when they arrive.
 
-The proposals are those of the loop with batches: `ask` proposes what the loop would simulate next, and `tell` records it
-as the loop does. Asked for and told batch by batch, a campaign has the same bits. Designs in flight are conditioned on.
+The proposals are those of the loop with batches: `ask` proposes what the loop would simulate next, and `tell` records
+it as the loop does. Asked for and told batch by batch, a campaign has the same bits. Proposals take the designs in
+flight into account.
 """
 
 from dataclasses import dataclass

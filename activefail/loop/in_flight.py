@@ -88,7 +88,7 @@ class HandedOut:
         by_loop = ~self.handed_out & (self.history.origin != GIVEN)
         if by_loop.any():
             last = int(self.history.iteration[by_loop].max())
-            # The loop learns from iteration 0 once it has completed the initial design, which `ask` may do in its place.
+            # The loop learns from iteration 0 once it has completed the initial design, unless `ask` completed it.
             asked_last = int(self.asked.id[self.asked.origin == INITIAL].max(initial=-1))
             completed = int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))
             if last or completed:

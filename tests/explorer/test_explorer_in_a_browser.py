@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from explorer.conftest import served
 from patience import PATIENCE, until
-from report.browser import NO_BROWSER, browser, console_errors, requested, screenshots
+from report.browser import NO_BROWSER, browser, console_errors, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.explorer.answers import Answers
@@ -171,7 +171,7 @@ def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, answers, 
     assert visitor.one("#command").text.startswith("activefail simulate --t-b ")
     assert float(visitor.one("body").get_attribute("data-simulate-ms")) > 0.0
     visitor.driver.set_window_size(1400, 2000)
-    assert visitor.driver.save_screenshot(str(screenshots("explorer-desktop.png", tmp_path)))
+    photograph(visitor.driver, screenshots("explorer-desktop.png", tmp_path))
     assert not visitor.one("#earlier").is_displayed()
     visitor.one("#v8").send_keys(Keys.HOME)
     until(lambda: visitor.one("#earlier").is_displayed(), "the word that the motion is of an earlier design")
@@ -211,7 +211,7 @@ def test_on_a_phone_nothing_is_wider_than_the_page(address, tmp_path):
                 assert control.size["height"] >= 24
         height = driver.execute_script("return document.documentElement.scrollHeight")
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height, "deviceScaleFactor": 1})
-        assert driver.save_screenshot(str(screenshots("explorer-phone.png", tmp_path)))
+        photograph(driver, screenshots("explorer-phone.png", tmp_path))
         assert console_errors(driver) == []
 
 

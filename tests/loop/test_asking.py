@@ -1,25 +1,25 @@
 """Simulations done elsewhere: handed out once, told in any order, with the bits of the loop."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign.stub import CENTRE, disc, distance
+from campaign.stub import CENTRE, disc
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder
-from activefail.errors import InputError, SimulationError, StoreError
+from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.asking import RowError, add, ask, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import current
 from activefail.record.asked import Asked
-from activefail.record.batch import ACTIVE, GIVEN, INITIAL, Batch, columns_of
+from activefail.record.batch import GIVEN, INITIAL, columns_of
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
@@ -176,7 +176,7 @@ def test_a_result_that_is_told_twice_is_recorded_once_and_another_one_is_refused
     designs = ask(campaign, store, 2, BUDGET).designs
     assert tell(campaign, store, designs.id, results(0, 1)) == 2
     assert tell(campaign, store, designs.id, results(0, 1)) == 0
-    with pytest.raises(RowError, match="id 1 has the result broken, distance 0.5 already, got safe, distance 0.5"):
+    with pytest.raises(RowError, match=r"id 1 has the result broken, distance 0\.5 already, got safe, distance 0\.5"):
         tell(campaign, store, designs.id, results(0, 0))
     assert len(HandedOut.of(store).history) == 2
 
@@ -187,7 +187,7 @@ def test_a_table_of_results_is_recorded_whole_or_not_at_all() -> None:
     with pytest.raises(RowError, match="id 7 is unknown") as caught:
         tell(campaign, store, np.array([0, 7]), results(0, 1))
     assert caught.value.row == 1
-    with pytest.raises(RowError, match="id 0 has the result safe, distance 0.5 in an earlier row, got broken"):
+    with pytest.raises(RowError, match=r"id 0 has the result safe, distance 0\.5 in an earlier row, got broken"):
         tell(campaign, store, np.array([0, 0]), results(0, 1))
     assert store.batches == ()
     assert tell(campaign, store, np.array([0, 0]), results(0, 0)) == 1
@@ -370,7 +370,7 @@ class Interleaved(RuleBasedStateMachine):
                 def dies(value: object, original: Callable[[object], None] = original) -> None:
                     if not before:
                         original(value)
-                    raise Died
+                    raise DiedError
 
                 patch.setattr(self.store, name, dies)
             try:
@@ -381,7 +381,7 @@ class Interleaved(RuleBasedStateMachine):
                 else:
                     told = self.outcome(np.frombuffer(self.asked[flight[0]])[None])
                     tell(self.campaign, self.store, np.array(flight[:1]), told)
-            except Died:
+            except DiedError:
                 pass
             else:
                 return
@@ -402,7 +402,8 @@ class Interleaved(RuleBasedStateMachine):
         if not hasattr(self, "store"):
             return
         handed = HandedOut.of(self.store)
-        assert {n: x.tobytes() for n, x in zip(handed.asked.id.tolist(), handed.asked.designs, strict=True)} == self.asked
+        designs = [design.tobytes() for design in handed.asked.designs]
+        assert dict(zip(handed.asked.id.tolist(), designs, strict=True)) == self.asked
         answered = set(handed.asked.id[handed.has_result].tolist())
         dropped = set(handed.asked.id[handed.asked.dropped == 1].tolist())
         flight = set(handed.in_flight.id.tolist())
@@ -418,7 +419,7 @@ class Interleaved(RuleBasedStateMachine):
             self.store.close()
 
 
-class Died(Exception):
+class DiedError(Exception):
     """The process would be gone."""
 
 

@@ -1,5 +1,6 @@
 """A real browser for the tests: Debian's Chromium, driven by Selenium; skips where one of them is missing."""
 
+import base64
 import importlib.util
 import os
 import shutil
@@ -55,6 +56,16 @@ def browser(width: int = 1280, height: int = 900) -> Iterator[Any]:
         yield driver
     finally:
         driver.quit()
+
+
+def photograph(driver: Any, path: Path) -> None:
+    """Save a picture of the page. The driver's own command gives up after ten seconds, too early on a busy machine."""
+    path.write_bytes(base64.b64decode(driver.execute_cdp_cmd("Page.captureScreenshot", {})["data"]))
+
+
+def printed(driver: Any) -> bytes:
+    """The page as a PDF; as `photograph`, without the driver's limit of ten seconds."""
+    return base64.b64decode(driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
 
 
 def console_errors(driver: Any) -> list[str]:

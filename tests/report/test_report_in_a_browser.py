@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from report.browser import NO_BROWSER, browser, console_errors, requested, screenshots
+from report.browser import NO_BROWSER, browser, console_errors, photograph, printed, requested, screenshots
 from report.test_report import SCRIPT, made, ran, settings
 
 from activefail.campaign.opening import open_campaign
@@ -52,17 +52,14 @@ def test_the_report_opens_without_a_complaint_or_a_request(report, name, width, 
                 "mobile": width < 500,
             },
         )
-        shot = screenshots(f"report-{name}.png", tmp_path)
-        assert driver.save_screenshot(str(shot))
+        photograph(driver, screenshots(f"report-{name}.png", tmp_path))
 
 
 def test_the_report_prints(report, tmp_path):
-    import base64
-
     with browser() as driver:
         driver.get(report.as_uri())
-        printed = base64.b64decode(driver.print_page())
-    assert printed.startswith(b"%PDF")
-    pages = printed.count(b"/Type /Page\n") + printed.count(b"/Type /Page/") + printed.count(b"/Type /Page ")
+        pdf = printed(driver)
+    assert pdf.startswith(b"%PDF")
+    pages = pdf.count(b"/Type /Page\n") + pdf.count(b"/Type /Page/") + pdf.count(b"/Type /Page ")
     assert 6 <= pages <= 25
-    screenshots("report.pdf", tmp_path).write_bytes(printed)
+    screenshots("report.pdf", tmp_path).write_bytes(pdf)
