@@ -300,10 +300,16 @@ def _is_chain(outlines: Sequence[Outline], settings: str) -> bool:
     )
 
 
-def _by_origin(outcome: NDArray[np.int8], origin: NDArray[np.int8], outcomes: int) -> list[NDArray[np.int64]]:
+def _by_origin(
+    outcome: NDArray[np.int8], origin: NDArray[np.int8], outcomes: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """The counts of the initial design, of chosen and of given simulations."""
-    of_origin = origin == INITIAL, (origin != INITIAL) & (origin != GIVEN), origin == GIVEN
-    return [_counts(outcome[rows], outcomes) for rows in of_origin]
+    initial, given = origin == INITIAL, origin == GIVEN
+    return (
+        _counts(outcome[initial], outcomes),
+        _counts(outcome[~initial & ~given], outcomes),
+        _counts(outcome[given], outcomes),
+    )
 
 
 def _in_flight(asked: Asked, batches: Sequence[Batch]) -> tuple[int, ...]:
