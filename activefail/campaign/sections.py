@@ -154,7 +154,7 @@ ACCEPTED_BEFORE = "accepted before"
 
 _SAFE = (
     "safe|safety|safely|ok|okay|pass|passed|passes|passing|survive|survived|survives|survival|surviving|intact|stable|"
-    "none|nothing|fine|good|success|successful|sound|healthy|holds|elastic|acceptable|accepted|normal"
+    "none|nothing|fine|good|success|successful|sound|healthy|holds|acceptable"
 )
 _HARM = (
     "fail|fails|failed|failing|failure|failures|collapse|collapses|collapsed|damage|damages|damaged|impact|impacts|"
@@ -203,7 +203,7 @@ class CustomSimulatorSettings(Section):
     def _end_with_the_most_severe(cls, names: list[str], info: ValidationInfo) -> list[str]:
         if (info.context or {}).get(ACCEPTED_BEFORE) or not means_safety(names[-1]):
             return names
-        raise ValueError(f"the least severe outcome comes first, the most severe one last, got {names}")
+        raise ValueError(f"the least severe outcome must come first, but {names[-1]!r} is the last of {names}")
 
     @field_validator("levels")
     @classmethod
