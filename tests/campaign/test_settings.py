@@ -436,8 +436,27 @@ def test_the_boundary_of_a_simulator_of_ones_own_is_that_of_its_most_severe_outc
 
 @pytest.mark.parametrize(
     "name",
-    ["SAFE", "ok", "Okay", "passed", "survive", "no_failure", "noImpact", "not_failed", "non_exceedance", "intact"]
-    + ["stable", "undamaged", "uncracked", "none", "fine", "good", "success", "without_damage", "_safe_"],
+    [
+        "SAFE",
+        "ok",
+        "Okay",
+        "passed",
+        "survive",
+        "no_failure",
+        "noImpact",
+        "not_failed",
+        "non_exceedance",
+        "intact",
+        "stable",
+        "undamaged",
+        "uncracked",
+        "none",
+        "fine",
+        "good",
+        "success",
+        "without_damage",
+        "_safe_",
+    ],
 )
 def test_a_word_for_safety_is_not_the_most_severe_outcome_except_in_a_run_folder(name: str) -> None:
     text = f'simulator = {{ python = "a:b", outcomes = ["other", "{name}"] }}\nspace.x = {{ low = 0, high = 1 }}'
@@ -448,8 +467,22 @@ def test_a_word_for_safety_is_not_the_most_severe_outcome_except_in_a_run_folder
 
 @pytest.mark.parametrize(
     "name",
-    ["unsafe", "not_ok", "not_safe", "failure", "failed_to_pass", "collapse", "no_go", "unstable", "broken", "impact"]
-    + ["not_intact", "nonlinear", "unacceptable", "loss_of_stability"],
+    [
+        "unsafe",
+        "not_ok",
+        "not_safe",
+        "failure",
+        "failed_to_pass",
+        "collapse",
+        "no_go",
+        "unstable",
+        "broken",
+        "impact",
+        "not_intact",
+        "nonlinear",
+        "unacceptable",
+        "loss_of_stability",
+    ],
 )
 def test_other_names_may_be_the_most_severe_outcome(name: str) -> None:
     text = f'simulator = {{ python = "a:b", outcomes = ["safe", "{name}"] }}\nspace.x = {{ low = 0, high = 1 }}'
