@@ -1,12 +1,15 @@
 """Tables of designs as CSV, checked in full before use, and read and written in constant memory."""
 
 import csv
+import io
 import math
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Protocol
 
 import numpy as np
 
@@ -16,38 +19,60 @@ from activefail.space import Array
 
 ROWS_AT_ONCE = 2048
 
+Source = Path | IO[bytes]
+"""Where a table comes from: a file, or a stream such as standard input."""
+
+
+class TextStream(Protocol):
+    """A stream of text, such as standard output."""
+
+    def write(self, text: str, /) -> object:
+        """Write a text."""
+        ...
+
+    def flush(self) -> None:
+        """Pass on what was written."""
+        ...
+
+
+Target = Path | TextStream
+"""Where a table goes: a file that gets its name once complete, or a stream that gets rows as they are computed."""
+
 Check = Callable[[Array], str | None]
 """A rule for one design, (d,): None if it holds, otherwise "column: rule, got value", without the row."""
 
 
 @dataclass(frozen=True)
 class DesignTable:
-    """A CSV file with a header and at least the named columns; other columns are kept.
+    """A CSV table with a header and at least the named columns; other columns are kept.
 
     Attributes:
-        path: path of the file.
+        source: its file, or a stream that can be read again.
         header: names of all columns.
         names: names of a design's columns, in order.
         rows: number of rows.
     """
 
-    path: Path
+    source: Source
     header: tuple[str, ...]
     names: tuple[str, ...]
     rows: int
 
     @classmethod
-    def checked(cls, path: Path, names: Sequence[str], adds: Sequence[str], check: Check) -> "DesignTable":
-        """Read the whole file once and check each cell of the named columns.
+    def checked(cls, source: Source, names: Sequence[str], adds: Sequence[str], check: Check) -> "DesignTable":
+        """Read the whole table once and check each cell of the named columns.
 
         Args:
-            adds: output columns, which the file must not contain.
+            source: its file, or a stream that can be read again (see `rereadable`).
+            names: names of a design's columns, in order.
+            adds: output columns, which the table must not contain.
             check: a rule for each design, in addition to finite numbers.
 
         Raises:
             InputError: naming the file, and row, column, rule and value of the first invalid cell.
         """
-        with _reading(path) as lines:
+        path = _name_of(source)
+        with _reading(source) as lines:
             header = _header(path, next(lines, None), f" with the columns {', '.join(names)}")
             missing = [name for name in names if name not in header]
             for separator in (";", "\t"):
@@ -69,12 +94,12 @@ class DesignTable:
                 problem = _problem(cells, header, columns, check)
                 if problem is not None:
                     raise InputError(f"{path}: row {rows} (line {lines.line_num}), {problem}.")
-        return cls(path, header, tuple(names), rows)
+        return cls(source, header, tuple(names), rows)
 
     def chunks(self) -> Iterator[tuple[list[list[str]], Array]]:
         """The rows as text with their designs, (n, d), up to ROWS_AT_ONCE at a time."""
         columns = [self.header.index(name) for name in self.names]
-        with _reading(self.path) as lines:
+        with _reading(self.source) as lines:
             next(lines, None)
             texts: list[list[str]] = []
             for cells in filter(None, lines):
@@ -107,15 +132,53 @@ def _problem(cells: list[str], header: Sequence[str], columns: list[int], check:
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[Any]:
-    lines = None
-    try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
+def rereadable(source: Source) -> Iterator[Source]:
+    """A source that can be read twice: the file itself, or a temporary copy of the whole stream.
+
+    Raises:
+        InputError: if the stream cannot be read or copied.
+    """
+    if isinstance(source, Path):
+        yield source
+        return
+    with tempfile.TemporaryFile() as copy:
+        try:
+            shutil.copyfileobj(source, copy)
+            copy.flush()
+        except OSError as error:
+            folder = tempfile.gettempdir()
+            raise InputError(f"{_name_of(source)}: cannot be copied to {folder}: {error.strerror or error}.") from None
+        yield copy
+
+
+def _name_of(source: Source) -> str:
+    return str(source) if isinstance(source, Path) else "standard input"
+
+
+@contextmanager
+def _opened(source: Source) -> Iterator[IO[str]]:
+    # utf-8-sig: spreadsheets write a byte order mark.
+    if isinstance(source, Path):
+        if source.exists() and not (source.is_file() or source.is_dir()):
             raise InputError(
-                f"{path}: must be a regular file, because it is read twice: first to check it, then to use it."
+                f"{source}: must be a regular file, because it is read twice: first to check it, then to use it."
             )
-        # utf-8-sig: spreadsheets write a byte order mark.
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with source.open(encoding="utf-8-sig", newline="") as file:
+            yield file
+        return
+    source.seek(0)
+    text = io.TextIOWrapper(source, encoding="utf-8-sig", newline="")
+    try:
+        yield text
+    finally:
+        text.detach()  # keeps the stream open
+
+
+@contextmanager
+def _reading(source: Source) -> Iterator[Any]:
+    path, lines = _name_of(source), None
+    try:
+        with _opened(source) as file:
             lines = csv.reader(file, strict=True)
             yield lines
     except OSError as error:
@@ -128,30 +191,44 @@ def _reading(path: Path) -> Iterator[Any]:
 
 
 @contextmanager
-def writing(path: Path, header: Sequence[str]) -> Iterator[Callable[[Sequence[Sequence[Any]]], None]]:
-    """Write a table that gets its name once it is complete; yields a function that appends rows.
+def writing(target: Target, header: Sequence[str]) -> Iterator[Callable[[Sequence[Sequence[Any]]], None]]:
+    """Write a table; yields a function that appends rows.
+
+    A file gets its name once it is complete. A stream gets the rows of each call at once.
 
     Raises:
-        InputError: if the table cannot be written.
+        InputError: if the file cannot be written.
+        OSError: if the stream cannot be written.
     """
+    if not isinstance(target, Path):
+        write_through = _appending(target, target.flush)
+        write_through([header])
+        yield write_through
+        return
     try:
-        path = target_of(path)
-        with replacing(path) as file:
-            plain = csv.writer(file, lineterminator="\n")
-            # The plain writer does not quote a lone carriage return, which would end the row for a reader.
-            quoting = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
-
-            def write(rows: Sequence[Sequence[Any]]) -> None:
-                for row in rows:
-                    (quoting if any("\r" in str(cell) for cell in row) else plain).writerow(row)
-
+        target = target_of(target)
+        with replacing(target) as file:
+            write = _appending(file)
             write([header])
             yield write
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}.") from None
+        raise InputError(f"{target}: cannot be written: {error.strerror}.") from None
 
 
-def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]], list[int]]:
+def _appending(file: TextStream, then: Callable[[], None] = lambda: None) -> Callable[[Sequence[Sequence[Any]]], None]:
+    plain = csv.writer(file, lineterminator="\n")
+    # The plain writer does not quote a lone carriage return, which would end the row for a reader.
+    quoting = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
+
+    def append(rows: Sequence[Sequence[Any]]) -> None:
+        for row in rows:
+            (quoting if any("\r" in str(cell) for cell in row) else plain).writerow(row)
+        then()
+
+    return append
+
+
+def read_cells(source: Source) -> tuple[tuple[str, ...], list[list[str]], list[int]]:
     """The header of a CSV file, its rows as text without blank lines, and the line at which each row ends.
 
     Raises:
@@ -160,7 +237,8 @@ def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]], list[int]]
     """
     rows: list[list[str]] = []
     ends: list[int] = []
-    with _reading(path) as lines:
+    path = _name_of(source)
+    with _reading(source) as lines:
         header = _header(path, next(lines, None), "")
         for cells in filter(None, lines):
             if len(cells) != len(header):
@@ -171,7 +249,7 @@ def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]], list[int]]
     return header, rows, ends
 
 
-def _header(path: Path, cells: list[str] | None, required: str) -> tuple[str, ...]:
+def _header(path: object, cells: list[str] | None, required: str) -> tuple[str, ...]:
     """The names of a table's columns.
 
     Raises:

@@ -53,6 +53,8 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
             nonlocal shown_iteration, shown_at
             # Batches of the initial design are too frequent for a line each.
             learned = progress.done >= campaign.settings.sampling.initial
+            if shown_iteration < 0:
+                print(seeking_line(campaign))
             if learned or progress.iteration != shown_iteration or time.monotonic() - shown_at > 10.0:
                 shown_iteration, shown_at = progress.iteration, time.monotonic()
                 print(_progress_line(campaign, progress), flush=True)
@@ -79,9 +81,18 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
         below.plain = f"{line} | {name}" if line else name
 
     # Text on separate lines: next to the bar, a narrow terminal would truncate it.
-    with Live(Group(bar, below), console=console, refresh_per_second=8):
+    with Live(Group(Text(seeking_line(campaign)), bar, below), console=console, refresh_per_second=8):
         yield Observer(update, enter, stop)
         below.plain = line
+
+
+def seeking_line(campaign: "Campaign") -> str:
+    """Which boundary a campaign seeks, and how severe its outcomes are: their order is the user's."""
+    shares = campaign.settings.acquisition.boundaries
+    targets = " and ".join(
+        f"the boundary of {name}" + (f" ({percent(share, 0)})" if share < 1.0 else "") for name, share in shares.items()
+    )
+    return f"seeking    {targets} (outcomes from least to most severe: {', '.join(campaign.simulator.outcomes)})"
 
 
 def _counts(campaign: "Campaign", progress: "Progress") -> str:

@@ -12,7 +12,7 @@ from activefail.campaign.opening import create_folder, opened, read_campaign
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.findings.summary import Summary
-from activefail.loop.history import History
+from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.layout import COMPARISON, CURVES, ESTIMATE, REPORT, SCORES, SETTINGS
 from activefail.shares import percent
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from activefail.campaign.results_table import Table
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
+    from activefail.csv_table import Source, Target
     from activefail.execution.executor import AsynchronousExecutor, Executor
     from activefail.features import FeatureMap
     from activefail.findings.failure import FailureFindings
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from activefail.findings.results import Findings
     from activefail.loop.in_flight import HandedOut
     from activefail.loop.learning import Learned
+    from activefail.record.batch import Batch
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
     from activefail.space import DesignSpace
@@ -127,6 +129,11 @@ class Run:
         # Not the file's text: an older version may have omitted settings that have defaults now.
         return Summary.of(self.settings.text(), self.campaign.simulator.outcomes, self.store.batches, self.store.asked)
 
+    def summary_after(self, simulations: int) -> Summary:
+        """The state of the campaign after its first simulations, in counts."""
+        batches = self._first(simulations)
+        return Summary.of(self.settings.text(), self.campaign.simulator.outcomes, batches, self.store.asked)
+
     def resume_command(
         self,
         budget: int | None = None,
@@ -202,7 +209,7 @@ class Run:
         """The simulations so far, in the order of the record, with the columns of `activefail export`."""
         from activefail.findings.frames import simulations_frame
 
-        return simulations_frame(self.campaign, self.handed_out, self.store.batches)
+        return simulations_frame(self.campaign, self.store)
 
     @property
     def in_flight(self) -> "DataFrame":
@@ -433,6 +440,33 @@ class Run:
             self._learned = learned(self.campaign, self.store, self._write)
         return self._learned
 
+    def classifier_after(self, simulations: int) -> "Classifier":
+        """The classifier of the first simulations, numerical failures included.
+
+        If they end a batch, it has the bits of the one that the campaign had then. Learning is repeated from the
+        initial design on.
+
+        Raises:
+            InputError: if none of them has an outcome, or fewer are recorded.
+        """
+        from activefail.loop.learning import classifier_after
+
+        first = self._first(simulations)
+        if simulations == len(self.history):
+            return self.classifier
+        with one_thread():
+            return classifier_after(self.campaign, first)
+
+    def _first(self, simulations: int) -> "tuple[Batch, ...]":
+        check_whole("after", simulations, 1)
+        history = self.history
+        if not history.leading_failures < simulations <= len(history):
+            least = f"{history.leading_failures + 1}, the first with an outcome," if history.answered.any() else "1"
+            raise InputError(
+                f"after: must be from {least} to {len(history)}, the number of recorded simulations, got {simulations}."
+            )
+        return first_simulations(self.store.batches, simulations)
+
     @property
     def learned_from(self) -> list[str]:
         """What each boundary is learned from, and why; empty without a choice, or before the initial design is done."""
@@ -499,24 +533,40 @@ class Run:
         return latent.model
 
     def predict_table(
-        self, source: Path, target: Path, begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None
+        self,
+        source: "Source",
+        target: "Target",
+        begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None,
+        after: int | None = None,
     ) -> int:
-        """Write a CSV file of designs with predictions added (see `activefail.findings.tables`).
+        """Write a CSV table of designs with predictions added (see `activefail.findings.tables`).
+
+        Args:
+            source: table of designs: a file, or a binary stream.
+            target: table to write: a file, or a text stream, which gets rows as they are computed.
+            begin: called with the number of rows once they are checked; returns a callback for finished rows.
+            after: number of simulations to learn from, the first ones (see `classifier_after`); all if None.
 
         Returns:
             Number of designs outside the design space, where the classifier extrapolates.
         """
         from activefail.findings.tables import predict_table
 
-        classifier = self.classifier
+        classifier = self.classifier if after is None else self.classifier_after(after)
         with one_thread():
             return predict_table(self.campaign, classifier, source, target, begin)
 
-    def export_table(self, target: Path) -> int:
-        """Write every simulation as a row of a CSV file; returns their number."""
+    def export_table(self, target: "Target") -> int:
+        """Write every simulation as a row of a CSV table, a file or a text stream; returns their number."""
         from activefail.findings.tables import export_table
 
         return export_table(self.campaign, self.store, target)
+
+    def export_parquet(self, target: Path) -> int:
+        """Write every simulation as a row of a Parquet file; returns their number (needs pyarrow)."""
+        from activefail.findings.parquet import export_parquet
+
+        return export_parquet(self.campaign, self.store, target)
 
     def verify(
         self, simulations: int = 200, confidence: float = 0.9, executor: "Executor | None" = None

@@ -1,5 +1,6 @@
 """Output streams that escape control characters before they reach the terminal."""
 
+import io
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,13 +19,13 @@ class Screen:
     where it enters (`activefail.visible`).
     """
 
-    def __init__(self, stream: IO[str]) -> None:
-        self.stream = stream
+    def __init__(self, stream: IO[str], escapes: bool = True) -> None:
+        self.stream, self.escapes = stream, escapes
 
     def write(self, text: str) -> int:
-        """Write a text, with control characters escaped except line ends and tabs."""
+        """Write a text, with control characters escaped except line ends and tabs, unless the screen escapes none."""
         with _naming_output():
-            self.stream.write(visible(text, keep="\n\t"))
+            self.stream.write(visible(text, keep="\n\t") if self.escapes else text)
         return len(text)
 
     def writelines(self, lines: list[str]) -> None:
@@ -60,6 +61,16 @@ def visible_output() -> Iterator[None]:
         yield
     finally:
         sys.stdout, sys.stderr = before
+
+
+def table_stream(stream: Any) -> Screen:
+    """A stream for a table: a terminal gets control characters as escapes, a file or pipe the text itself in UTF-8."""
+    plain = terminal(stream)
+    if plain.isatty():
+        return Screen(plain)
+    if isinstance(plain, io.TextIOWrapper):
+        plain.reconfigure(encoding="utf-8")
+    return Screen(plain, escapes=False)
 
 
 def terminal(stream: Any) -> Any:

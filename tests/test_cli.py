@@ -281,7 +281,8 @@ def test_a_campaign_is_run_to_its_budget_and_tells_where_it_is(ran: tuple[Path, 
     folder, result = ran
     assert (result.code, result.err) == (0, "")
     lines = result.out.splitlines()
-    assert lines[0].startswith("0/30 simulations | iteration 0 | 0 no_impact, 0 impact, 0 failure")
+    assert lines[0].startswith("seeking    the boundary of failure (")
+    assert lines[1].startswith("0/30 simulations | iteration 0 | 0 no_impact, 0 impact, 0 failure")
     assert lines[-2].startswith("30/30 simulations | iteration 2 | ")
     assert lines[-1] == f"results    {folder}"
     rows = record(folder)
@@ -311,7 +312,7 @@ def test_a_campaign_that_was_stopped_is_resumed_to_the_uninterrupted_one(
     folder = halted(tiny, tmp_path / "run", batches)
     result = activefail("resume", folder, "--workers", "2")
     assert (result.code, result.err) == (0, "")
-    assert result.out.splitlines()[0].startswith(f"{5 * batches}/30 simulations")
+    assert result.out.splitlines()[1].startswith(f"{5 * batches}/30 simulations")
     assert record(folder) == record(ran[0])
 
 

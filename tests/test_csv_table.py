@@ -1,6 +1,7 @@
 """Tables: every bad cell is named before anything is done, and a table appears whole or not at all."""
 
 import csv
+import io
 import os
 import stat
 from collections.abc import Callable, Sequence
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from activefail.csv_table import ROWS_AT_ONCE, DesignTable, writing
+from activefail.csv_table import ROWS_AT_ONCE, DesignTable, rereadable, writing
 from activefail.errors import InputError
 from activefail.space import Array
 
@@ -255,3 +256,62 @@ def test_what_is_no_regular_file_is_neither_read_nor_replaced(tmp_path: Path) ->
     with pytest.raises(InputError, match="must be a file"), writing(tmp_path / "pipe", ["a"]):
         pass
     assert (tmp_path / "pipe").is_fifo()
+
+
+# --- streams -----------------------------------------------------------------------------------------------------
+
+
+class Pipe(io.BytesIO):
+    """A stream that can be read only once."""
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        raise io.UnsupportedOperation("seek")
+
+
+def test_a_stream_is_read_once_and_gives_the_table_of_the_file(table: Callable[[str | bytes], DesignTable]) -> None:
+    content = "a,note,b\n" + "".join(f"{i},x{i},{i + 1}\n" for i in range(ROWS_AT_ONCE + 1))
+    with rereadable(Pipe(content.encode())) as kept:
+        of_stream = DesignTable.checked(kept, NAMES, ("answer",), ordered)
+        of_file = table(content)
+        assert (of_stream.header, of_stream.rows) == (of_file.header, of_file.rows)
+        assert rows(of_stream) == rows(of_stream) == rows(of_file)
+
+
+def test_a_bad_stream_is_refused_as_standard_input() -> None:
+    with rereadable(Pipe(b"a,b\n1,2\n3,2\n")) as kept, pytest.raises(InputError) as refused:
+        DesignTable.checked(kept, NAMES, (), ordered)
+    assert str(refused.value) == "standard input: row 2 (line 3), column b: `a <= b` must hold, got 2."
+
+
+def test_a_stream_that_cannot_be_kept_is_named_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Pipe):
+        def read(self, size: int | None = -1, /) -> bytes:
+            raise OSError(5, "Input/output error")
+
+    with (
+        pytest.raises(InputError, match=r"standard input: cannot be copied to .+: Input/output error\."),
+        rereadable(Broken()),
+    ):
+        pass
+
+
+def test_a_stream_gets_rows_as_they_are_computed() -> None:
+    passed_on: list[str] = []
+
+    class Output(io.StringIO):
+        def flush(self) -> None:
+            passed_on.append(self.getvalue())
+
+    with writing(Output(), ["a"]) as write:
+        assert passed_on == ["a\n"]
+        write([["1"], ["2"]])
+        assert passed_on == ["a\n", "a\n1\n2\n"]
+
+
+def test_a_stream_that_is_closed_on_the_other_side_raises_its_own_error() -> None:
+    class Closed(io.StringIO):
+        def flush(self) -> None:
+            raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError), writing(Closed(), ["a"]):
+        pass

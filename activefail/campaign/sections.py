@@ -1,6 +1,7 @@
 """Sections of a campaign's settings, each with its rules."""
 
 import itertools
+import re
 import sys
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
@@ -148,6 +149,26 @@ _Reference = Annotated[str, Field(pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w
 """A Python function, "module:function"."""
 
 
+ACCEPTED_BEFORE = "accepted before"
+"""Key of a validation's context: whether the settings were accepted before, possibly by an earlier version."""
+
+_SAFE = (
+    "safe|safety|safely|ok|okay|pass|passed|passes|passing|survive|survived|survives|survival|surviving|intact|stable|"
+    "none|nothing|fine|good|success|successful|sound|healthy|holds|acceptable"
+)
+_HARM = (
+    "fail|fails|failed|failing|failure|failures|collapse|collapses|collapsed|damage|damages|damaged|impact|impacts|"
+    "impacted|crack|cracks|cracked|cracking|rupture|ruptured|break|breakage|broken|yield|yielded|yielding|buckling|"
+    "buckled|uplift|overturning|overturned|pounding|exceedance|exceeded|harm|harmed|loss|hazard|event"
+)
+_MEANS_SAFETY = re.compile(f"(?:{_SAFE})|(?:no|not|non|un|without)_?(?:{_HARM})", re.IGNORECASE)
+
+
+def means_safety(name: str) -> bool:
+    """Whether an outcome's name is a word for safety, such as `Safe`, `undamaged` or `no_collapse`."""
+    return _MEANS_SAFETY.fullmatch(name.strip("_")) is not None
+
+
 class OutcomeSettings(Section):
     """What the simulations of a campaign return, whoever makes them.
 
@@ -174,6 +195,13 @@ class OutcomeSettings(Section):
         if "numerical_failure" in names:
             raise ValueError("'numerical_failure' is reserved for simulations without an outcome")
         return names
+
+    @field_validator("outcomes")
+    @classmethod
+    def _end_with_the_most_severe(cls, names: list[str], info: ValidationInfo) -> list[str]:
+        if (info.context or {}).get(ACCEPTED_BEFORE) or not means_safety(names[-1]):
+            return names
+        raise ValueError(f"the least severe outcome must come first, but {names[-1]!r} is the last of {names}")
 
     @field_validator("levels")
     @classmethod

@@ -12,6 +12,7 @@ from pydantic import Field, Tag, ValidationError, ValidationInfo, field_validato
 from activefail.bearing.design import TABLE_1
 from activefail.campaign.broken_rules import broken_rule
 from activefail.campaign.sections import (
+    ACCEPTED_BEFORE,
     KINDS,
     NAME,
     WITH,
@@ -186,7 +187,7 @@ class CampaignSettings(Section):
             for part in sections:
                 section = section[part]
             section[name] = value
-        return checked(CampaignSettings, values, "command line")
+        return checked(CampaignSettings, values, "command line", accepted_before=True)
 
 
 SectionType = TypeVar("SectionType", bound=Section)
@@ -195,14 +196,23 @@ _MOST_RULES = 50
 """Most broken rules listed in one message."""
 
 
-def checked(section: type[SectionType], values: dict[str, Any], source: str) -> SectionType:
+def checked(
+    section: type[SectionType], values: dict[str, Any], source: str, accepted_before: bool = False
+) -> SectionType:
     """The settings with these values.
+
+    Args:
+        section: the kind of settings.
+        values: their values.
+        source: names the settings in errors.
+        accepted_before: whether the settings were accepted before. Rules that an earlier version did not have are then
+            not applied.
 
     Raises:
         InputError: naming the source, and for each error the key path, the rule and the value.
     """
     try:
-        return section.model_validate(values)
+        return section.model_validate(values, context={ACCEPTED_BEFORE: accepted_before})
     except ValidationError as invalid:
         errors = invalid.errors()
         rules = [f"  {visible(broken_rule(section, error))}" for error in errors[:_MOST_RULES]]
@@ -251,7 +261,7 @@ def parse_settings(text: str, source: str, frozen: bool = False) -> CampaignSett
         text: the TOML.
         source: names the text in errors.
         frozen: whether the text was frozen in a run folder. What an earlier version did not write there then has the
-            value that it had, which is not always the present default.
+            value that it had, which is not always the present default, and rules that it did not have do not apply.
 
     Raises:
         InputError: naming the source, and for each error the key path, the rule and the value.
@@ -259,7 +269,7 @@ def parse_settings(text: str, source: str, frozen: bool = False) -> CampaignSett
     values = parse_toml(text, source)
     if frozen and isinstance(classifier := values.setdefault("classifier", {}), dict):
         classifier.setdefault("learns", "outcomes")
-    return checked(CampaignSettings, values, source)
+    return checked(CampaignSettings, values, source, accepted_before=frozen)
 
 
 def read_settings(path: Path, frozen: bool = False) -> CampaignSettings:

@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from activefail.cli.common import (
+    STANDARD,
     Code,
     ExecutorName,
     RunFolder,
     Scheduler,
     Workers,
     make_executor,
+    name_of,
     opened_run,
     show_unseen,
     show_warnings,
+    table_input,
+    table_output,
 )
 from activefail.display import campaign_display, error_text, progress_bar
+from activefail.errors import InputError
 from activefail.interrupts import INTERRUPTED, stop_on_signals
 from activefail.record.layout import check_output
 from activefail.shares import percent
@@ -129,21 +134,29 @@ def status(folder: RunFolder) -> None:
 
 def predict(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option(help="Table of designs.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="Table to write, with probabilities.", show_default=False)],
+    csv: Annotated[Path, typer.Option(help="Table of designs; - is standard input.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option(help="Table to write, with probabilities; - is standard output.", show_default=False)
+    ],
+    after: Annotated[
+        int | None,
+        typer.Option(help="Learn only from the first N recorded simulations.", metavar="N", show_default=False),
+    ] = None,
     code: Code = None,
 ) -> None:
     """Predict the outcomes of designs with a campaign's classifier."""
-    check_output("--out", out)
-    with opened_run(folder, code=code) as opened:
-        opened.learn()
-        show_warnings(opened.store.new_warnings())
-        with progress_bar("predicting") as begin:
-            outside = opened.predict_table(csv, out, begin)
-        show_unseen(opened.summary)
-    if outside:
-        print(f"warning: the classifier extrapolates: {outside} designs lie outside the design space", file=sys.stderr)
-    print(f"written to {visible(str(out))}")
+    with table_output("--out", out) as target:
+        with opened_run(folder, code=code) as opened:
+            summary = opened.summary if after is None else opened.summary_after(after)
+            if after is None:
+                opened.learn()
+                show_warnings(opened.store.new_warnings())
+            with progress_bar("predicting") as begin:
+                outside = opened.predict_table(table_input(csv), target, begin, after)
+            show_unseen(summary)
+        if outside:
+            show_warnings([f"the classifier extrapolates: {outside} designs lie outside the design space"])
+        print(f"written to {name_of(out)}")
 
 
 def verify(
@@ -171,11 +184,24 @@ def verify(
 
 def export(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option(help="Table to write.", show_default=False)],
+    csv: Annotated[Path | None, typer.Option(help="CSV table to write; - is standard output.", show_default=False)] = (
+        None
+    ),
+    parquet: Annotated[Path | None, typer.Option(help="Parquet file to write.", show_default=False)] = None,
     code: Code = None,
 ) -> None:
     """Write every simulation of a campaign to a table."""
-    check_output("--csv", csv)
-    with opened_run(folder, code=code) as opened:
-        number = opened.export_table(csv)
-    print(f"{number} simulations written to {visible(str(csv))}")
+    if csv is not None and parquet is None:
+        with table_output("--csv", csv) as target:
+            with opened_run(folder, code=code) as opened:
+                number = opened.export_table(target)
+            print(f"{number} simulations written to {name_of(csv)}")
+    elif parquet is not None and csv is None:
+        if parquet == STANDARD:
+            raise InputError("--parquet: must be a file, got '-'; only a CSV table can go to standard output.")
+        check_output("--parquet", parquet)
+        with opened_run(folder, code=code) as opened:
+            number = opened.export_parquet(parquet)
+        print(f"{number} simulations written to {visible(str(parquet))}")
+    else:
+        raise InputError(f"export: needs --csv or --parquet, got {'neither' if csv is None else 'both'}.")

@@ -2,17 +2,20 @@
 
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import IO, TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from activefail.errors import InputError
+from activefail.record.layout import check_output
+from activefail.screen import table_stream
 from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.csv_table import Target
     from activefail.execution.executor import AsynchronousExecutor
     from activefail.findings.summary import Summary
     from activefail.run import Run
@@ -39,6 +42,48 @@ Scheduler = Annotated[
     str | None,
     typer.Option(help="Address of the Dask cluster, like tcp://head:8786.", metavar="ADDRESS", show_default=False),
 ]
+
+
+STANDARD = Path("-")
+"""Standard input or output in place of a file."""
+
+
+def table_input(path: Path) -> Path | IO[bytes]:
+    """The table that a command reads: the file, or standard input for "-".
+
+    Raises:
+        InputError: if standard input is closed.
+    """
+    if path != STANDARD:
+        return path
+    if sys.stdin is None:
+        raise InputError("standard input: cannot be read: it is closed.")
+    return sys.stdin.buffer
+
+
+@contextmanager
+def table_output(option: str, path: Path) -> "Iterator[Target]":
+    """The table that a command writes: the file, or standard output for "-".
+
+    Everything else that is printed meanwhile, by custom code too, then goes to standard error.
+
+    Raises:
+        InputError: if the file is reserved by a run folder, or standard output is closed.
+    """
+    if path != STANDARD:
+        check_output(option, path)
+        yield path
+        return
+    if sys.stdout is None:
+        raise InputError("standard output: cannot be written: it is closed.")
+    table = table_stream(sys.stdout)
+    with redirect_stdout(sys.stderr):
+        yield table
+
+
+def name_of(path: Path) -> str:
+    """A table in messages."""
+    return "standard output" if path == STANDARD else visible(str(path))
 
 
 @contextmanager

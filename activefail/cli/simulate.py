@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from activefail.cli.common import name_of, table_input, table_output
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import check_file, writing_to
@@ -34,9 +35,14 @@ def simulate(
     a_p: Annotated[float | None, typer.Option(help="Pulse amplitude A_p [g].", show_default=False)] = None,
     csv: Annotated[
         Path | None,
-        typer.Option(help="Table of designs: T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p.", show_default=False),
+        typer.Option(
+            help="Table of designs: T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p; - is standard input.",
+            show_default=False,
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Table to write, with --csv.", show_default=False)] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Table to write, with --csv; - is standard output.", show_default=False)
+    ] = None,
     plot: Annotated[
         Path | None, typer.Option(help="Plot the response (.png, .svg or .pdf).", show_default=False)
     ] = None,
@@ -56,7 +62,7 @@ def simulate(
     """Simulate one bearing under one pulse, or a table of designs."""
     from activefail.bearing.design import TABLE_1, Model, Tolerance
 
-    for option, path in {"--out": out, "--plot": plot, "--animate": animate}.items():
+    for option, path in {"--plot": plot, "--animate": animate}.items():
         check_output(option, path)
     options = (f"--{name.lower().replace('_', '-')}" for name in TABLE_1.names)
     design = dict(zip(options, (t_b, mu, d_tot, h_sl_ratio, h_rim_ratio, p, k, t_p, a_p), strict=True))
@@ -124,11 +130,12 @@ def _simulate_table(source: Path, target: Path | None, model: "Model", tolerance
     if target is None:
         raise InputError("--csv needs --out FILE for the results.")
     start = time.monotonic()
-    with progress_bar("simulating") as begin:
-        counts = simulate_table(source, target, model, tolerance, begin)
-    total = sum(counts.values())
-    print(
-        f"{total} designs in {time.monotonic() - start:.1f} s: "
-        + ", ".join(f"{n} {name}" for name, n in counts.items())
-    )
-    print(f"written to {visible(str(target))}")
+    with table_output("--out", target) as table:
+        with progress_bar("simulating") as begin:
+            counts = simulate_table(table_input(source), table, model, tolerance, begin)
+        total = sum(counts.values())
+        print(
+            f"{total} designs in {time.monotonic() - start:.1f} s: "
+            + ", ".join(f"{n} {name}" for name, n in counts.items())
+        )
+        print(f"written to {name_of(target)}")

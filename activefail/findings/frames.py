@@ -6,19 +6,15 @@ import numpy as np
 
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.errors import InputError
-from activefail.loop.in_flight import HandedOut
+from activefail.findings.tables import exported_columns, exported_names
 from activefail.record.asked import Asked
-from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
-from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
+from activefail.record.store import Store
 from activefail.space import Array
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from activefail.surrogate.classifier import Classifier
-
-ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
-"""The name of each origin in tables."""
 
 
 def designs_frame(campaign: Campaign, asked: Asked) -> "DataFrame":
@@ -31,27 +27,15 @@ def designs_frame(campaign: Campaign, asked: Asked) -> "DataFrame":
     return pd.DataFrame(columns)
 
 
-def simulations_frame(campaign: Campaign, handed_out: HandedOut, batches: tuple[Batch, ...]) -> "DataFrame":
+def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     """The simulations of a record, in its order, with the columns of an exported table."""
     import pandas as pd
 
-    history, simulator = handed_out.history, campaign.simulator
-    names = {NUMERICAL_FAILURE: "numerical_failure", **dict(enumerate(simulator.outcomes))}
-    designs = history.designs.reshape(len(history), campaign.space.dimension)
-    margins = history.margins.reshape(len(history), len(simulator.margins))
-    causes = [code for batch in batches for code in batch.results.cause.tolist()]
-    return pd.DataFrame(
-        {
-            "id": handed_out.ids,
-            "iteration": history.iteration,
-            "origin": [ORIGINS[code] for code in history.origin.tolist()],
-            **dict(zip(campaign.space.names, designs.T, strict=True)),
-            "outcome": [names[code] for code in history.outcome.tolist()],
-            "cause": [cause_name(simulator.causes, code) for code in causes],
-            **dict(zip(simulator.margins, margins.T, strict=True)),
-            "seconds": [value for batch in batches for value in batch.results.seconds.tolist()],
-        }
-    )
+    parts: dict[str, list[Any]] = {name: [] for name in exported_names(campaign)}
+    for columns in exported_columns(campaign, store):
+        for name, column in columns.items():
+            parts[name].extend(column)
+    return pd.DataFrame(parts)
 
 
 def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array) -> "DataFrame":

@@ -1,18 +1,19 @@
 """Simulate a CSV table, predict a CSV table, export a campaign as one."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
 from activefail.bearing.design import LARGEST, TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulation import simulate
 from activefail.campaign.assembly import Campaign, predicted_columns
-from activefail.csv_table import DesignTable, writing
+from activefail.csv_table import DesignTable, Source, Target, rereadable, writing
 from activefail.errors import InputError
-from activefail.record.batch import ACTIVE, CHECK, INITIAL
+from activefail.loop.in_flight import HandedOut
+from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
 from activefail.space import Array
@@ -20,9 +21,12 @@ from activefail.space import Array
 if TYPE_CHECKING:
     from activefail.surrogate.classifier import Classifier
 
-_ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check"}
+_ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
 
 Advance = Callable[[int], None]
+
+Column = NDArray[Any] | list[str]
+"""A column of an exported table: int64 or float64 numbers, or texts."""
 
 
 def check_bearing(model: Model) -> Callable[[Array], str | None]:
@@ -46,17 +50,17 @@ def check_bearing(model: Model) -> Callable[[Array], str | None]:
 
 
 def simulate_table(
-    source: Path,
-    target: Path,
+    source: Source,
+    target: Target,
     model: Model,
     tolerance: Tolerance,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,
 ) -> dict[str, int]:
-    """Simulate every design of a CSV file and write the table with outcome, cause and margins added.
+    """Simulate every design of a CSV table and write the table with outcome, cause and margins added.
 
     Args:
         source: table of designs.
-        target: table to write.
+        target: table to write; a stream gets rows as they are computed.
         model: bearing model.
         tolerance: of the integration.
         begin: called with the number of rows once they are checked; returns a callback for finished rows.
@@ -68,34 +72,35 @@ def simulate_table(
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
     added = ("outcome", "cause", *o.COLUMNS)
-    table = DesignTable.checked(source, TABLE_1.names, added, check_bearing(model))
-    advance = begin(table.rows)
     counts = dict.fromkeys(o.OUTCOME_NAMES, 0)
-    with writing(target, [*table.header, *added]) as write:
-        for texts, X in table.chunks():
-            results = simulate(X, model, tolerance, progress=advance)
-            outcomes, causes = results.outcome_name.tolist(), results.cause_name.tolist()
-            for outcome in outcomes:
-                counts[outcome] += 1
-            write(
-                [
-                    [*text, outcome, cause, *("" if np.isnan(value) else repr(value) for value in values)]
-                    for text, outcome, cause, values in zip(
-                        texts, outcomes, causes, results.columns.tolist(), strict=True
-                    )
-                ]
-            )
+    with rereadable(source) as kept:
+        table = DesignTable.checked(kept, TABLE_1.names, added, check_bearing(model))
+        advance = begin(table.rows)
+        with writing(target, [*table.header, *added]) as write:
+            for texts, X in table.chunks():
+                results = simulate(X, model, tolerance, progress=advance)
+                outcomes, causes = results.outcome_name.tolist(), results.cause_name.tolist()
+                for outcome in outcomes:
+                    counts[outcome] += 1
+                write(
+                    [
+                        [*text, outcome, cause, *("" if np.isnan(value) else repr(value) for value in values)]
+                        for text, outcome, cause, values in zip(
+                            texts, outcomes, causes, results.columns.tolist(), strict=True
+                        )
+                    ]
+                )
     return counts
 
 
 def predict_table(
     campaign: Campaign,
     classifier: "Classifier",
-    source: Path,
-    target: Path,
+    source: Source,
+    target: Target,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,
 ) -> int:
-    """Write a CSV file of designs with outcome probabilities and the latent of the target boundary added.
+    """Write a CSV table of designs with outcome probabilities and the latent of the target boundary added.
 
     Returns:
         Number of designs outside the design space, where the classifier extrapolates.
@@ -115,43 +120,67 @@ def predict_table(
                 return f"column {parameter.name}: `{parameter.name} > 0` must hold, got {value:g}"
         return f"features: must be finite; those of {design.tolist()} are not"
 
-    table = DesignTable.checked(source, space.names, added, check)
-    advance = begin(table.rows)
     outside = 0
-    with writing(target, [*table.header, *added]) as write:
-        for texts, X in table.chunks():
-            outside += int(np.count_nonzero(~space.contains(X)))
-            latent = classifier.latent(boundary).moments(campaign.features(X))
-            predictions = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
-            write([[*text, *map(repr, row)] for text, row in zip(texts, predictions.tolist(), strict=True)])
-            advance(len(X))
+    with rereadable(source) as kept:
+        table = DesignTable.checked(kept, space.names, added, check)
+        advance = begin(table.rows)
+        with writing(target, [*table.header, *added]) as write:
+            for texts, X in table.chunks():
+                outside += int(np.count_nonzero(~space.contains(X)))
+                latent = classifier.latent(boundary).moments(campaign.features(X))
+                predictions = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
+                write([[*text, *map(repr, row)] for text, row in zip(texts, predictions.tolist(), strict=True)])
+                advance(len(X))
     return outside
 
 
-def export_table(campaign: Campaign, store: Store, target: Path) -> int:
-    """Write every simulation of a campaign as a row of a CSV file; returns their number."""
-    names = campaign.simulator.outcomes
-    header = ["id", "iteration", "origin", *campaign.space.names, "outcome", "cause", *campaign.simulator.margins]
+def export_table(campaign: Campaign, store: Store, target: Target) -> int:
+    """Write every simulation of a campaign as a row of a CSV table; returns their number."""
     number = 0
-    with writing(target, [*header, "seconds"]) as write:
-        for batch in store.batches:
-            results = batch.results
-            for row in range(len(batch)):
-                outcome = int(results.outcome[row])
-                margins = results.margins[row].tolist()
-                write(
-                    [
-                        [
-                            number,
-                            batch.iteration,
-                            _ORIGINS[int(batch.origin[row])],
-                            *map(repr, batch.designs[row].tolist()),
-                            "numerical_failure" if outcome == NUMERICAL_FAILURE else names[outcome],
-                            cause_name(campaign.simulator.causes, int(results.cause[row])),
-                            *("" if np.isnan(m) else repr(m) for m in margins),
-                            repr(float(results.seconds[row])),
-                        ]
-                    ]
-                )
-                number += 1
+    with writing(target, exported_names(campaign)) as write:
+        for columns in exported_columns(campaign, store):
+            rows = list(zip(*map(_as_text, columns.values()), strict=True))
+            write(rows)
+            number += len(rows)
     return number
+
+
+def exported_names(campaign: Campaign) -> list[str]:
+    """The columns of an exported table, in order."""
+    simulator = campaign.simulator
+    return ["id", "iteration", "origin", *campaign.space.names, "outcome", "cause", *simulator.margins, "seconds"]
+
+
+def exported_columns(campaign: Campaign, store: Store) -> Iterator[dict[str, Column]]:
+    """The columns of an exported table by name, for the n simulations of one batch after another.
+
+    A column is (n,) numbers, where an undefined margin is NaN, or n texts, where a simulation without a cause has "".
+    """
+    ids = HandedOut.of(store).ids
+    first = 0
+    for batch in store.batches:
+        yield _columns(campaign, batch, ids[first : first + len(batch)])
+        first += len(batch)
+
+
+def _columns(campaign: Campaign, batch: Batch, ids: NDArray[np.int64]) -> dict[str, Column]:
+    simulator, results, n = campaign.simulator, batch.results, len(batch)
+    outcomes = (*simulator.outcomes, "numerical_failure")
+    assert NUMERICAL_FAILURE == -1  # the last of these names
+    columns: tuple[Column, ...] = (
+        ids,
+        np.full(n, batch.iteration),
+        [_ORIGINS[origin] for origin in batch.origin.tolist()],
+        *batch.designs.T,
+        [outcomes[outcome] for outcome in results.outcome.tolist()],
+        [cause_name(simulator.causes, cause) for cause in results.cause.tolist()],
+        *results.margins.T,
+        results.seconds,
+    )
+    return dict(zip(exported_names(campaign), columns, strict=True))
+
+
+def _as_text(column: Column) -> list[str]:
+    if isinstance(column, list):
+        return column
+    return ["" if number != number else repr(number) for number in column.tolist()]  # NaN differs from itself

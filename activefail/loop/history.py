@@ -12,6 +12,17 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 
 
+def first_simulations(batches: Sequence[Batch], number: int) -> tuple[Batch, ...]:
+    """The batches of the first simulations of a record; the last one may be a part of a batch."""
+    first: list[Batch] = []
+    for batch in batches:
+        if (left := number - sum(map(len, first))) <= 0:
+            break
+        rows = slice(left)
+        first.append(Batch(batch.iteration, batch.designs[rows], batch.origin[rows], batch.results[rows]))
+    return tuple(first)
+
+
 @dataclass(frozen=True, eq=False)
 class History:
     """The n simulations of a record, in its order, including numerical failures.

@@ -1,6 +1,6 @@
 """Train a campaign's classifier from its record, and restore it from saved states."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -11,6 +11,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.errors import DamagedError
 from activefail.loop.history import History
 from activefail.loop.stopping import Looks, check_looks, looked, looks_from_state, looks_state
+from activefail.record.batch import Batch
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, LearnableMargins, train
@@ -135,6 +136,22 @@ def current(campaign: Campaign, store: Store, write: bool) -> Learned:
             store.write_state(later, learned.state)
     assert learned is not None
     return learned
+
+
+def classifier_after(campaign: Campaign, batches: Sequence[Batch]) -> Classifier:
+    """The classifier that a campaign had after its first batches, bit for bit if none of them is cut short.
+
+    It learns again from each iteration, from the same starts as the running loop: saved states are later ones.
+
+    Raises:
+        InputError: if no simulation of the initial design has an outcome.
+    """
+    history = History.of(batches)
+    classifier = None
+    for iteration in range(history.last_iteration + 1):
+        classifier = learn(campaign, history, iteration, classifier)
+    assert classifier is not None
+    return classifier
 
 
 def current_classifier(campaign: Campaign, store: Store, write: bool) -> Classifier:

@@ -154,6 +154,10 @@ BROKEN = {
         'simulator = { python = "a:b", outcomes = ["safe", "safe"] }',
         ["simulator.outcomes: must differ from each other, got 'safe' twice"],
     ),
+    "outcomes with the most severe one first": (
+        'simulator = { python = "a:b", outcomes = ["failure", "safe"] }',
+        ["simulator.outcomes: the least severe outcome must come first, but 'safe' is the last of ['failure', 'safe']"],
+    ),
     "a margin that is no name": (
         'simulator = { python = "a:b", margins = ["peak drift"] }',
         ["simulator.margins: must be identifiers, got 'peak drift'"],
@@ -428,6 +432,61 @@ def test_the_boundary_of_a_simulator_of_ones_own_is_that_of_its_most_severe_outc
     assert settings.acquisition.boundaries == {boundary: 1.0}
     assert Campaign.of(settings).severity == len(settings.simulator.outcomes) - 1 - (boundary == "cracked")
     assert parse_settings(settings.text(), "frozen") == settings
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "SAFE",
+        "ok",
+        "Okay",
+        "passed",
+        "survive",
+        "no_failure",
+        "noImpact",
+        "not_failed",
+        "non_exceedance",
+        "intact",
+        "stable",
+        "undamaged",
+        "uncracked",
+        "none",
+        "fine",
+        "good",
+        "success",
+        "without_damage",
+        "_safe_",
+    ],
+)
+def test_a_word_for_safety_is_not_the_most_severe_outcome_except_in_a_run_folder(name: str) -> None:
+    text = f'simulator = {{ python = "a:b", outcomes = ["other", "{name}"] }}\nspace.x = {{ low = 0, high = 1 }}'
+    assert f"simulator.outcomes: the least severe outcome must come first, but {name!r} is the last" in _refusal(text)
+    settings = parse_settings(text, "campaign.toml", frozen=True)
+    assert settings.with_overrides(seed=2).simulator.outcomes == ["other", name]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "unsafe",
+        "not_ok",
+        "not_safe",
+        "failure",
+        "failed_to_pass",
+        "collapse",
+        "no_go",
+        "unstable",
+        "broken",
+        "impact",
+        "not_intact",
+        "nonlinear",
+        "unacceptable",
+        "loss_of_stability",
+    ],
+)
+def test_other_names_may_be_the_most_severe_outcome(name: str) -> None:
+    text = f'simulator = {{ python = "a:b", outcomes = ["safe", "{name}"] }}\nspace.x = {{ low = 0, high = 1 }}'
+    assert parse_settings(text, "mine.toml").acquisition.boundary == name
 
 
 def test_settings_are_frozen() -> None:
