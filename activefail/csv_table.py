@@ -71,7 +71,7 @@ class DesignTable:
         Raises:
             InputError: naming the file, and row, column, rule and value of the first invalid cell.
         """
-        path = _name_of(source)
+        path = name_of(source)
         with _reading(source) as lines:
             header = _header(path, next(lines, None), f" with the columns {', '.join(names)}")
             missing = [name for name in names if name not in header]
@@ -147,11 +147,12 @@ def rereadable(source: Source) -> Iterator[Source]:
             copy.flush()
         except OSError as error:
             folder = tempfile.gettempdir()
-            raise InputError(f"{_name_of(source)}: cannot be copied to {folder}: {error.strerror or error}.") from None
+            raise InputError(f"{name_of(source)}: cannot be copied to {folder}: {error.strerror or error}.") from None
         yield copy
 
 
-def _name_of(source: Source) -> str:
+def name_of(source: Source) -> str:
+    """A table's source in messages."""
     return str(source) if isinstance(source, Path) else "standard input"
 
 
@@ -176,7 +177,7 @@ def _opened(source: Source) -> Iterator[IO[str]]:
 
 @contextmanager
 def _reading(source: Source) -> Iterator[Any]:
-    path, lines = _name_of(source), None
+    path, lines = name_of(source), None
     try:
         with _opened(source) as file:
             lines = csv.reader(file, strict=True)
@@ -237,7 +238,7 @@ def read_cells(source: Source) -> tuple[tuple[str, ...], list[list[str]], list[i
     """
     rows: list[list[str]] = []
     ends: list[int] = []
-    path = _name_of(source)
+    path = name_of(source)
     with _reading(source) as lines:
         header = _header(path, next(lines, None), "")
         for cells in filter(None, lines):

@@ -750,7 +750,7 @@ class Run:
 def _table(table: Any) -> "Table":
     from activefail.campaign.results_table import Table
 
-    return Table.of_csv(table) if isinstance(table, Path) else Table.of_python(table)
+    return Table.of_csv(table) if isinstance(table, Path) or hasattr(table, "read") else Table.of_python(table)
 
 
 def check_whole(name: str, number: SupportsIndex, least: int) -> None:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
-from activefail.csv_table import read_cells
+from activefail.csv_table import Source, name_of, read_cells
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError
 from activefail.simulators.returned import read_answer
@@ -42,15 +41,16 @@ class Table:
     places: list[str]
 
     @classmethod
-    def of_csv(cls, path: Path) -> Self:
-        """The table in a CSV file.
+    def of_csv(cls, source: Source) -> Self:
+        """The table in a CSV file or stream.
 
         Raises:
             InputError: as `read_cells` does.
         """
-        columns, rows, ends = read_cells(path)
-        places = [f"{path}: row {row + 1} (line {end})" for row, end in enumerate(ends)]
-        return cls(f"{path}: ", columns, [list(row) for row in rows], places)
+        columns, rows, ends = read_cells(source)
+        name = name_of(source)
+        places = [f"{name}: row {row + 1} (line {end})" for row, end in enumerate(ends)]
+        return cls(f"{name}: ", columns, [list(row) for row in rows], places)
 
     @classmethod
     def of_python(cls, table: Any) -> Self:

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, opened_run, show_unseen, show_warnings
+from activefail.cli.common import (
+    Code,
+    RunFolder,
+    name_of,
+    opened_run,
+    show_unseen,
+    show_warnings,
+    table_input,
+    table_output,
+)
 from activefail.errors import InputError
 from activefail.record.layout import check_output
 from activefail.visible import quoted, visible
@@ -37,7 +46,7 @@ def create(
 
 def ask(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option(help="Table of designs to write.", show_default=False)],
+    csv: Annotated[Path, typer.Option(help="Table of designs to write; - is standard output.", show_default=False)],
     n: Designs = 1,
     in_flight: Annotated[
         bool, typer.Option("--in-flight", help="Write the designs in flight again; hand out no others.")
@@ -51,17 +60,16 @@ def ask(
     """Hand out designs to be simulated elsewhere."""
     from activefail.csv_table import writing
 
-    check_output("--csv", csv)
-    with opened_run(folder, write=not in_flight, code=code) as opened:
+    with table_output("--csv", csv) as target, opened_run(folder, write=not in_flight, code=code) as opened:
         space = opened.space
         # The table first: if it cannot be written, no design is handed out.
-        with writing(csv, ["id", *space.names, *space.fixed]) as write:
+        with writing(target, ["id", *space.names, *space.fixed]) as write:
             table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
             write([[int(cells[0]), *map(repr, cells[1:])] for cells in table.itertuples(index=False)])
         show_warnings(opened.store.new_warnings())
-    if reason := table.attrs.get("reason", ""):
-        print(f"{len(table)} instead of {n} designs: {visible(reason)}", file=sys.stderr)
-    print(f"{_numbers(table)} written to {visible(str(csv))}")
+        if reason := table.attrs.get("reason", ""):
+            print(f"{len(table)} instead of {n} designs: {visible(reason)}", file=sys.stderr)
+        print(f"{_numbers(table)} written to {name_of(csv)}")
 
 
 def _numbers(table: "DataFrame") -> str:
@@ -76,12 +84,14 @@ def _numbers(table: "DataFrame") -> str:
 
 def tell(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option(help="Table of results, with the column id.", show_default=False)],
+    csv: Annotated[
+        Path, typer.Option(help="Table of results, with the column id; - is standard input.", show_default=False)
+    ],
     code: Code = None,
 ) -> None:
     """Record the results of designs that were handed out."""
     with opened_run(folder, write=True, code=code) as opened:
-        new = opened.tell(csv)
+        new = opened.tell(table_input(csv))
         left, summary = opened.counts["in_flight"], opened.summary
     print(f"{new} new results recorded; {left} designs in flight")
     show_unseen(summary)
@@ -108,12 +118,14 @@ def _id(text: str) -> int:
 
 def add(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option(help="Table of simulations, with all variables.", show_default=False)],
+    csv: Annotated[
+        Path, typer.Option(help="Table of simulations, with all variables; - is standard input.", show_default=False)
+    ],
     code: Code = None,
 ) -> None:
     """Record simulations that were not asked for, such as last year's."""
     with opened_run(folder, write=True, code=code) as opened:
-        new = opened.add(csv)
+        new = opened.add(table_input(csv))
         summary = opened.summary
     print(f"{new} simulations added")
     show_unseen(summary)

@@ -65,11 +65,11 @@ def window(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     return make(tmp_path / "base"), place
 
 
-def calls_of(victims: Victims, window: tuple[Path, str], folder: Path) -> list[Call]:
+def calls_of(victims: Victims, window: tuple[Path, str], folder: Path, fault: str | None = None) -> list[Call]:
     """The system calls between the beginning and the end of a place of the work."""
     base, place = window
     _copied(base, folder / "traced")
-    victim = victims.start(folder / "traced", place)
+    victim = victims.start(folder / "traced", place, fault=fault)
     with traced(victim.pid, "-o", str(folder / "trace")):
         victim.go_on()
         assert victim.end() == 0, victim.reports

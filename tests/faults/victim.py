@@ -20,16 +20,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from campaign.stub import Disc, disc
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import ActivefailError
+from activefail.loop.asking import add, ask, drop, tell
 from activefail.loop.batches import run
+from activefail.loop.in_flight import HandedOut
 from activefail.loop.progress import Observer
 from activefail.record import compaction
 from activefail.record import run_folder as store
-from activefail.record.batch import Batch
+from activefail.record.batch import GIVEN, Batch
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
@@ -93,11 +96,13 @@ class Telling(FolderStore):
 
     gate = Gate()
     log = -1
+    lists_commits = True
 
     def commit(self, batch: Batch) -> None:
         with self.gate.marked("commit"):
             super().commit(batch)
-        self._tell(f"commit {len(self.batches)} {self.digest}")
+        if self.lists_commits:
+            self.tell(f"commit {len(self.batches)} {self.digest}")
 
     def compact(self) -> None:
         if compaction.due(self.segments):
@@ -107,14 +112,16 @@ class Telling(FolderStore):
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         with self.gate.marked("state"):
             super().write_state(iteration, arrays)
-        self._tell(f"state {iteration}")
+        if self.lists_commits:
+            self.tell(f"state {iteration}")
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         with self.gate.marked("set"):
             super().write_set(name, X, results)
-        self._tell(f"set {name}")
+        self.tell(f"set {name}")
 
-    def _tell(self, line: str) -> None:
+    def tell(self, line: str) -> None:
+        """Tell a line to the log."""
         if self.log >= 0:
             os.write(self.log, f"{line}\n".encode())
 
@@ -142,6 +149,9 @@ def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int
             without_locks()
     try:
         with opened(folder) as record:
+            if fault == "elsewhere":
+                elsewhere(record)
+                return 0
             observer = Observer(stop=lambda: commits is not None and len(record.batches) >= commits)
             run(campaign(), record, Inline(), BUDGET, observer)
             for warning in record.warnings:
@@ -153,6 +163,40 @@ def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int
         os.write(Telling.log, f"traceback {traceback.format_exc()!r}\n".encode())
         return 70
     return 0
+
+
+DROPPED = 7
+"""The id of the design that is given up: one that the criterion chose."""
+
+
+def elsewhere(record: Telling) -> None:
+    """Take the campaign to its budget by `ask`, `tell`, `drop` and `add`; every step follows from the record alone."""
+    one, gate = campaign(), record.gate
+    # A line that is told within a command would be one more system call of it.
+    record.lists_commits = False
+    while True:
+        handed_out = HandedOut.of(record)
+        flight, history = handed_out.in_flight, handed_out.history
+        if len(history) > BATCH and not (history.origin == GIVEN).any():
+            X = one.space.from_unit(np.array([[0.3, 0.6]]))
+            with gate.marked("add"):
+                add(one, record, X, one.simulator.run(X))
+            record.tell("added")
+        elif DROPPED in flight.id:
+            with gate.marked("drop"):
+                drop(record, np.array([DROPPED]))
+            record.tell(f"dropped {DROPPED}")
+        elif len(flight):
+            part = flight[:2]
+            with gate.marked("tell"):
+                tell(one, record, part.id, one.simulator.run(part.designs))
+            record.tell(f"told {' '.join(map(str, part.id.tolist()))}")
+        else:
+            with gate.marked("ask"):
+                proposed = ask(one, record, BATCH, BUDGET).designs
+            if not len(proposed):
+                return
+            record.tell(f"asked {' '.join(map(str, proposed.id.tolist()))}")
 
 
 def small_files(limit: int) -> None:
