@@ -597,7 +597,7 @@ def resume_command(folder: Path, campaign: Campaign | None = None, changes_code:
     if campaign is None or not campaign.needs_code:
         return command
     known = known_code(folder)
-    code = campaign.code or (known and known.folder)
+    code = known.folder if campaign.code is None and known is not None else campaign.code
     is_known = known is not None and not known.is_changed and known.folder == code
     if code is None or (is_known and not (changes_code and campaign.functions)):
         return command

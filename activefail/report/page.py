@@ -15,7 +15,6 @@ from activefail.acquisition.criteria import bald
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
-from activefail.campaign.sections import PythonFeaturesSettings
 from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
