@@ -1,8 +1,8 @@
 """The folders of custom code that a user has already run a campaign with, on this machine.
 
 A run folder may come from someone else, so activefail runs the code that it names only if the user names the folder of
-that code. To name it once is enough: activefail notes it outside the run folder, in a private file of the user, and uses
-it again while everything that the user agreed to is the same:
+that code. To name it once is enough: activefail notes it outside the run folder, in a private file of the user, and
+uses it again while everything that the user agreed to is the same:
 
 - the machine, the path of the run folder, and its `campaign.toml`: both the text and the file itself. A folder that
   someone else made, unpacked at the same path or over this one, has another file, even with the same text;

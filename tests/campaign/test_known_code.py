@@ -6,6 +6,7 @@ import shlex
 import shutil
 import sys
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from commandline import CommandResult, activefail, refused
@@ -244,7 +245,9 @@ def test_a_module_outside_the_folder_of_the_code_is_named_each_time(
 ) -> None:
     monkeypatch.syspath_prepend(mine)
     (tmp_path / "empty").mkdir()
-    af.open_run(run, code=tmp_path / "empty").close()
+    # Other tests have other modules of this name.
+    with mock.patch.dict(sys.modules):
+        af.open_run(run, code=tmp_path / "empty").close()
     (mine / "ran").unlink()
     asks(run, mine)
 
