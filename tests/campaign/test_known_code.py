@@ -240,15 +240,17 @@ def test_code_in_the_run_folder_is_named_each_time(run: Path, mine: Path) -> Non
     asks(run, mine)
 
 
-def test_a_module_outside_the_folder_of_the_code_is_named_each_time(
-    run: Path, mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(mine)
+def test_a_module_outside_the_folder_of_the_code_is_named_each_time(run: Path, mine: Path, tmp_path: Path) -> None:
+    path = str(shutil.copytree(mine, tmp_path / "library"))
     (tmp_path / "empty").mkdir()
-    # Other tests have other modules of this name.
-    with mock.patch.dict(sys.modules):
-        af.open_run(run, code=tmp_path / "empty").close()
-    (mine / "ran").unlink()
+    sys.path.insert(0, path)
+    try:
+        # Other tests have other modules of this name.
+        with mock.patch.dict(sys.modules):
+            af.open_run(run, code=tmp_path / "empty").close()
+    finally:
+        sys.path.remove(path)
+    assert (tmp_path / "library" / "ran").exists()
     asks(run, mine)
 
 
