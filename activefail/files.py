@@ -92,23 +92,26 @@ def target_of(path: Path) -> Path:
     return path
 
 
-def read_regular(path: Path, most: int, follow: bool = False) -> bytes:
+def read_regular(path: Path, most: int, follow: bool = False, private: bool = False) -> bytes:
     """The content of a regular file; pipes and devices, which may never end, are refused.
 
     Args:
         path: path of the file.
         most: most bytes; a larger file is not read.
         follow: whether to follow a symbolic link.
+        private: whether to refuse a file that another user owns or may write.
 
     Raises:
         OSError: if the file cannot be read.
-        ValueError: if it is not a regular file or too large; the text completes "<file> ...".
+        ValueError: if it is not a regular file, too large or not private; the text completes "<file> ...".
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW))
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise ValueError("is not a regular file")
+        if private and (status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+            raise ValueError("is not a file that only this user may write")
         with open(descriptor, "rb", closefd=False) as file:
             # One byte more than allowed: the file may grow meanwhile.
             data = b"" if status.st_size > most else file.read(most + 1)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex
 
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.known_code import code_for, known_code, remember_code
 from activefail.campaign.opening import create_folder, opened, read_campaign
 from activefail.errors import InputError
 from activefail.files import writing_to
@@ -140,13 +141,15 @@ class Run:
         failure_limit: float | None = None,
         ignore_stop: bool = False,
         executor_options: str = "",
+        changes_code: bool = False,
     ) -> str:
-        """The command that continues the campaign, quoted for a shell.
+        """The command that continues the campaign, quoted for a shell (see the function `resume_command`).
 
         Args:
             budget, failure_limit, ignore_stop, executor_options: as for `take`.
+            changes_code: as for the function.
         """
-        command = resume_command(self.folder, self.campaign) + executor_options
+        command = resume_command(self.folder, self.campaign, changes_code) + executor_options
         if ignore_stop:
             command += " --ignore-stop"
         if budget is not None:
@@ -380,7 +383,8 @@ class Run:
             with self._local_executor() as local:
                 return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
         target = self.settings.sampling.budget if budget is None else budget
-        command = self.resume_command(ignore_stop=ignore_stop, executor_options=executor_options)
+        # It follows the advice to fix the simulator.
+        command = self.resume_command(ignore_stop=ignore_stop, executor_options=executor_options, changes_code=True)
         observer = observer or Observer()
         finished = run(
             self.campaign,
@@ -432,7 +436,7 @@ class Run:
             return self._learned
         if not len(self.history):
             raise InputError(
-                f"{self.folder}: has no simulations to learn from yet; `{self.resume_command()}` continues it."
+                f"{self.folder}: has no simulations to learn from yet; {how_to_continue(self.folder, self.campaign)}."
             )
         stage("learning")
         with one_thread():
@@ -767,12 +771,14 @@ def check_whole(name: str, number: SupportsIndex, least: int) -> None:
         raise InputError(f"{name}: must be at least {least}, got {whole}.")
 
 
-def create_run(folder: Path, campaign: Campaign | Path) -> Run:
+def create_run(folder: Path, campaign: Campaign | Path, *, remember: bool = True) -> Run:
     """Create a run folder for a campaign, open for writing.
 
     Args:
         folder: to create.
         campaign: a campaign, or its file; the file's folder holds the user's code.
+        remember: whether later commands and `open_run` may run the same code for this folder without being told its
+            folder (see `activefail.campaign.known_code`).
 
     Raises:
         InputError: if the file is invalid, or the folder is in use.
@@ -782,7 +788,10 @@ def create_run(folder: Path, campaign: Campaign | Path) -> Run:
         campaign = campaign_for(folder, campaign)
     else:
         _check_unused(folder, campaign)
-    return Run(folder, campaign, create_folder(folder, campaign), write=True)
+    store = create_folder(folder, campaign)
+    if remember:
+        remember_code(folder, campaign)
+    return Run(folder, campaign, store, write=True)
 
 
 def campaign_for(folder: Path, file: Path, seed: int | None = None, budget: int | None = None) -> Campaign:
@@ -803,30 +812,62 @@ def campaign_for(folder: Path, file: Path, seed: int | None = None, budget: int 
 
 def _check_unused(folder: Path, campaign: Campaign) -> None:
     if (folder / SETTINGS).exists():
-        command = resume_command(folder, campaign)
-        raise InputError(f"{folder}: already holds a campaign; `{command}` continues it.")
+        raise InputError(f"{folder}: already holds a campaign; {how_to_continue(folder, campaign)}.")
 
 
-def open_run(folder: Path, *, write: bool = False, code: Path | None = None, features: bool = True) -> Run:
+def open_run(
+    folder: Path, *, write: bool = False, code: Path | None = None, features: bool = True, remember: bool = True
+) -> Run:
     """Open a run folder.
 
     Args:
         folder: the run folder.
         write: make this process the only writer.
-        code: folder of the user's code, which is executed.
+        code: folder of the user's code, which is executed. If None, the one that activefail remembers.
         features: whether features that are a Python function are needed.
+        remember: whether to remember `code`, and to run the code that activefail remembers (see
+            `activefail.campaign.known_code`). If false and `code` is None, no code runs.
 
     Raises:
-        InputError: if the folder holds no campaign or its settings are invalid.
+        InputError: if the folder holds no campaign, its settings are invalid, or the remembered code has changed.
         StoreError: if the record cannot be read.
         BusyError: if another process is writing to it.
     """
-    return Run(folder, *opened(folder, write, code, features), write)
+    named = code is not None
+    if remember and not named:
+        code = code_for(folder, simulates=write, features=features)
+    campaign, store = opened(folder, write, code, features)
+    # Without the features' function not all of the code was loaded.
+    if remember and named and features:
+        remember_code(folder, campaign)
+    return Run(folder, campaign, store, write)
 
 
-def resume_command(folder: Path, campaign: Campaign | None = None) -> str:
-    """The command that continues a campaign, quoted for a shell, with the folder of the user's code."""
+def resume_command(folder: Path, campaign: Campaign | None = None, changes_code: bool = False) -> str:
+    """The command that continues a campaign, quoted for a shell, with the folder of the user's code where it is needed.
+
+    It is not needed where activefail remembers it.
+
+    Args:
+        folder: the run folder.
+        campaign: its campaign; None if it has no custom code. If it was opened without its code and activefail
+            remembers none, the command names no folder (see `how_to_continue`).
+        changes_code: whether the user changes the code before: functions that have changed must be named.
+    """
     command = f"activefail resume {quoted(folder)}"
-    if campaign is None or (isinstance(campaign.settings.simulator, str) and not campaign.sources):
+    if campaign is None or not campaign.needs_code:
         return command
-    return f"{command} --code {'FOLDER' if campaign.code is None else quoted(campaign.code)}"
+    known = known_code(folder)
+    code = known.folder if campaign.code is None and known is not None else campaign.code
+    is_known = known is not None and not known.is_changed and known.folder == code
+    if code is None or (is_known and not (changes_code and campaign.functions)):
+        return command
+    return f"{command} --code {quoted(code)}"
+
+
+def how_to_continue(folder: Path, campaign: Campaign) -> str:
+    """How to continue a campaign, as a clause; if its code is unknown, with what the command needs."""
+    clause = f"`{resume_command(folder, campaign)}` continues it"
+    if campaign.needs_code and campaign.code is None and known_code(folder) is None:
+        clause += " once you name the folder of the custom code with --code"
+    return clause

@@ -60,19 +60,21 @@ def test_a_run_that_is_taken_in_parts_is_the_same(file: Path, taken: Path, tmp_p
     assert record(tmp_path / "run") == record(taken)
 
 
-def test_an_open_run_says_what_it_holds(taken: Path, file: Path) -> None:
+def test_an_open_run_says_what_it_holds(taken: Path, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with af.open_run(taken) as run:
         assert (len(run.history), run.summary.done, run.space.names) == (30, 30, ("x", "y"))
         assert (run.boundary, run.settings.seed) == ("failure", 3)
-        assert run.resume_command() == f"activefail resume {taken} --code FOLDER"
+        assert run.resume_command() == f"activefail resume {taken}"
         p = run.classifier.probabilities(np.array([[0.1, 0.1], [0.95, 0.95]]))
         assert p[0, 1] < 0.1 < 0.9 < p[1, 1]
         assert run.classifier is run.classifier
         assert run.findings.boundary == "failure"
     with af.open_run(taken, code=file.parent) as run:
-        assert run.resume_command(40, 0.5, True) == (
-            f"activefail resume {taken} --code {file.parent} --ignore-stop --budget 40 --numerical-failures 0.5"
-        )
+        options = "--ignore-stop --budget 40 --numerical-failures 0.5"
+        assert run.resume_command(40, 0.5, True) == f"activefail resume {taken} {options}"
+        # Where nothing can be remembered the command names the folder of the code.
+        monkeypatch.setenv("XDG_STATE_HOME", str(file))
+        assert run.resume_command(40, 0.5, True) == f"activefail resume {taken} --code {file.parent} {options}"
 
 
 def test_the_classifier_follows_the_record(file: Path, tmp_path: Path) -> None:

@@ -99,6 +99,22 @@ class Campaign:
         return simulator.time_limit if isinstance(simulator, sections.CustomSimulatorSettings) else None
 
     @property
+    def functions(self) -> dict[str, str]:
+        """The custom functions in the settings, as "module:function", by settings key."""
+        simulator, features = self.settings.simulator, self.settings.classifier.features
+        functions = {}
+        if isinstance(simulator, sections.PythonSimulatorSettings):
+            functions[SIMULATOR_KEY] = simulator.python
+        if isinstance(features, sections.PythonFeaturesSettings):
+            functions[FEATURES_KEY] = features.python
+        return functions
+
+    @property
+    def needs_code(self) -> bool:
+        """Whether the settings name custom code: functions, or a program."""
+        return bool(self.functions) or isinstance(self.settings.simulator, sections.CommandSimulatorSettings)
+
+    @property
     def decisive(self) -> tuple[str, ...]:
         """The entries of the provenance that decide the result of a simulation; none for a program or elsewhere.
 

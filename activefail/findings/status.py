@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from activefail.campaign.known_code import known_code
 from activefail.errors import DamagedError, StoreError
 from activefail.files import read_regular
 from activefail.findings.choices import sentence
@@ -146,10 +147,21 @@ class Status:
             return []
         if settings.is_elsewhere:
             return [("continue", f"activefail ask {quoted(self.folder)} --n {settings.batch} --csv todo.csv")]
-        command = f"activefail resume {quoted(self.folder)}{' --code FOLDER' if settings.custom_code else ''}"
-        lines = [("continue", f"{command} --ignore-stop" if self._rule_is_met else command)]
+        known = known_code(self.folder) if settings.custom_code else None
+        if settings.custom_code and known is None:
+            # Not a command that could be pasted: nobody has named the folder yet.
+            command = "with `activefail resume`; name the folder of the custom code with --code"
+            ignoring = f"{command}, and add --ignore-stop"
+        else:
+            command = f"activefail resume {quoted(self.folder)}"
+            if known is not None and known.is_changed:
+                command += f" --code {quoted(known.folder)}"
+            ignoring = f"{command} --ignore-stop"
+        lines = [("continue", ignoring if self._rule_is_met else command)]
+        if known is not None and known.is_changed:
+            lines.append(("", "the code in that folder has changed since the campaign last ran with it"))
         if is_verified(self.folder, self.summary):
-            lines.append(("", f"{command} --ignore-stop, if the stop rule ended the campaign"))
+            lines.append(("", f"{ignoring}, if the stop rule ended the campaign"))
         return lines
 
 

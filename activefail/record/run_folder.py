@@ -523,9 +523,11 @@ class FolderStore:
     @property
     def asked(self) -> Asked:
         """The designs that were handed out (see Store)."""
-        if self.schema is None:
-            return Asked.none(0)
         path = self.folder / ASKED
+        if self.schema is None:
+            if path.exists():
+                raise StoreError(f"{path} cannot be read without a schema while the record holds no batch.")
+            return Asked.none(0)
         try:
             with reading(path):
                 return decode_asked(read_regular(path, LARGEST_ASKED), self._start, len(self.schema.variables))

@@ -15,7 +15,6 @@ from activefail.acquisition.criteria import bald
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
-from activefail.campaign.sections import PythonFeaturesSettings
 from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
@@ -271,27 +270,21 @@ def _learner(findings: Findings) -> dict[str, Any]:
     }
 
 
-def _features_need_code(campaign: Campaign) -> bool:
-    return isinstance(campaign.settings.classifier.features, PythonFeaturesSettings)
-
-
-def _judging(findings: Findings, evidence: Evidence, folder: str, code: str) -> list[str]:
+def _judging(evidence: Evidence, folder: str) -> list[str]:
     """The commands that reproduce the page's evidence and the page.
 
     Args:
-        findings: of the campaign.
         evidence: on the page.
         folder: the run folder, quoted.
-        code: the `--code` option of commands that simulate, if needed.
     """
     commands = []
     if evidence.curve is not None and evidence.curve.source == "compare":
         budgets = ",".join(str(n) for n in sorted({score.simulations for score in evidence.curve.scores}))
         test = evidence.curve.test_size + evidence.curve.unanswered
-        commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}{code}")
+        commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}")
     if evidence.error is not None:
-        commands.append(f"activefail verify {folder} --simulations {evidence.error.requested}{code}")
-    return [*commands, f"activefail report {folder}{code if _features_need_code(findings.campaign) else ''}"]
+        commands.append(f"activefail verify {folder} --simulations {evidence.error.requested}")
+    return [*commands, f"activefail report {folder}"]
 
 
 def _space(campaign: Campaign) -> dict[str, Any]:
@@ -349,7 +342,6 @@ def render(
     stage("drawing")
     budget = f" --budget {done}" if done != settings.sampling.budget else ""
     versions = provenance()
-    code = " --code FOLDER" if _features_need_code(campaign) or not isinstance(settings.simulator, str) else ""
     numbers: dict[str, Any] = {
         "title": visible(settings.description or folder.name),
         "version": __version__,
@@ -384,9 +376,9 @@ def render(
         "folder": run_folder,
         "commands": [
             f"activefail run campaign.toml --out {run_folder}{budget}",
-            *_judging(findings, evidence, run_folder, code),
+            *_judging(evidence, run_folder),
         ],
-        "code": code,
+        "needs_code": campaign.needs_code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),
         "frozen": visible(text, keep="\n"),
         "digest": hashlib.sha256(text.encode()).hexdigest(),

@@ -40,13 +40,13 @@ def load_function(
     if code is None:
         raise InputError(
             f"{key}: {reference} is custom code. A run folder may come from someone else, so custom code runs only if "
-            f"you name its folder: --code FOLDER."
+            "you name its folder with --code."
         )
     module_name, _, name = reference.partition(":")
-    file = code / Path(*module_name.split(".")).with_suffix(".py")
+    file = _file_of(module_name, code)
     try:
         # Naming the run folder as --code, or a folder inside it, permits its code.
-        module, digest = _load_module(module_name, file, code, None if run is None or _lies_in(code, run) else run)
+        module, digest = _load_module(module_name, file, code, None if run is None or lies_in(code, run) else run)
     except ModuleNotFoundError as error:
         if not file.is_file() and error.name and f"{module_name}.".startswith(f"{error.name}."):
             raise InputError(f"{key}: there is no module {module_name!r}; looked for {file}.") from None
@@ -54,7 +54,7 @@ def load_function(
     except _NeverRunError as error:
         raise InputError(
             f"{key}: {module_name} is {error}, in the run folder, which may come from someone else. Code in a "
-            "run folder runs only if you name that folder. If you trust it, add --code FOLDER."
+            "run folder runs only if you name that folder with --code. Do so only if you trust it."
         ) from None
     except KeyboardInterrupt:
         raise
@@ -77,9 +77,8 @@ def _load_module(name: str, file: Path, code: Path, forbidden: Path | None) -> t
     Raises:
         _NeverRunError: if it lies in the folder `forbidden`.
     """
-    package = file.with_suffix("") / "__init__.py"
-    source = file if file.is_file() else package
-    if source == file and forbidden and _lies_in(file, forbidden):
+    source = _source_at(file)
+    if source == file and forbidden and lies_in(file, forbidden):
         raise _NeverRunError(file)
     sources = sources_of(source, code)
     import_from(code, sources)
@@ -89,6 +88,26 @@ def _load_module(name: str, file: Path, code: Path, forbidden: Path | None) -> t
     if source in (file, origin):
         return module, digest_of(sources, code)
     return module, sha256(origin.read_bytes()) if origin and origin.is_file() else ""
+
+
+def digest_without_running(reference: str, code: Path) -> str:
+    """The digest that `load_function` returns if it finds the module in the folder of the user's code.
+
+    Returns:
+        "" if the folder has no such module.
+    """
+    module_name = reference.partition(":")[0]
+    sources = sources_of(_source_at(_file_of(module_name, code)), code)
+    return digest_of(sources, code) if sources else ""
+
+
+def _file_of(module_name: str, code: Path) -> Path:
+    return code / Path(*module_name.split(".")).with_suffix(".py")
+
+
+def _source_at(file: Path) -> Path:
+    """The source of a module in the folder of the user's code: its file, or that of the package of its name."""
+    return file if file.is_file() else file.with_suffix("") / "__init__.py"
 
 
 def _module_from_file(file: Path, name: str) -> ModuleType:
@@ -120,12 +139,13 @@ def _module_from_path(name: str, forbidden: Path | None) -> ModuleType:
         spec = importlib.util.find_spec(".".join(parts[:depth]))
         locations = [] if spec is None else [spec.origin or "", *(spec.submodule_search_locations or [])]
         for location in map(Path, filter(None, locations)):
-            if forbidden and _lies_in(location, forbidden):
+            if forbidden and lies_in(location, forbidden):
                 raise _NeverRunError(location)
     return importlib.import_module(name)
 
 
-def _lies_in(path: Path, folder: Path) -> bool:
+def lies_in(path: Path, folder: Path) -> bool:
+    """Whether a path is a folder or lies in it, by its name or with links followed."""
     return path.absolute().is_relative_to(folder.absolute()) or path.resolve().is_relative_to(folder.resolve())
 
 

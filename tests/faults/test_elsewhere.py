@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from faults.harness import Victim, Victims, few, traced
 from faults.test_kills import REFUSALS, calls_of
-from faults.victim import elsewhere, opened
+from faults.victim import campaign, elsewhere, opened
 
 from activefail.errors import DamagedError, StoreError
 from activefail.files import TEMPORARY
@@ -46,7 +46,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
 
 def assert_nothing_lost(victim: Victim, folder: Path, whole: list[bytes]) -> None:
     """Assert that what was acknowledged is there, once, and that the campaign continues as if nothing had happened."""
-    with FolderStore.open(folder, write=False) as store:
+    with FolderStore.open(folder, campaign().schema, write=False) as store:
         handed_out = HandedOut.of(store)
         asked = set(handed_out.asked.id.tolist())
         told = set(handed_out.asked.id[handed_out.has_result].tolist())

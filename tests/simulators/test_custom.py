@@ -222,7 +222,7 @@ def test_a_module_that_raises_such_an_error_as_it_is_imported_is_refused(tmp_pat
 def test_a_function_may_not_be_run_where_no_folder_was_named(tmp_path: Path) -> None:
     (tmp_path / "model.py").write_text("raise SystemExit")
     simulator = PythonSimulator(SPACE, "model:run", None, ("safe", "failure"), ())
-    with pytest.raises(InputError, match=r"model:run is custom code.*--code FOLDER"):
+    with pytest.raises(InputError, match=r"model:run is custom code.*name its folder with --code\."):
         answer(simulator, X)
 
 
@@ -671,7 +671,9 @@ def mine(tmp_path: Path) -> Path:
     return tmp_path / "mine"
 
 
-def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(mine: Path, tmp_path: Path) -> None:
+def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
+    mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = tmp_path / "run"
     result = activefail("run", mine / "mine.toml", "--out", run, "--budget", "20")
     assert (result.code, result.err) == (0, "")
@@ -684,10 +686,12 @@ def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
         drift = float(row["drift"])
         assert row["outcome"] == ("safe", "damage", "failure")[(drift > 1.0) + (drift > 3.0)]
         assert float(row["gap"]) == 3.0 - drift
+    # Another user has not run this code.
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another user's"))
     repeated = activefail("resume", run, "--budget", "24")
     assert repeated.code == 2
     assert "simulator.python: model:run is custom code" in repeated.err
-    assert "--code FOLDER" in repeated.err
+    assert "name its folder with --code." in repeated.err
     assert "Traceback" not in repeated.err
     result = activefail("resume", run, "--budget", "24", "--code", mine)
     assert result.code == 0, result.err
@@ -704,10 +708,11 @@ def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
         '<th scope="row">storeys</th><td class="n">3.00</td><td>–</td>',
     ):
         assert row in page
-    # No drawings of bearings; and commands that work, for the page names no folder of someone else's code.
+    # No drawings of bearings; and the page names no folder of someone else's code.
     assert "Bearings at the boundary" not in page
     for command in ("compare", "verify"):
-        assert f"activefail {command} {run} --code FOLDER</code>" in page
+        assert f"activefail {command} {run}</code>" in page
+    assert page.count("If this user has not run the custom code for this folder before, add --code") == 2
     assert f"activefail report {run}\n" in page
 
 
@@ -718,7 +723,8 @@ def test_status_needs_no_code_before_anything_is_recorded_either(mine: Path, tmp
         result = activefail("status", tmp_path / "run")
     assert result.code == 0, result.err
     assert "0 of 24 simulations" in result.out
-    assert result.out.splitlines()[-1] == f"continue   activefail resume {tmp_path / 'run'} --code FOLDER"
+    last = "continue   with `activefail resume`; name the folder of the custom code with --code"
+    assert result.out.splitlines()[-1] == last
 
 
 OPENING = {
@@ -792,7 +798,7 @@ def test_a_function_in_a_run_folder_is_not_run_where_a_folder_around_it_is_named
 ) -> None:
     names(received, module)
     result = activefail("resume", received, "--budget", "20", "--code", tmp_path / named)
-    refused(result, f"simulator.python: {module} is {received / 'model.py'}, in the run folder", "--code FOLDER")
+    refused(result, f"simulator.python: {module} is {received / 'model.py'}, in the run folder", "with --code")
     assert not (tmp_path / "ran").exists()
 
 
@@ -1101,11 +1107,13 @@ def test_a_ctrl_c_on_the_terminal_while_worker_processes_start_costs_nothing(min
         _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert f"Continue with: activefail resume {run} --code {mine}" in err
+    assert f"Continue with: activefail resume {run}\n" in err
     assert "numerical_failure" not in {row["outcome"] for row in record(run)}
 
 
-def test_a_campaign_on_a_program_ends_it_on_the_second_ctrl_c_and_goes_on_later(tmp_path: Path) -> None:
+def test_a_campaign_on_a_program_ends_it_on_the_second_ctrl_c_and_goes_on_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     slow = tmp_path / "slow"
     slow.touch()
     source = f"""
@@ -1123,11 +1131,13 @@ if os.path.exists({str(slow)!r}):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 130
-    assert f"activefail resume {run} --code {tmp_path}" in err
+    assert f"Continue with: activefail resume {run}\n" in err
     for pid in (tmp_path / "pids").read_text().split():
         until(lambda pid=pid: ended(pid))
     slow.unlink()
-    stopped = activefail("resume", run)
+    with monkeypatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path / "another user's"))
+        stopped = activefail("resume", run)
     assert stopped.code == 2
     assert "simulator.command" in stopped.err
     result = activefail("resume", run, "--code", tmp_path)
