@@ -15,7 +15,8 @@ if TYPE_CHECKING:
         simulate,
         simulate_one,
     )
-    from activefail.run import Run, create_run, open_run
+    from activefail.opening import create_run, open_run
+    from activefail.run import Run
 
 __version__ = "0.1.0"
 
@@ -34,11 +35,11 @@ __all__ = [
     "simulate_one",
 ]
 
-_OF_RUN = ("Run", "create_run", "open_run")
+_ROOMS = {"Run": "run", "create_run": "opening", "open_run": "opening"}
 
 
 def __getattr__(name: str) -> Any:
     # Lazily: the command line shows its help without loading numba.
     if name in __all__:
-        return getattr(import_module("activefail.run" if name in _OF_RUN else "activefail.bearing"), name)
+        return getattr(import_module(f"activefail.{_ROOMS.get(name, 'bearing')}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,24 +1,27 @@
 """An open run folder, on which the commands are methods."""
 
 import json
-from collections.abc import Callable
-from contextlib import nullcontext
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
+from html import escape
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.known_code import code_for, known_code, remember_code
-from activefail.campaign.opening import create_folder, opened, read_campaign
+from activefail.campaign.continuing import continue_command, how_to_continue, resume_command
+from activefail.display import campaign_display
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.findings.summary import Summary
+from activefail.interrupts import stop_on_signals
 from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
-from activefail.record.layout import COMPARISON, CURVES, ESTIMATE, REPORT, SCORES, SETTINGS
+from activefail.record.layout import COMPARISON, CURVES, ESTIMATE, REPORT, SCORES
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
-from activefail.visible import quoted
+from activefail.visible import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -354,6 +357,9 @@ class Run:
     def take(
         self,
         budget: int | None = None,
+        *,
+        workers: int | None = None,
+        progress: bool = True,
         failure_limit: float | None = None,
         ignore_stop: bool = False,
         executor: "AsynchronousExecutor | None" = None,
@@ -364,10 +370,13 @@ class Run:
 
         Args:
             budget: simulations in all; replaces the campaign's.
+            workers: parallel simulations; all cores if None.
+            progress: whether to show the progress, as the command line does, and to let Ctrl-C end the campaign after
+                the current batch. Without it, Ctrl-C raises KeyboardInterrupt; recorded simulations are safe.
             failure_limit: largest accepted share of numerical failures; replaces the campaign's.
             ignore_stop: continue even if the stop rule is met.
-            executor: runs the simulations; if None, all cores of this machine.
-            observer: receives progress and requests a stop.
+            executor: runs the simulations, in place of this machine's cores.
+            observer: receives progress and requests a stop, in place of `progress`.
             executor_options: command-line options that select the executor, for messages.
 
         Raises:
@@ -375,17 +384,38 @@ class Run:
             SimulationError: if the workers or too many of the simulations fail.
             StoreError: if a batch cannot be recorded.
         """
-        from activefail.loop.batches import run
-
         self.check_budget(budget)
         self.campaign.check_simulates()
-        if executor is None:
-            with self._local_executor() as local:
-                return self.take(budget, failure_limit, ignore_stop, local, observer, executor_options)
+        with ExitStack() as stack:
+            if executor is None:
+                executor = stack.enter_context(self._local_executor(workers))
+            if observer is None and progress:
+                observer = stack.enter_context(self._shown())
+            return self._take(budget, failure_limit, ignore_stop, executor, observer or Observer(), executor_options)
+
+    @contextmanager
+    def _shown(self) -> Iterator[Observer]:
+        """An observer that shows the progress, and stops after a batch on Ctrl-C."""
+        # Only the main thread can handle signals.
+        handles = threading.current_thread() is threading.main_thread()
+        signals = stop_on_signals(self.stop_messages.requested) if handles else nullcontext(lambda: False)
+        with signals as stop, campaign_display(self.campaign, stop) as observer:
+            yield observer
+
+    def _take(
+        self,
+        budget: int | None,
+        failure_limit: float | None,
+        ignore_stop: bool,
+        executor: "AsynchronousExecutor",
+        observer: Observer,
+        executor_options: str,
+    ) -> Taken:
+        from activefail.loop.batches import run
+
         target = self.settings.sampling.budget if budget is None else budget
         # It follows the advice to fix the simulator.
         command = self.resume_command(ignore_stop=ignore_stop, executor_options=executor_options, changes_code=True)
-        observer = observer or Observer()
         finished = run(
             self.campaign,
             self.store,
@@ -732,11 +762,25 @@ class Run:
             write_report(page, target)
         return evidence
 
-    def _local_executor(self) -> "AsynchronousExecutor":
+    def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
         from activefail.execution.local import local_executor
 
         self.campaign.check_simulates()
-        return local_executor(self.campaign.simulator, time_limit=self.campaign.time_limit)
+        return local_executor(self.campaign.simulator, workers, self.campaign.time_limit)
+
+    def _repr_html_(self) -> str:
+        """The state of the campaign, for a notebook."""
+        lines = [*self.summary.lines, ("warning", self.summary.unseen_warning), ("continue", self._continuation)]
+        rows = "".join(
+            f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
+        )
+        return f"<table><caption>{escape(visible(str(self.folder)))}</caption>{rows}</table>"
+
+    @property
+    def _continuation(self) -> str:
+        if self.summary.done >= self.settings.sampling.budget:
+            return ""
+        return continue_command(self.folder, self.campaign)
 
     # ------------------------------------------------------------------------------------------- opening, closing
 
@@ -769,105 +813,3 @@ def check_whole(name: str, number: SupportsIndex, least: int) -> None:
         raise InputError(f"{name}: must be a whole number, got {number!r}.") from None
     if whole < least:
         raise InputError(f"{name}: must be at least {least}, got {whole}.")
-
-
-def create_run(folder: Path, campaign: Campaign | Path, *, remember: bool = True) -> Run:
-    """Create a run folder for a campaign, open for writing.
-
-    Args:
-        folder: to create.
-        campaign: a campaign, or its file; the file's folder holds the user's code.
-        remember: whether later commands and `open_run` may run the same code for this folder without being told its
-            folder (see `activefail.campaign.known_code`).
-
-    Raises:
-        InputError: if the file is invalid, or the folder is in use.
-        BusyError, StoreError: if the folder cannot be written.
-    """
-    if isinstance(campaign, Path):
-        campaign = campaign_for(folder, campaign)
-    else:
-        _check_unused(folder, campaign)
-    store = create_folder(folder, campaign)
-    if remember:
-        remember_code(folder, campaign)
-    return Run(folder, campaign, store, write=True)
-
-
-def campaign_for(folder: Path, file: Path, seed: int | None = None, budget: int | None = None) -> Campaign:
-    """The campaign of a file, for a run folder that does not exist yet.
-
-    Args:
-        folder: the run folder.
-        file: the campaign file; its folder holds the user's code.
-        seed, budget: replace those of the file.
-
-    Raises:
-        InputError: if the file is invalid, or the folder already holds a campaign.
-    """
-    campaign = read_campaign(file, seed, budget, code=file.absolute().parent, run=folder)
-    _check_unused(folder, campaign)
-    return campaign
-
-
-def _check_unused(folder: Path, campaign: Campaign) -> None:
-    if (folder / SETTINGS).exists():
-        raise InputError(f"{folder}: already holds a campaign; {how_to_continue(folder, campaign)}.")
-
-
-def open_run(
-    folder: Path, *, write: bool = False, code: Path | None = None, features: bool = True, remember: bool = True
-) -> Run:
-    """Open a run folder.
-
-    Args:
-        folder: the run folder.
-        write: make this process the only writer.
-        code: folder of the user's code, which is executed. If None, the one that activefail remembers.
-        features: whether features that are a Python function are needed.
-        remember: whether to remember `code`, and to run the code that activefail remembers (see
-            `activefail.campaign.known_code`). If false and `code` is None, no code runs.
-
-    Raises:
-        InputError: if the folder holds no campaign, its settings are invalid, or the remembered code has changed.
-        StoreError: if the record cannot be read.
-        BusyError: if another process is writing to it.
-    """
-    named = code is not None
-    if remember and not named:
-        code = code_for(folder, simulates=write, features=features)
-    campaign, store = opened(folder, write, code, features)
-    # Without the features' function not all of the code was loaded.
-    if remember and named and features:
-        remember_code(folder, campaign)
-    return Run(folder, campaign, store, write)
-
-
-def resume_command(folder: Path, campaign: Campaign | None = None, changes_code: bool = False) -> str:
-    """The command that continues a campaign, quoted for a shell, with the folder of the user's code where it is needed.
-
-    It is not needed where activefail remembers it.
-
-    Args:
-        folder: the run folder.
-        campaign: its campaign; None if it has no custom code. If it was opened without its code and activefail
-            remembers none, the command names no folder (see `how_to_continue`).
-        changes_code: whether the user changes the code before: functions that have changed must be named.
-    """
-    command = f"activefail resume {quoted(folder)}"
-    if campaign is None or not campaign.needs_code:
-        return command
-    known = known_code(folder)
-    code = known.folder if campaign.code is None and known is not None else campaign.code
-    is_known = known is not None and not known.is_changed and known.folder == code
-    if code is None or (is_known and not (changes_code and campaign.functions)):
-        return command
-    return f"{command} --code {quoted(code)}"
-
-
-def how_to_continue(folder: Path, campaign: Campaign) -> str:
-    """How to continue a campaign, as a clause; if its code is unknown, with what the command needs."""
-    clause = f"`{resume_command(folder, campaign)}` continues it"
-    if campaign.needs_code and campaign.code is None and known_code(folder) is None:
-        clause += " once you name the folder of the custom code with --code"
-    return clause

@@ -15,7 +15,7 @@ from activefail.explorer.answers import Answers
 from activefail.explorer.server import page
 from activefail.findings.probability import rounded_up, upper_bound
 from activefail.findings.status import read_status
-from activefail.run import open_run
+from activefail.opening import open_run
 
 CAMPAIGN = """
 simulator = {{ python = "limit:{name}", margins = ["g"] }}

@@ -13,8 +13,8 @@ from activefail.campaign.settings import parse_settings
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import page as explorer
 from activefail.findings.probability import bound_of_fresh
+from activefail.opening import open_run
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.run import open_run
 
 CAMPAIGN = """
 simulator = { python = "limit:plane", margins = ["g"] }

@@ -180,7 +180,8 @@ class ResultTable:
         Raises:
             InputError: naming row, column, rule and value of the first cell that breaks a rule.
         """
-        table.require([_ID, *_required(campaign)])
+        table.require([_ID])
+        _require_result(campaign, table)
         answers = [_OUTCOME, *campaign.simulator.margins]
         rows = [row for row in range(len(table.rows)) if any(table.cell(row, name) is not None for name in answers)]
         ids = np.array([_whole(table, row) for row in rows], dtype=np.int64)
@@ -193,7 +194,8 @@ class ResultTable:
         Raises:
             InputError: naming row, column, rule and value of the first cell that breaks a rule.
         """
-        table.require([*campaign.space.names, *_required(campaign)])
+        table.require(campaign.space.names)
+        _require_result(campaign, table)
         rows = list(range(len(table.rows)))
         designs = _designs(campaign, table, rows)
         for row, design in zip(rows, designs.tolist(), strict=True):
@@ -227,9 +229,18 @@ class ResultTable:
                     raise self.table.broken(row, parameter.name, rule, value)
 
 
-def _required(campaign: Campaign) -> list[str]:
-    """The columns of a result: the outcome, or the only margin, if that decides it."""
-    return list(campaign.simulator.margins) if _levels(campaign) else [_OUTCOME]
+def _require_result(campaign: Campaign, table: Table) -> None:
+    """Check that a table has the outcome, or the only margin, if that decides it.
+
+    Raises:
+        InputError: naming the columns.
+    """
+    deciding = [_OUTCOME, *(campaign.simulator.margins if _levels(campaign) else ())]
+    if not set(deciding) & set(table.columns):
+        names = " or ".join(map(repr, deciding))
+        raise InputError(
+            f"{table.name}column {names}: required, but missing; the columns are {','.join(table.columns)}."
+        )
 
 
 def _levels(campaign: Campaign) -> tuple[float, ...]:

@@ -46,7 +46,7 @@ def run(
     scheduler: Scheduler = None,
 ) -> None:
     """Run a new campaign."""
-    from activefail.run import campaign_for, create_run
+    from activefail.opening import campaign_for, create_run
 
     check_output("--out", out)
     assembled = campaign_for(out, campaign, seed, budget)
@@ -103,7 +103,14 @@ def _take(
     command = run.resume_command(budget, failure_limit, ignore_stop, executor_options)
     try:
         with stop_on_signals(stops.requested) as stop, campaign_display(run.campaign, stop) as observer:
-            taken = run.take(budget, failure_limit, ignore_stop, executor, observer, executor_options)
+            taken = run.take(
+                budget,
+                failure_limit=failure_limit,
+                ignore_stop=ignore_stop,
+                executor=executor,
+                observer=observer,
+                executor_options=executor_options,
+            )
     except KeyboardInterrupt:
         print(f"stopped; {stops.immediate}. Continue with: {command}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None

@@ -35,7 +35,7 @@ def create(
     ] = None,
 ) -> None:
     """Create a run folder without simulating anything."""
-    from activefail.run import campaign_for, create_run
+    from activefail.opening import campaign_for, create_run
 
     check_output("--out", out)
     with create_run(out, campaign_for(out, campaign, seed, budget)) as created:

@@ -159,7 +159,7 @@ def test_a_damaged_list_of_designs_is_never_read_as_another_one(
     for length in few(list(range(len(data))), False, 400 if every_fault else 50):
         path.write_bytes(data[:length])
         with FolderStore.open(begun, write=False) as store, pytest.raises(StoreError, match="It lists the designs in"):
-            store.asked  # noqa: B018
+            store.asked
         survived()
 
 

@@ -16,8 +16,8 @@ from activefail.loop.history import History
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer
 from activefail.loop.proposing import search_for_unseen
+from activefail.opening import create_run
 from activefail.record.memory import MemoryStore
-from activefail.run import create_run
 from activefail.simulators.interface import Results
 from activefail.verification.unseen import unseen_outcomes, unseen_warning
 

@@ -1,0 +1,111 @@
+"""Create and open run folders."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.continuing import how_to_continue
+from activefail.campaign.known_code import code_for, remember_code
+from activefail.campaign.opening import create_folder, opened, read_campaign
+from activefail.campaign.settings import CampaignSettings, checked
+from activefail.errors import InputError
+from activefail.record.layout import SETTINGS
+from activefail.run import Run
+
+AnyPath = str | os.PathLike[str]
+
+
+def create_run(
+    folder: AnyPath,
+    campaign: Campaign | AnyPath | Mapping[str, Any],
+    *,
+    code: AnyPath | None = None,
+    remember: bool = True,
+) -> Run:
+    """Create a run folder for a campaign, open for writing.
+
+    Args:
+        folder: to create.
+        campaign: the path of a campaign file; or its settings as a dictionary, with the keys of a campaign file; or a
+            campaign.
+        code: folder of the user's code, which is executed; the campaign file's folder if None.
+        remember: whether later commands and `open_run` may run the same code for this folder without being told its
+            folder (see `activefail.campaign.known_code`).
+
+    Raises:
+        InputError: if the settings are invalid, or the folder is in use.
+        BusyError, StoreError: if the folder cannot be written.
+    """
+    folder = Path(folder)
+    if isinstance(campaign, Mapping):
+        settings = checked(CampaignSettings, dict(campaign), "settings")
+        campaign = Campaign.of(settings, None if code is None else Path(code), folder)
+        check_unused(folder, campaign)
+    elif isinstance(campaign, Campaign):
+        check_unused(folder, campaign)
+    else:
+        campaign = campaign_for(folder, Path(campaign), code=None if code is None else Path(code))
+    store = create_folder(folder, campaign)
+    if remember:
+        remember_code(folder, campaign)
+    return Run(folder, campaign, store, write=True)
+
+
+def campaign_for(
+    folder: Path, file: Path, seed: int | None = None, budget: int | None = None, code: Path | None = None
+) -> Campaign:
+    """The campaign of a file, for a run folder that does not exist yet.
+
+    Args:
+        folder: the run folder.
+        file: the campaign file.
+        seed, budget: replace those of the file.
+        code: folder of the user's code; that of the file if None.
+
+    Raises:
+        InputError: if the file is invalid, or the folder already holds a campaign.
+    """
+    campaign = read_campaign(file, seed, budget, code=code or file.absolute().parent, run=folder)
+    check_unused(folder, campaign)
+    return campaign
+
+
+def check_unused(folder: Path, campaign: Campaign) -> None:
+    """Check that a folder holds no campaign.
+
+    Raises:
+        InputError: if it does, with the command that continues it.
+    """
+    if (folder / SETTINGS).exists():
+        raise InputError(f"{folder}: already holds a campaign; {how_to_continue(folder, campaign)}.")
+
+
+def open_run(
+    folder: AnyPath, *, write: bool = False, code: AnyPath | None = None, features: bool = True, remember: bool = True
+) -> Run:
+    """Open a run folder.
+
+    Args:
+        folder: the run folder.
+        write: make this process the only writer.
+        code: folder of the user's code, which is executed. If None, the one that activefail remembers.
+        features: whether features that are a Python function are needed.
+        remember: whether to remember `code`, and to run the code that activefail remembers (see
+            `activefail.campaign.known_code`). If false and `code` is None, no code runs.
+
+    Raises:
+        InputError: if the folder holds no campaign, its settings are invalid, or the remembered code has changed.
+        StoreError: if the record cannot be read.
+        BusyError: if another process is writing to it.
+    """
+    folder, named = Path(folder), code is not None
+    known = None if code is None else Path(code)
+    if remember and not named:
+        known = code_for(folder, simulates=write, features=features)
+    campaign, store = opened(folder, write, known, features)
+    # Without the features' function not all of the code was loaded.
+    if remember and named and features:
+        remember_code(folder, campaign)
+    return Run(folder, campaign, store, write)

@@ -1,0 +1,415 @@
+"""Simulations done elsewhere, through the Python interface and the commands, wrong inputs included."""
+
+import csv
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from commandline import activefail, record, refused, table
+
+import activefail as af
+from activefail.errors import InputError, StoreError
+
+LAB = """
+seed = 3
+sampling = { initial = 8, budget = 16, batch = 4 }
+simulator = { elsewhere = true, outcomes = ["safe", "failure"], margins = ["g"] }
+[space]
+load = { low = 1.0, high = 5.0, unit = "kN" }
+strength = { low = 2.0, high = 12.0 }
+span = { value = 3.0, unit = "m" }
+"""
+
+BEARING = """
+seed = 5
+sampling = { initial = 12, budget = 20, batch = 4 }
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    (tmp_path / "lab.toml").write_text(LAB)
+    return tmp_path / "lab.toml"
+
+
+@pytest.fixture
+def folder(lab: Path) -> Path:
+    """A run folder with eight results and two designs in flight."""
+    folder = lab.with_name("run")
+    with af.create_run(folder, lab) as run:
+        run.tell(answered(run.ask(8)))
+        run.ask(2)
+    return folder
+
+
+def answered(designs: pd.DataFrame) -> pd.DataFrame:
+    return designs.assign(g=designs["strength"] - 2.0 * designs["load"])
+
+
+def written(path: Path, rows: list[dict[str, Any]]) -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+# --- the bits of the loop ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bearing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, str]]]:
+    """The campaign file of a small campaign on the bearing, and its record as `activefail run` makes it."""
+    file = tmp_path_factory.mktemp("bearing") / "bearing.toml"
+    file.write_text(BEARING)
+    assert activefail("run", file, "--out", file.with_name("run")).code == 0
+    return file, record(file.with_name("run"))
+
+
+def simulated(designs: pd.DataFrame) -> pd.DataFrame:
+    names = list(af.TABLE_1.names)
+    answers = af.simulate(designs[names].to_numpy())
+    margins = pd.DataFrame(answers.columns, columns=[*_margins()])
+    return pd.concat([designs[["id"]], margins], axis=1).assign(outcome=answers.outcome_name, cause=answers.cause_name)
+
+
+def _margins() -> tuple[str, ...]:
+    from activefail.bearing.outcome import COLUMNS
+
+    return tuple(COLUMNS)
+
+
+def test_the_bearing_asked_for_and_told_from_a_script_has_the_bits_of_run(
+    bearing: tuple[Path, list[dict[str, str]]], tmp_path: Path
+) -> None:
+    file, whole = bearing
+    with af.create_run(str(tmp_path / "run"), str(file)) as run:
+        while len(designs := run.ask(4)):
+            assert run.tell(simulated(designs)) == len(designs)
+        assert run.ask(1).attrs["reason"] == "the budget is 20 simulations, with 0 in flight"
+    assert record(tmp_path / "run") == whole
+
+
+def test_the_bearing_through_csv_files_from_two_shells_in_turns_has_the_bits_of_run(
+    bearing: tuple[Path, list[dict[str, str]]], tmp_path: Path
+) -> None:
+    file, whole = bearing
+    folder, todo, answers = (tmp_path / name for name in ("run", "todo.csv", "answers.csv"))
+
+    def shell(*words: str | Path) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "activefail.cli", *map(str, words)], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, ""), done.stderr
+        return done.stdout
+
+    assert "activefail ask" in shell("create", file, "--out", folder)
+    for batch in range(5):
+        # The designs of one shell are simulated by another, which gets all their digits from the table.
+        shell("ask", folder, "--n", "4", "--csv", todo)
+        assert activefail("simulate", "--csv", todo, "--out", answers).code == 0
+        rows = table(answers)[::-1]
+        parts = [rows[:1], rows[1:]] if batch % 2 else [rows]
+        for part in parts:
+            shell("tell", folder, "--csv", written(tmp_path / "part.csv", part))
+    assert record(folder) == whole
+
+
+# --- what the tables hold ----------------------------------------------------------------------------------------
+
+
+def test_designs_are_handed_out_with_ids_variables_and_fixed_quantities(lab: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        designs = run.ask(3)
+        assert list(designs.columns) == ["id", "load", "strength", "span"]
+        assert designs["id"].tolist() == [0, 1, 2]
+        assert designs["span"].tolist() == [3.0] * 3
+        pd.testing.assert_frame_equal(run.in_flight, designs)
+        assert run.counts == {"safe": 0, "failure": 0, "numerical_failure": 0, "in_flight": 3}
+
+
+def test_simulations_have_the_columns_of_export_and_the_ids_of_ask(folder: Path, tmp_path: Path) -> None:
+    with af.open_run(folder) as run:
+        simulations = run.simulations
+        assert activefail("export", folder, "--csv", tmp_path / "all.csv").code == 0
+        exported = pd.read_csv(tmp_path / "all.csv", keep_default_na=False)
+        pd.testing.assert_frame_equal(simulations, exported)
+        assert simulations["id"].tolist() == list(range(8))
+        assert (simulations["outcome"] == np.where(simulations["g"] <= 0.0, "failure", "safe")).all()
+
+
+def test_predictions_have_a_row_for_each_design_in_the_given_order(folder: Path) -> None:
+    with af.open_run(folder) as run:
+        X = np.array([[1.0, 12.0], [5.0, 2.0], [2.0, 4.5]])
+        predicted = run.predict(X)
+        assert list(predicted.columns) == ["load", "strength", "p_safe", "p_failure", "latent_mean", "latent_sd"]
+        assert predicted["p_failure"].iloc[0] < 0.1 < 0.9 < predicted["p_failure"].iloc[1]
+        named = [{"strength": strength, "load": load} for load, strength in X.tolist()]
+        pd.testing.assert_frame_equal(run.predict(named), predicted)
+        pd.testing.assert_frame_equal(run.predict(pd.DataFrame(named)), predicted)
+        assert len(run.predict(np.empty((0, 2)))) == 0
+
+
+@pytest.mark.parametrize(
+    ("X", "message"),
+    [
+        (np.zeros(2), r"X: must be an \(n, 2\) array of numbers with the columns load, strength, got shape \(2,\)"),
+        (np.array([["a", "b"]]), r"X: must be an \(n, 2\) array of numbers"),
+        (np.array([[1.0, np.nan]]), "X: row 0, column strength: must be finite, got nan"),
+        ([{"load": 1.0}], "column 'strength': required, but missing"),
+        ([{"load": 1.0, "strength": "much"}], "row 0, column strength: must be a number, got 'much'"),
+        (3.0, "table: must be a DataFrame, a dictionary of columns, or a list of dictionaries"),
+    ],
+)
+def test_wrong_designs_to_predict_are_refused(folder: Path, X: Any, message: str) -> None:
+    with af.open_run(folder) as run, pytest.raises(InputError, match=message):
+        run.predict(X)
+
+
+def test_a_classifier_of_outcomes_is_a_botorch_model_over_the_features(lab: Path) -> None:
+    import torch
+
+    settings = LAB + '[classifier]\nlearns = "outcomes"\n'
+    lab.write_text(settings)
+    with af.create_run(lab.with_name("run"), lab) as run:
+        run.tell(answered(run.ask(8)))
+        X = np.array([[1.0, 12.0], [5.0, 2.0]])
+        posterior = run.model("failure").posterior(torch.from_numpy(run.features(X)).unsqueeze(1))
+        predicted = run.predict(X)
+        np.testing.assert_allclose(posterior.mean.detach().numpy().ravel(), predicted["latent_mean"], atol=1e-6)
+        sd = posterior.variance.detach().sqrt().numpy().ravel()
+        np.testing.assert_allclose(sd, predicted["latent_sd"], atol=1e-6)
+        with pytest.raises(InputError, match="outcome: must be one of failure, got 'safe'"):
+            run.model("safe")
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        lambda designs: answered(designs),
+        lambda designs: answered(designs).to_dict("records"),
+        lambda designs: answered(designs).to_dict("list"),
+        lambda designs: answered(designs)[["g", "id"]].assign(note="by hand", g=lambda t: t["g"].map(str)),
+    ],
+)
+def test_results_may_come_as_any_kind_of_table(lab: Path, given: Callable[[pd.DataFrame], Any]) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        designs = run.ask(3)
+        assert run.tell(given(designs)) == 3
+        assert run.simulations["g"].tolist() == answered(designs)["g"].tolist()
+
+
+def test_one_result_may_be_a_dictionary(lab: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        run.ask(2)
+        assert run.tell({"id": 1, "outcome": "numerical_failure", "cause": "time_limit"}) == 1
+        row = run.simulations.iloc[0]
+        assert (row["id"], row["outcome"], row["cause"], np.isnan(row["g"])) == (
+            1,
+            "numerical_failure",
+            "time_limit",
+            True,
+        )
+
+
+def test_rows_without_a_result_are_not_told_yet(lab: Path, tmp_path: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        designs = run.ask(3)
+        rows = answered(designs).astype(object).to_dict("records")
+        rows[1]["g"] = ""
+        assert run.tell(written(tmp_path / "part.csv", rows)) == 2
+        assert run.in_flight["id"].tolist() == [1]
+
+
+# --- wrong inputs ------------------------------------------------------------------------------------------------
+
+WRONG = [
+    ({"id": 99, "g": 1.0}, "id 99 is unknown: no design was handed out under it"),
+    ({"id": 0, "g": 1.0}, "id 0 has the result"),
+    ({"id": "eight", "g": 1.0}, "column id: must be a whole number, got 'eight'"),
+    ({"id": 8.5, "g": 1.0}, "column id: must be a whole number, got"),
+    ({"id": "", "g": 1.0}, "column id: must be a whole number, got 'an empty cell'"),
+    ({"id": 8, "g": "1_0"}, "column g: must be a number, got '1_0'"),
+    ({"id": 8, "g": "wide"}, "column g: must be a number, got 'wide'"),
+    ({"id": 8, "g": "", "outcome": "collapse"}, "column outcome: must be one of safe, failure, numerical_failure, got"),
+    ({"id": 8, "g": 1.0, "cause": "fog"}, "column cause: must be empty or one of"),
+    ({"id": 8, "g": 1.0, "seconds": -1}, "column seconds: `0 <= seconds < inf` must hold, got -1.0"),
+    ({"id": 8, "g": 1.0, "load": 1.0}, "column load: must be "),
+    ({"id": 8, "g": 1.0, "span": 4.0}, "column span: must be 3.0, its fixed value, got"),
+    ({"id": 8, "g": 1.0, "load": "nan"}, "column load: must be a finite number, got"),
+    ({"id": 8, "outcome": "safe"}, "column 'g': required, but missing; the required columns are id,g"),
+    ({"g": 1.0}, "column 'id': required, but missing"),
+]
+
+
+@pytest.mark.parametrize(("row", "message"), WRONG)
+def test_a_wrong_row_is_refused_with_its_place_and_nothing_of_the_table_is_recorded(
+    folder: Path, tmp_path: Path, row: dict[str, Any], message: str
+) -> None:
+    with af.open_run(folder, write=True) as run:
+        good = {name: {"id": 9, "g": 0.5}.get(name, "") for name in row}
+        rows = [good, row] if {"id", "g"} <= row.keys() else [row]
+        if "load" in row or "span" in row:
+            designs = run.in_flight.set_index("id")
+            rows = [good | {name: designs.loc[9, name] for name in row.keys() & {"load", "span"}}, row]
+        before = len(run.history)
+        with pytest.raises(InputError) as caught:
+            run.tell(rows)
+        assert message in str(caught.value)
+        assert "required" in message or str(caught.value).startswith("row 1")
+        assert (len(run.history), run.in_flight["id"].tolist()) == (before, [8, 9])
+    path = written(tmp_path / "wrong.csv", rows)
+    said = activefail("tell", folder, "--csv", path)
+    refused(said, message.replace(", got 'an empty", ", got 'an empty"), str(path))
+    assert "required" in message or f"{path}: row 2 (line 3)" in said.err
+
+
+def test_a_result_that_was_told_before_is_nothing(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        again = run.simulations[["id", "outcome", "g"]]
+        assert run.tell(again) == 0
+        assert len(run.history) == 8
+
+
+def test_a_design_changed_in_its_last_digits_is_the_same_and_by_more_is_another(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        design = run.in_flight.iloc[0].to_dict()
+        with pytest.raises(InputError, match=r"must be .*, as handed out with id 8; `add` records another design, got"):
+            run.tell(design | {"g": 1.0, "load": design["load"] + 4e-8})
+        assert run.tell(design | {"g": 1.0, "load": design["load"] + 4e-11}) == 1
+        assert run.simulations["load"].iloc[-1] == design["load"]
+
+
+def test_added_simulations_are_given_and_must_lie_in_the_design_space(folder: Path, tmp_path: Path) -> None:
+    rows = [{"load": 2.0, "strength": 3.0, "g": -1.0}, {"load": 2.0, "strength": 8.0, "g": 4.0}]
+    path = written(tmp_path / "old.csv", rows)
+    said = activefail("add", folder, "--csv", path)
+    assert (said.code, said.out) == (0, "2 simulations added\n")
+    assert activefail("add", folder, "--csv", path).out == "0 simulations added\n"
+    assert "given      1 safe, 1 failure" in activefail("status", folder).out
+    written(path, [*rows, {"load": 6.0, "strength": 3.0, "g": -1.0}])
+    refused(
+        activefail("add", folder, "--csv", path), f"{path}: row 3 (line 4), column load: `1 <= load <= 5` must hold"
+    )
+    with af.open_run(folder) as run:
+        assert (run.simulations["origin"] == "given").sum() == 2
+        assert run.summary.done == 8
+
+
+def test_dropping_names_what_is_wrong(folder: Path) -> None:
+    refused(activefail("drop", folder, "--ids", "8,x"), "--ids: must be whole numbers separated by commas, got 'x'")
+    refused(activefail("drop", folder, "--ids", "8,77"), "ids: must be of designs in flight; id 77 is unknown")
+    refused(activefail("drop", folder, "--ids", "8,3"), "ids: must be of designs in flight; id 3 has a result")
+    assert activefail("drop", folder, "--ids", "8").out == "1 designs dropped; 1 designs in flight\n"
+    with af.open_run(folder, write=True) as run:
+        assert run.drop(8) == 0
+        with pytest.raises(InputError, match=r"ids: must be a whole number, got 8\.5"):
+            run.drop([8.5])  # type: ignore[list-item]
+        with pytest.raises(InputError, match="row 0: id 8 was dropped; `add` records its result"):
+            run.tell({"id": 8, "g": 1.0})
+
+
+@pytest.mark.parametrize("n", [0, -1, 2.5, "3", True])
+def test_a_number_of_designs_is_a_whole_number_of_at_least_one(folder: Path, n: Any) -> None:
+    with af.open_run(folder, write=True) as run:
+        if n is True:
+            assert len(run.ask(n)) == 1
+            return
+        with pytest.raises(InputError, match="n: must be"):
+            run.ask(n)
+
+
+def test_a_run_that_is_open_for_reading_hands_nothing_out(folder: Path) -> None:
+    with af.open_run(folder) as run:
+        for change in (lambda: run.ask(1), lambda: run.tell({"id": 8, "g": 1.0}), lambda: run.drop([8])):
+            with pytest.raises(StoreError, match="was opened for reading only"):
+                change()
+        assert run.in_flight["id"].tolist() == [8, 9]
+
+
+# --- commands ----------------------------------------------------------------------------------------------------
+
+
+def test_designs_in_flight_are_written_again_without_handing_out_others(folder: Path, tmp_path: Path) -> None:
+    first, again = tmp_path / "first.csv", tmp_path / "again.csv"
+    assert activefail("ask", folder, "--n", "1", "--csv", first).code == 0
+    said = activefail("ask", folder, "--in-flight", "--csv", again)
+    assert (said.code, said.out) == (0, f"3 designs, ids 8 to 10, written to {again}\n")
+    assert table(again)[-1:] == table(first)
+
+
+def test_a_table_that_cannot_be_written_hands_nothing_out(folder: Path, tmp_path: Path) -> None:
+    refused(activefail("ask", folder, "--n", "1", "--csv", tmp_path / "none" / "todo.csv"), "cannot be written")
+    with af.open_run(folder) as run:
+        assert run.in_flight["id"].tolist() == [8, 9]
+
+
+def test_status_lists_the_designs_in_flight_and_the_command_that_continues(folder: Path) -> None:
+    said = activefail("status", folder)
+    assert "in flight  2 designs, ids 8, 9\n" in said.out
+    assert f"continue   activefail ask {folder} --n 4 --csv todo.csv\n" in said.out
+    assert "elsewhere, 2 variables" in said.out
+
+
+def test_fewer_designs_than_asked_for_come_with_the_reason(folder: Path, tmp_path: Path) -> None:
+    said = activefail("ask", folder, "--n", "10", "--csv", tmp_path / "todo.csv")
+    assert said.code == 0
+    assert said.err == "6 instead of 10 designs: the budget is 16 simulations, with 2 in flight\n"
+    beyond = activefail("ask", folder, "--n", "3", "--beyond", "--csv", tmp_path / "todo.csv")
+    assert (beyond.err, len(table(tmp_path / "todo.csv"))) == ("", 3)
+
+
+@pytest.mark.parametrize("command", ["run", "resume", "verify", "probability", "compare"])
+def test_commands_that_simulate_refuse_a_campaign_elsewhere(folder: Path, lab: Path, command: str) -> None:
+    words = ["run", lab, "--out", lab.with_name("other")] if command == "run" else [command, folder]
+    refused(activefail(*words), "simulator.elsewhere: activefail cannot make these simulations", "activefail ask")
+    assert not lab.with_name("other").exists()
+
+
+def test_settings_that_need_a_simulator_are_refused_elsewhere(lab: Path) -> None:
+    for line, key in (
+        ("stop = { error = 0.1 }", "stop.error"),
+        ("validation = { size = 10 }", "validation.size"),
+        ("simulator = { elsewhere = true, time_limit = 3.0 }", "simulator.time_limit"),
+        ("simulator = { elsewhere = false }", "simulator.elsewhere"),
+    ):
+        text = "\n".join(
+            part for part in LAB.splitlines() if not line.startswith("simulator") or part[:9] != "simulator"
+        )
+        lab.write_text(f"{line}\n{text}")
+        refused(activefail("create", lab, "--out", lab.with_name("run")), key)
+
+
+def test_a_run_is_created_from_a_dictionary(tmp_path: Path) -> None:
+    settings = {
+        "simulator": {"elsewhere": True, "outcomes": ["safe", "failure"]},
+        "space": {"x": {"low": 0.0, "high": 1.0}, "y": {"low": 0.0, "high": 1.0}},
+        "sampling": {"initial": 10, "budget": 20, "batch": 5},
+    }
+    with af.create_run(tmp_path / "run", settings) as run:
+        while len(designs := run.ask(5)):
+            run.tell(designs.assign(outcome=np.where(designs["x"] + designs["y"] > 1.3, "failure", "safe")))
+        assert run.predict([{"x": 0.9, "y": 0.9}])["p_failure"].iloc[0] > 0.8
+        assert "20 of 20 simulations" in run._repr_html_()
+    with pytest.raises(InputError, match="settings:\n  space.x"):
+        af.create_run(tmp_path / "other", settings | {"space": {"x": {"low": 1.0, "high": 0.0}}})
+
+
+def test_a_campaign_asked_for_by_hand_is_resumed_by_a_function(tmp_path: Path) -> None:
+    (tmp_path / "plate.py").write_text("def run(d):\n    return 'failure' if d['x'] + d['y'] > 1.3 else 'safe'\n")
+    (tmp_path / "plate.toml").write_text(
+        'simulator = { python = "plate:run" }\nsampling = { initial = 10, budget = 20, batch = 5 }\n'
+        "[space]\nx = { low = 0, high = 1 }\ny = { low = 0, high = 1 }\n"
+    )
+    assert activefail("run", tmp_path / "plate.toml", "--out", tmp_path / "whole").code == 0
+    with af.create_run(tmp_path / "run", tmp_path / "plate.toml") as run:
+        for _ in range(3):
+            designs = run.ask(5)
+            run.tell(designs.assign(outcome=np.where(designs["x"] + designs["y"] > 1.3, "failure", "safe")))
+        run.take(progress=False, workers=1)
+    assert record(tmp_path / "run") == record(tmp_path / "whole")
