@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import words
-from activefail.loop.history import History
-from activefail.record.batch import INITIAL
+from activefail.loop.in_flight import HandedOut
+from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
 from activefail.simulators.bearing import DfpSimulator
 from activefail.simulators.interface import NUMERICAL_FAILURE
@@ -30,7 +30,8 @@ class Findings:
         X: (n, d) designs simulated so far, including numerical failures.
         outcome: (n,) int8.
         iteration: (n,) int64.
-        origin: (n,) int8, INITIAL, ACTIVE or CHECK.
+        origin: (n,) int8, INITIAL, ACTIVE, CHECK or GIVEN.
+        ids: (n,) int64.
         expected: the error that the classifier expects of itself.
         pool, pool_prediction: a sample of the design space and its predictions.
     """
@@ -42,6 +43,7 @@ class Findings:
     outcome: NDArray[np.int8]
     iteration: NDArray[np.int64]
     origin: NDArray[np.int8]
+    ids: NDArray[np.int64]
     expected: float
     pool: Array
     pool_prediction: Prediction
@@ -71,8 +73,18 @@ class Findings:
 
     @property
     def chosen(self) -> NDArray[np.bool_]:
-        """Which simulations followed the initial design, (n,): active designs and checks."""
-        return np.asarray(self.origin != INITIAL)
+        """Which simulations the campaign chose after the initial design, (n,): active designs and checks."""
+        return np.asarray(~self.initial & ~self.given)
+
+    @property
+    def initial(self) -> NDArray[np.bool_]:
+        """Which simulations belong to the initial design, (n,)."""
+        return np.asarray(self.origin == INITIAL)
+
+    @property
+    def given(self) -> NDArray[np.bool_]:
+        """Which simulations the campaign did not ask for, (n,)."""
+        return np.asarray(self.origin == GIVEN)
 
     @property
     def answered(self) -> NDArray[np.bool_]:
@@ -82,7 +94,8 @@ class Findings:
 
 def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Classifier) -> Findings:
     """The findings of a campaign with at least one simulation."""
-    history = History.of(store.batches)
+    handed_out = HandedOut.of(store)
+    history = handed_out.history
     pool = campaign.space.sobol(_POOL, np.random.default_rng(0))
     return Findings(
         folder,
@@ -92,6 +105,7 @@ def findings_of(folder: Path, campaign: Campaign, store: Store, classifier: Clas
         history.outcome,
         history.iteration,
         history.origin,
+        handed_out.ids,
         expected_error(campaign, classifier),
         pool,
         predict(campaign, classifier, pool),

@@ -14,6 +14,7 @@ from activefail import __version__
 from activefail.acquisition.criteria import bald
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.continuing import continue_command
 from activefail.campaign.provenance import provenance
 from activefail.distributions import in_words
 from activefail.errors import InputError
@@ -85,8 +86,9 @@ def _counts(findings: Findings) -> dict[str, NDArray[np.int64]]:
     """Simulations by outcome, numerical failures last, (outcomes + 1,), by the group's title."""
     k = len(findings.campaign.simulator.outcomes)
     groups = {
-        "initial design": ~findings.chosen,
+        "initial design": findings.initial,
         "active designs": findings.chosen,
+        **({"given": findings.given} if findings.given.any() else {}),
         "all": np.ones(len(findings.X), dtype=bool),
     }
     code = np.where(findings.answered, findings.outcome, k)
@@ -116,7 +118,7 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     features = campaign.features
     shown = sorted(np.argsort(scales[campaign.severity - 1], kind="stable")[:MOST_PAIRED].tolist())
     names = quantities.features(campaign)
-    rows = findings.answered
+    rows = findings.answered & ~findings.given
     figure = plot_pairs(
         features.raw(findings.X[rows])[:, shown],
         findings.outcome[rows],
@@ -130,7 +132,8 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
         "picture": picture(figure, "pairs", "Designs in pairs of features"),
         "chosen": chosen,
         "most_shown": MOST_SHOWN,
-        "thinned": max(chosen, len(findings.X) - chosen) > MOST_SHOWN,
+        "thinned": max(chosen, int(np.sum(findings.initial))) > MOST_SHOWN,
+        "given": int(np.sum(findings.given)),
         "features_shown": len(shown),
         "features": len(names),
     }
@@ -228,13 +231,19 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
             continue  # it failed at the start: there is no motion to draw
         prediction = predict(findings.campaign, findings.classifier, findings.X[row : row + 1])
         probabilities = [_probability(float(p)) for p in prediction.probabilities[0]]
-        alternative = f"Plates and slider of simulation {row} at four instants"
+        alternative = f"Plates and slider of simulation {findings.ids[row]} at four instants"
         shown.append(
             {
                 "picture": picture(plot_snapshots(response), f"bearing{number}", alternative),
                 "why": why,
-                "simulation": row,
-                "iteration": int(findings.iteration[row]) if findings.chosen[row] else None,
+                "simulation": int(findings.ids[row]),
+                "entered": (
+                    "initial design"
+                    if findings.initial[row]
+                    else "given"
+                    if findings.given[row]
+                    else f"iteration {findings.iteration[row]}"
+                ),
                 "result": describe_outcome(response),
                 "probabilities": dict(zip(simulator.outcomes, probabilities, strict=True)),
             }
@@ -374,8 +383,12 @@ def render(
         "unseen": Summary.of(settings.text(), outcomes, store.batches, store.asked).unseen_warning,
         "left": max(0, settings.sampling.budget - done) if failure is None or not failure.is_known else 0,
         "folder": run_folder,
+        "continues": continue_command(folder, campaign),
+        "is_elsewhere": campaign.is_elsewhere,
         "commands": [
-            f"activefail run campaign.toml --out {run_folder}{budget}",
+            f"activefail {'create' if campaign.is_elsewhere else 'run'} campaign.toml --out {run_folder}{budget}",
+            *([continue_command(folder, campaign)] if campaign.is_elsewhere else []),
+            *([f"activefail tell {run_folder} --csv answers.csv"] if campaign.is_elsewhere else []),
             *_judging(evidence, run_folder),
         ],
         "needs_code": campaign.needs_code,
