@@ -6,7 +6,7 @@ matter. If one of them contradicts the surrogate, the campaign continues.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -85,16 +85,23 @@ def looked(
         classifier: the classifier after it.
         looks: the looks before it.
     """
-    batch = known[known.iteration == iteration]
-    checked = before is not None and bool((batch.origin == CHECK).all()) and iteration > 0
-    looks = replace(looks, is_known=False)
-    if checked:
-        assert before is not None
-        contradicted = contradictions(campaign, before, batch).any()
-        # The budget may have cut the check short.
-        looks = Looks(is_known=bool(is_whole(campaign, int(batch.answered.sum())) and not contradicted))
     row = look(campaign, known, iteration, classifier)
-    return replace(looks, table=np.concatenate([looks.table, row])) if len(row) else Looks()
+    if not len(row):
+        return Looks()
+    table = np.concatenate([looks.table, row])
+    batch = known[known.iteration == iteration]
+    of_check = batch.origin == CHECK
+    if before is None or iteration == 0 or not of_check.any():
+        return Looks(table)
+    check = batch[of_check]
+    # The budget may have cut the check short.
+    passed = is_whole(campaign, int(check.answered.sum())) and not contradictions(campaign, before, check).any()
+    if not of_check.all():
+        # Results that arrived beside the check may have widened the posterior again.
+        rule = campaign.settings.probability_rule
+        assert rule is not None
+        passed = passed and Looks(table).is_narrow(rule.cov)
+    return Looks(row, is_known=bool(passed))
 
 
 def look(campaign: Campaign, known: History, iteration: int, classifier: Classifier) -> Array:

@@ -10,6 +10,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.asking import add, ask, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
@@ -239,3 +240,75 @@ def test_a_search_from_outcomes_alone_proposes_designs_of_twice_the_standard_dev
         chosen.append(np.linalg.norm(history.designs[history.origin == ACTIVE][-15:], axis=1))
     wide, plain = chosen
     assert np.median(wide) > np.median(plain)
+
+
+# --- the rule in campaigns whose simulations are made elsewhere ---------------------------------------------------
+
+
+def told(campaign, store, designs):
+    tell(campaign, store, designs.id, campaign.simulator.run(designs.designs))
+
+
+def copied(campaign, store, batches):
+    """A record with the first so many batches of another one."""
+    copy = MemoryStore(campaign.schema)
+    for batch in store.batches[:batches]:
+        copy.commit(batch)
+    return copy
+
+
+def test_asked_for_one_design_at_a_time_it_ends_with_the_bits_of_the_loop(ended) -> None:
+    campaign, whole = ended
+    store = MemoryStore(campaign.schema)
+    while len((proposed := ask(campaign, store, 1, 120)).designs):
+        told(campaign, store, proposed.designs)
+    assert proposed.reason == "the stop rule is met"
+    one, other = History.of(store.batches), History.of(whole.batches)
+    for name in ("designs", "outcome", "iteration", "origin", "margins"):
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes(), name
+    assert len(ask(campaign, store, 1, 120, ignore_stop=True).designs) == 1
+
+
+def test_a_check_is_handed_out_whole_and_nothing_else_before_all_its_results_are_there(ended) -> None:
+    campaign, whole = ended
+    store = copied(campaign, whole, len(whole.batches) - 1)
+    proposed = ask(campaign, store, 1, 120)
+    check = proposed.designs
+    assert (check.origin == CHECK).all()
+    assert proposed.reason == "the 8 designs of the stop rule's check belong together"
+    assert check.designs.tobytes() == whole.batches[-1].designs.tobytes()
+    told(campaign, store, check[:5])
+    waiting = ask(campaign, store, 1, 120)
+    assert len(waiting.designs) == 0
+    assert waiting.reason.startswith("the stop rule waits for the results of its check, ids ")
+    # What is learned from a part of the check is learned anew once the rest is there.
+    assert not current(campaign, store, write=True).looks.is_known
+    with pytest.raises(InputError, match="The stop rule's check is in flight"):
+        taken(campaign, store)
+    told(campaign, store, check[5:])
+    assert current(campaign, store, write=True).looks.is_known
+    assert ask(campaign, store, 1, 120).reason == "the stop rule is met"
+
+
+def test_a_check_of_which_too_much_was_dropped_ends_nothing(ended) -> None:
+    campaign, whole = ended
+    store = copied(campaign, whole, len(whole.batches) - 1)
+    check = ask(campaign, store, 8, 120).designs
+    told(campaign, store, check[:5])
+    drop(store, check.id[5:])
+    assert not current(campaign, store, write=True).looks.is_known
+    later = ask(campaign, store, 1, 120)
+    assert len(later.designs) >= 1
+    assert later.reason != "the stop rule is met"
+
+
+def test_results_beside_a_check_do_not_hide_it(ended) -> None:
+    campaign, whole = ended
+    store = copied(campaign, whole, len(whole.batches) - 1)
+    X = np.array([[0.1, 0.2]])
+    check = ask(campaign, store, 8, 120).designs
+    told(campaign, store, check[:4])
+    assert add(campaign, store, X, campaign.simulator.run(X)) == 1
+    told(campaign, store, check[4:])
+    assert len(set(History.of(store.batches).iteration[-9:].tolist())) == 1
+    assert current(campaign, store, write=True).looks.is_known
