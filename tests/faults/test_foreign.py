@@ -89,6 +89,8 @@ def commands(folder: Path) -> Iterator[list[str | Path]]:
     yield ["probability", folder, "--simulations", "10", *code]
     yield ["compare", folder, "--budgets", "8,12", "--test", "10", *code]
     yield ["resume", folder, "--budget", "14", *code]
+    yield ["ask", folder, "--beyond", "--csv", folder.parent / "todo.csv", *code]
+    yield ["drop", folder, "--ids", "14", *code]
 
 
 def tree(folder: Path) -> dict[str, tuple[object, ...]]:
@@ -118,6 +120,7 @@ PLACES = (
         ".lock",
         "report.html",
         "probability.json",
+        "asked.h5",
         "segments",
         "state",
         "sets",

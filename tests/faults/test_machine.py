@@ -17,6 +17,8 @@ from faults.test_kills import assert_nothing_lost, begun
 from faults.victim import COMMITS, COMPACT_AT, opened
 
 from activefail.errors import StoreError
+from activefail.record.asked import Asked
+from activefail.record.batch import ACTIVE
 from activefail.record.run_folder import FolderStore
 
 Survived = Callable[[], None]
@@ -227,11 +229,12 @@ def changes(store: FolderStore) -> dict[str, Callable[[], object]]:
         "state": lambda: store.write_state(9, {"a": np.zeros(2)}),
         "set": lambda: store.write_set("validation-0", *kept),
         "text": lambda: store.write_text("probability.json", "{}"),
+        "asked": lambda: store.write_asked(Asked.of(np.array([0]), one.designs[:1], ACTIVE, 0)),
         "quarantine": lambda: store.read_set("foreign"),
     }
 
 
-@pytest.mark.parametrize("change", ["commit", "state", "set", "text", "quarantine"])
+@pytest.mark.parametrize("change", ["commit", "state", "set", "text", "asked", "quarantine"])
 @pytest.mark.parametrize("fate", ["moved", "moved and replaced", "removed and replaced"])
 @pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
 def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name(

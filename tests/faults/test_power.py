@@ -23,7 +23,8 @@ from faults.harness import few
 from activefail import files
 from activefail.record import compaction, recovery
 from activefail.record import run_folder as store_module
-from activefail.record.batch import Batch, Schema
+from activefail.record.asked import Asked
+from activefail.record.batch import ACTIVE, Batch, Schema
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
 
@@ -239,6 +240,10 @@ def course(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tupl
                         store.write_set("test", batch(9).designs, batch(9).results)
                         disk.reports.append("set test")
                         disk.note()
+                    if number in (1, 3):
+                        store.write_asked(Asked.of(np.arange(number), batch(9).designs[:number], ACTIVE, 0))
+                        disk.reports.append(f"asked {number}")
+                        disk.note()
                 return disk.moments, store.digest
 
     return made
@@ -266,6 +271,7 @@ def lost(reports: tuple[str, ...], folder: Path) -> list[str]:
         whole = {
             "created": True,
             "set test": store.read_set("test") is not None,
+            **{f"asked {number}": len(store.asked) >= number for number in (1, 3)},
             **{f"commit {digest}": True for digest in digests},
             **{f"state {number}": True for number in range(iteration + 1)},
         }
