@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         simulate,
         simulate_one,
     )
+    from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
     from activefail.opening import create_run, open_run
     from activefail.run import Run
 
@@ -22,12 +23,17 @@ __version__ = "0.1.0"
 
 __all__ = [
     "TABLE_1",
+    "ActivefailError",
     "Bearing",
+    "BusyError",
+    "InputError",
     "Model",
     "Pulse",
     "Response",
     "Responses",
     "Run",
+    "SimulationError",
+    "StoreError",
     "Tolerance",
     "create_run",
     "open_run",
@@ -35,7 +41,9 @@ __all__ = [
     "simulate_one",
 ]
 
-_ROOMS = {"Run": "run", "create_run": "opening", "open_run": "opening"}
+_ERRORS = ("ActivefailError", "BusyError", "InputError", "SimulationError", "StoreError")
+
+_ROOMS = {"Run": "run", "create_run": "opening", "open_run": "opening", **dict.fromkeys(_ERRORS, "errors")}
 
 
 def __getattr__(name: str) -> Any:

@@ -414,3 +414,13 @@ def test_a_campaign_asked_for_by_hand_is_resumed_by_a_function(tmp_path: Path) -
             run.tell(designs.assign(outcome=np.where(designs["x"] + designs["y"] > 1.3, "failure", "safe")))
         run.take(progress=False, workers=1)
     assert record(tmp_path / "run") == record(tmp_path / "whole")
+
+
+def test_every_public_name_can_be_imported_and_is_documented() -> None:
+    for name in af.__all__:
+        public = getattr(af, name)
+        assert name == "TABLE_1" or (public.__doc__ or "").strip(), name
+    for name in dir(af.Run):
+        if not name.startswith("_"):
+            assert (getattr(af.Run, name).__doc__ or "").strip(), name
+    assert issubclass(af.InputError, af.ActivefailError)
