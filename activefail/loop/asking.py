@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.random_streams import stream
 from activefail.errors import InputError
+from activefail.loop.choosing import choose
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import current
-from activefail.loop.proposing import next_designs
-from activefail.loop.stopping import check_designs, needs_check
 from activefail.record.asked import NEVER, Asked
-from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
+from activefail.record.batch import CHECK, GIVEN, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
@@ -68,8 +66,9 @@ def ask(campaign: Campaign, store: Store, n: int, budget: int | None, ignore_sto
     handed = HandedOut.of(store)
     flight, none = handed.in_flight, Asked.none(campaign.space.dimension)
     reason = ""
-    if budget is not None and (room := budget - handed.history.asked_for - len(flight)) < n:
-        n = max(0, room)
+    room = None if budget is None else max(0, budget - handed.history.asked_for - len(flight))
+    if room is not None and room < n:
+        n = room
         reason = f"the budget is {budget} simulations, with {len(flight)} in flight"
         if n == 0:
             return Proposed(none, reason)
@@ -86,30 +85,12 @@ def ask(campaign: Campaign, store: Store, n: int, budget: int | None, ignore_sto
     learned = current(campaign, store, write=True)
     if learned.looks.is_known and not ignore_stop:
         return Proposed(none, "the stop rule is met")
-    history = handed.history
-    iteration = history.last_iteration + 1
-    earlier = int((handed.asked.learned == iteration - 1).sum())
-    # The first designs after an iteration are those of the loop.
-    name, index = ("propose", iteration) if earlier == 0 else ("ask", len(handed.asked))
-    rng = stream(campaign.settings.seed, name, index)
-    if needs_check(campaign, history, learned.looks):
-        simulated = np.concatenate([history.designs, flight.designs])
-        designs = check_designs(campaign, simulated, learned.looks, rng)
-        if len(designs) > n:
-            reason = f"the {len(designs)} designs of the stop rule's check belong together"
-        return _hand_out(store, handed, designs, CHECK, iteration - 1, reason)
-    chosen = int((history.origin == ACTIVE).sum() + (flight.origin == ACTIVE).sum())
-    designs = next_designs(
-        campaign,
-        learned.classifier,
-        history,
-        rng,
-        q=n,
-        chosen=chosen,
-        pending=flight.designs if len(flight) else None,
-        dropped=handed.asked.given_up,
-    )
-    return _hand_out(store, handed, designs, ACTIVE, iteration - 1, reason)
+    chosen = choose(campaign, handed, learned, n, room)
+    if not reason and len(chosen.designs) > n:
+        reason = f"the {len(chosen.designs)} designs of the stop rule's check belong together"
+    elif not reason and len(chosen.designs) < n:
+        reason = "the stop rule's check has no more" if chosen.origin == CHECK else "the criterion found no others"
+    return _hand_out(store, handed, chosen.designs, chosen.origin, handed.history.last_iteration, reason)
 
 
 def _hand_out(store: Store, handed: HandedOut, designs: Array, origin: int, learned: int, reason: str) -> Proposed:

@@ -11,15 +11,15 @@ from activefail.campaign.random_streams import stream
 from activefail.errors import InputError
 from activefail.execution.executor import AsynchronousExecutor, Executor
 from activefail.loop.asynchronous import run_asynchronously
+from activefail.loop.choosing import choose
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import Learned, current
 from activefail.loop.observed import ObservedExecutor
 from activefail.loop.progress import Observer, standing
-from activefail.loop.proposing import initial_designs, initial_sets, next_designs
-from activefail.loop.stopping import check_designs, needs_check
+from activefail.loop.proposing import initial_designs, initial_sets
 from activefail.loop.task import Task
-from activefail.record.batch import ACTIVE, CHECK, INITIAL, Batch
+from activefail.record.batch import CHECK, INITIAL, Batch
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
@@ -112,7 +112,8 @@ def _run_in_batches(task: Task) -> bool:
     while True:
         progress = standing(campaign, store.batches, budget)
         left = max(0, budget - progress.done - len(flight))
-        verify_now = rule is not None and progress.iteration % rule.every == 0
+        # Of an iteration that is not complete, another look would follow.
+        verify_now = rule is not None and progress.iteration % rule.every == 0 and not len(flight)
         progress = task.judged(progress, learned.classifier, verify_now, learned.looks)
         observer.progress(replace(progress, seconds_left=None if seconds is None else seconds * -(-left // batch)))
         task.check(progress)
@@ -123,23 +124,7 @@ def _run_in_batches(task: Task) -> bool:
         start = time.monotonic()
         iteration = progress.iteration + 1
         observer.stage("proposing")
-        chosen, history = (iteration - 1) * batch, History.of(store.batches)
-        rng = stream(campaign.settings.seed, "propose", iteration)
-        if needs_check(campaign, history, learned.looks):
-            known = np.concatenate([history.designs, flight.designs])
-            origin, designs = CHECK, check_designs(campaign, known, learned.looks, rng)[:left]
-        else:
-            origin = ACTIVE
-            designs = next_designs(
-                campaign,
-                learned.classifier,
-                history,
-                rng,
-                q=min(batch, left),
-                chosen=chosen,
-                pending=flight.designs if len(flight) else None,
-                dropped=store.asked.given_up,
-            )
+        designs, origin = choose(campaign, HandedOut.of(store), learned, batch, left)
         observer.stage("simulating")
         _simulate_and_record(task, iteration, origin, designs)
         observer.stage("learning")

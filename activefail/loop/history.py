@@ -101,8 +101,9 @@ class History:
 
     @property
     def leading_failures(self) -> int:
-        """How many simulations failed before the first one with an outcome."""
-        return int(np.argmax(self.answered)) if self.answered.any() else len(self)
+        """How many simulations failed before the first one with an outcome, without those that were given."""
+        answered = self.answered[self.origin != GIVEN]
+        return int(np.argmax(answered)) if answered.any() else len(answered)
 
     @property
     def last_iteration(self) -> int:

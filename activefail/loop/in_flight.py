@@ -61,7 +61,8 @@ class HandedOut:
     @property
     def next_id(self) -> int:
         """The id of the next design that enters the campaign."""
-        return len(self.asked) + int((~self.handed_out).sum())
+        # A damaged file that was set aside may have held simulations, whose ids are not given again.
+        return max(len(self.asked) + int((~self.handed_out).sum()), int(self.asked.id.max(initial=-1)) + 1)
 
     @property
     def ids(self) -> NDArray[np.int64]:
@@ -69,7 +70,8 @@ class HandedOut:
         ids = np.empty(len(self.history), dtype=np.int64)
         ids[self.rows[self.has_result]] = self.asked.id[self.has_result]
         # The others entered when they were recorded, so they have the remaining ids in their order.
-        ids[~self.handed_out] = np.setdiff1d(np.arange(self.next_id), self.asked.id)
+        free = np.setdiff1d(np.arange(len(ids) + len(self.asked)), self.asked.id)
+        ids[~self.handed_out] = free[: int((~self.handed_out).sum())]
         return ids
 
     def initial_left(self, campaign: Campaign) -> Array:

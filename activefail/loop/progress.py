@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
-from activefail.record.batch import Batch
+from activefail.record.batch import GIVEN, Batch
 from activefail.verification.unseen import unseen_outcomes
 
 if TYPE_CHECKING:
@@ -75,6 +75,6 @@ def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Pro
         done=history.asked_for,
         budget=budget,
         counts=counts,
-        numerical_failures=int((~history.answered).sum()),
+        numerical_failures=int((~history.answered & (history.origin != GIVEN)).sum()),
         unseen=unseen_outcomes(outcomes, counts),
     )

@@ -46,7 +46,6 @@ def next_designs(
     q: int,
     chosen: int,
     pending: Array | None = None,
-    dropped: Array | None = None,
 ) -> Array:
     """Propose designs, (q, d).
 
@@ -58,11 +57,7 @@ def next_designs(
         q: number of designs.
         chosen: number of earlier active designs; the shares of boundaries and exploration carry over between batches.
         pending: (k, d) designs in flight, without a result yet.
-        dropped: (k, d) designs that were given up; proposals avoid them as they avoid numerical failures.
     """
-    failed = history.failed_designs
-    if dropped is not None and len(dropped):
-        failed = np.concatenate([failed, dropped])
     settings = campaign.settings
     return propose_shared(
         classifier,
@@ -74,7 +69,7 @@ def next_designs(
         q=q,
         rng=rng,
         pending=pending,
-        failed=failed,
+        failed=history.failed_designs,
         unseen=search_for_unseen(campaign, history, classifier),
         widening=1.0 if settings.probability_rule is None else WIDENING,
     )

@@ -22,6 +22,9 @@ _COLUMNS = {"id": "<i8", "designs": "<f8", "origin": "i1", "learned": "<i8", "dr
 LARGEST_ASKED = 1_000_000_000
 """Most bytes of the file: more than a campaign of a million designs needs."""
 
+_LARGEST_ID = 2**53
+"""Largest id and iteration: a float holds it too, as it must in a table."""
+
 NO_ROW = -1
 """In place of a row of the record, for a design without a result."""
 
@@ -94,6 +97,20 @@ class Asked:
         return replace(self, dropped=np.where(rows, np.int8(1), self.dropped).astype(np.int8))
 
     @property
+    def is_valid(self) -> bool:
+        """Whether designs are finite, ids increase, and flags have a meaning."""
+        return bool(
+            np.isfinite(self.designs).all()
+            and (self.id >= 0).all()
+            and (self.id <= _LARGEST_ID).all()
+            and (np.diff(self.id) > 0).all()
+            and np.isin(self.origin, (INITIAL, ACTIVE, CHECK)).all()
+            and np.isin(self.dropped, (0, 1)).all()
+            and (self.learned >= NEVER).all()
+            and (self.learned <= _LARGEST_ID).all()
+        )
+
+    @property
     def given_up(self) -> Array:
         """The designs that were given up, (j, d)."""
         return np.asarray(self.designs[self.dropped == 1])
@@ -156,13 +173,6 @@ def decode_asked(data: bytes, campaign: str, dimension: int) -> Asked:
             for name, dtype in _COLUMNS.items()
         }
         asked = Asked(**columns)
-        if (
-            not np.isfinite(asked.designs).all()
-            or (k and int(asked.id[0]) < 0)
-            or (np.diff(asked.id) < 1).any()
-            or not np.isin(asked.origin, (INITIAL, ACTIVE, CHECK)).all()
-            or not np.isin(asked.dropped, (0, 1)).all()
-            or (asked.learned < NEVER).any()
-        ):
+        if not asked.is_valid:
             raise DamagedError("lists designs, ids or flags that `ask` never writes")
         return asked

@@ -162,7 +162,9 @@ def checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[st
 
 
 def check_asked(asked: Asked, schema: Schema) -> None:
-    """Raise InputError if designs that were handed out do not have the schema's variables."""
+    """Raise InputError if designs that were handed out break a rule."""
+    if not asked.is_valid:
+        raise InputError("Designs that were handed out need finite values, increasing ids and known origins.")
     if asked.designs.shape[1] != len(schema.variables):
         raise InputError(
             f"`designs` must have {len(schema.variables)} columns {schema.variables}, got {asked.designs.shape[1]}."
