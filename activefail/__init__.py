@@ -43,11 +43,11 @@ __all__ = [
 
 _ERRORS = ("ActivefailError", "BusyError", "InputError", "SimulationError", "StoreError")
 
-_ROOMS = {"Run": "run", "create_run": "opening", "open_run": "opening", **dict.fromkeys(_ERRORS, "errors")}
+_MODULES = {"Run": "run", "create_run": "opening", "open_run": "opening", **dict.fromkeys(_ERRORS, "errors")}
 
 
 def __getattr__(name: str) -> Any:
     # Lazily: the command line shows its help without loading numba.
     if name in __all__:
-        return getattr(import_module(f"activefail.{_ROOMS.get(name, 'bearing')}"), name)
+        return getattr(import_module(f"activefail.{_MODULES.get(name, 'bearing')}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -83,7 +83,13 @@ def check_unused(folder: Path, campaign: Campaign) -> None:
 
 
 def open_run(
-    folder: AnyPath, *, write: bool = False, code: AnyPath | None = None, features: bool = True, remember: bool = True
+    folder: AnyPath,
+    *,
+    write: bool = False,
+    code: AnyPath | None = None,
+    features: bool = True,
+    simulates: bool | None = None,
+    remember: bool = True,
 ) -> Run:
     """Open a run folder.
 
@@ -92,6 +98,7 @@ def open_run(
         write: make this process the only writer.
         code: folder of the user's code, which is executed. If None, the one that activefail remembers.
         features: whether features that are a Python function are needed.
+        simulates: whether the simulator's function is needed; if None, where the run is open for writing.
         remember: whether to remember `code`, and to run the code that activefail remembers (see
             `activefail.campaign.known_code`). If false and `code` is None, no code runs.
 
@@ -103,7 +110,7 @@ def open_run(
     folder, named = Path(folder), code is not None
     known = None if code is None else Path(code)
     if remember and not named:
-        known = code_for(folder, simulates=write, features=features)
+        known = code_for(folder, simulates=write if simulates is None else simulates, features=features)
     campaign, store = opened(folder, write, known, features)
     # Without the features' function not all of the code was loaded.
     if remember and named and features:

@@ -1,6 +1,7 @@
 """An open run folder, on which the commands are methods."""
 
 import json
+import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.continuing import continue_command, how_to_continue, resume_command
+from activefail.campaign.continuing import how_to_continue, resume_command
 from activefail.display import campaign_display
 from activefail.errors import InputError
 from activefail.files import writing_to
@@ -18,6 +19,7 @@ from activefail.findings.summary import Summary
 from activefail.interrupts import stop_on_signals
 from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
+from activefail.record.batch import INITIAL
 from activefail.record.layout import COMPARISON, CURVES, ESTIMATE, REPORT, SCORES
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
@@ -200,7 +202,7 @@ class Run:
         if budget is None:
             return
         check_whole("budget", budget, 2)
-        if budget < (done := len(self.history)):
+        if budget < (done := self.history.asked_for):
             raise InputError(f"budget: must be at least {done}, the number of recorded simulations, got {budget}.")
 
     @property
@@ -304,7 +306,7 @@ class Run:
         return new
 
     def drop(self, ids: "Iterable[int] | int") -> int:
-        """Give designs in flight up: they get no result, and proposals avoid them as they avoid numerical failures.
+        """Give up designs in flight: they get no result and are not proposed again.
 
         Args:
             ids: of the designs.
@@ -507,7 +509,7 @@ class Run:
         from activefail.findings.choices import choices_in_words
 
         history = self.history
-        if len(history) < self.settings.sampling.initial or not self.learns_from_margins:
+        if not self.has_initial_design or not self.learns_from_margins:
             return []
         return choices_in_words(self.campaign, history, self.classifier) if len(history.training) else []
 
@@ -687,11 +689,15 @@ class Run:
         self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
 
     def _check_initial_design(self, verb: str) -> None:
-        from activefail.loop.proposing import initial_sets
-
-        history = self.history
-        if len(history) < self.settings.sampling.initial * initial_sets(self.campaign, history):
+        if not self.has_initial_design:
             raise InputError(f"{self.folder}: has not finished its initial design; there is nothing to {verb} yet.")
+
+    @property
+    def has_initial_design(self) -> bool:
+        """Whether every design of the initial design was simulated or given up."""
+        handed_out = self.handed_out
+        waiting = (handed_out.in_flight.origin == INITIAL).any()
+        return bool(len(handed_out.history) and not waiting and not len(handed_out.initial_left(self.campaign)))
 
     def compare(
         self,
@@ -770,17 +776,14 @@ class Run:
 
     def _repr_html_(self) -> str:
         """The state of the campaign, for a notebook."""
-        lines = [*self.summary.lines, ("warning", self.summary.unseen_warning), ("continue", self._continuation)]
+        from activefail.findings.status import read_status
+
+        status = read_status(self.folder)
+        lines = [*status.lines, ("warning", status.summary.unseen_warning), *status.continuation]
         rows = "".join(
             f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
         )
         return f"<table><caption>{escape(visible(str(self.folder)))}</caption>{rows}</table>"
-
-    @property
-    def _continuation(self) -> str:
-        if self.summary.done >= self.settings.sampling.budget:
-            return ""
-        return continue_command(self.folder, self.campaign)
 
     # ------------------------------------------------------------------------------------------- opening, closing
 
@@ -798,6 +801,8 @@ class Run:
 def _table(table: Any) -> "Table":
     from activefail.campaign.results_table import Table
 
+    if isinstance(table, str | os.PathLike):
+        table = Path(table)
     return Table.of_csv(table) if isinstance(table, Path) or hasattr(table, "read") else Table.of_python(table)
 
 

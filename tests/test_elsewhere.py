@@ -27,7 +27,7 @@ span = { value = 3.0, unit = "m" }
 
 BEARING = """
 seed = 5
-sampling = { initial = 12, budget = 20, batch = 4 }
+sampling = { initial = 8, budget = 16, batch = 4 }
 """
 
 
@@ -91,7 +91,7 @@ def test_the_bearing_asked_for_and_told_from_a_script_has_the_bits_of_run(
     with af.create_run(str(tmp_path / "run"), str(file)) as run:
         while len(designs := run.ask(4)):
             assert run.tell(simulated(designs)) == len(designs)
-        assert run.ask(1).attrs["reason"] == "the budget is 20 simulations, with 0 in flight"
+        assert run.ask(1).attrs["reason"] == "the budget is 16 simulations, with 0 in flight"
     assert record(tmp_path / "run") == whole
 
 
@@ -108,16 +108,22 @@ def test_the_bearing_through_csv_files_from_two_shells_in_turns_has_the_bits_of_
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    assert "activefail ask" in shell("create", file, "--out", folder)
-    for batch in range(5):
+    assert activefail("create", file, "--out", folder).out.endswith(f"continue   activefail resume {folder}\n")
+    for batch in range(4):
         # The designs of one shell are simulated by another, which gets all their digits from the table.
-        shell("ask", folder, "--n", "4", "--csv", todo)
+        if batch % 2:
+            shell("ask", folder, "--n", "4", "--csv", todo)
+        else:
+            assert activefail("ask", folder, "--n", "4", "--csv", todo).code == 0
         assert activefail("simulate", "--csv", todo, "--out", answers).code == 0
         rows = table(answers)
         # In any order within a call; over several calls the earlier designs first, as the loop would get them.
         parts = [rows[:1], rows[:0:-1]] if batch % 2 else [rows[::-1]]
         for part in parts:
-            shell("tell", folder, "--csv", written(tmp_path / "part.csv", part))
+            if batch == 2:
+                shell("tell", folder, "--csv", written(tmp_path / "part.csv", part))
+            else:
+                assert activefail("tell", folder, "--csv", written(tmp_path / "part.csv", part)).code == 0
     assert record(folder) == whole
 
 
@@ -306,7 +312,7 @@ def test_dropping_names_what_is_wrong(folder: Path) -> None:
     refused(activefail("drop", folder, "--ids", "8,x"), "--ids: must be whole numbers separated by commas, got 'x'")
     refused(activefail("drop", folder, "--ids", "8,77"), "ids: must be of designs in flight; id 77 is unknown")
     refused(activefail("drop", folder, "--ids", "8,3"), "ids: must be of designs in flight; id 3 has a result")
-    assert activefail("drop", folder, "--ids", "8").out == "1 designs dropped; 1 designs in flight\n"
+    assert activefail("drop", folder, "--ids", "8").out == "1 design dropped; 1 design in flight\n"
     with af.open_run(folder, write=True) as run:
         assert run.drop(8) == 0
         with pytest.raises(InputError, match=r"ids: must be a whole number, got 8\.5"):
@@ -353,7 +359,8 @@ def test_a_table_that_cannot_be_written_hands_nothing_out(folder: Path, tmp_path
 def test_status_lists_the_designs_in_flight_and_the_command_that_continues(folder: Path) -> None:
     said = activefail("status", folder)
     assert "in flight  2 designs, ids 8, 9\n" in said.out
-    assert f"continue   activefail ask {folder} --n 4 --csv todo.csv\n" in said.out
+    assert f"continue   activefail tell {folder} --csv answers.csv\n" in said.out
+    assert f"           activefail ask {folder} --n 4 --csv todo.csv\n" in said.out
     assert "elsewhere, 2 variables" in said.out
 
 

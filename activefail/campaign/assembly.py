@@ -142,7 +142,8 @@ class Campaign:
         if self.is_elsewhere:
             raise InputError(
                 "simulator.elsewhere: activefail cannot make these simulations. `activefail create` makes the run "
-                "folder, `activefail ask` hands designs out, and `activefail tell` records their results."
+                "folder, `activefail ask` hands designs out, and `activefail tell` records their results; commands "
+                "that need fresh simulations (verify, probability, compare) need a simulator that activefail can call."
             )
 
     @property

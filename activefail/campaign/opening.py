@@ -7,8 +7,8 @@ from pathlib import Path
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
 from activefail.campaign.settings import read_settings
-from activefail.errors import InputError
-from activefail.record.layout import LARGEST_SETTINGS, SETTINGS, refuse_links
+from activefail.errors import InputError, StoreError
+from activefail.record.layout import ASKED, LARGEST_SETTINGS, SETTINGS, refuse_links
 from activefail.record.run_folder import FolderStore
 
 
@@ -84,6 +84,13 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
         provenance=provenance() | campaign.sources,
         decisive=campaign.decisive,
     )
+    try:
+        designs = store.asked.designs
+    except StoreError:
+        return campaign, store  # the commands that need the list report it
+    if not campaign.space.contains(designs).all():
+        store.close()
+        raise StoreError(f"{folder / ASKED} lists designs outside the design space; restore it from a copy.")
     return campaign, store
 
 

@@ -1,6 +1,7 @@
 """Tables of results that a user tells or adds: what their columns mean, and which rules they must keep."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -252,8 +253,9 @@ def _whole(table: Table, row: int) -> int:
     value = table.cell(row, _ID)
     if value is None:
         raise table.broken(row, _ID, "must be a whole number", "an empty cell")
-    if isinstance(value, str) and value.isascii() and value.isdecimal() and len(value) < 19:
-        return int(value)
+    # pandas writes 7.0 where a column has gaps.
+    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,15}(\.0*)?", value):
+        return int(float(value))
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         number = float(value)
         if abs(number) < 2**53 and number == int(number):

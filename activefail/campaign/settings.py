@@ -130,7 +130,7 @@ class CampaignSettings(Section):
         return self
 
     @model_validator(mode="after")
-    def _needs_no_simulations_of_its_own(self) -> Self:
+    def _takes_no_fresh_simulations_elsewhere(self) -> Self:
         if isinstance(self.simulator, ElsewhereSettings):
             rules = {
                 "stop.error": isinstance(self.stop, Stop),

@@ -87,11 +87,13 @@ def name_of(path: Path) -> str:
 
 
 @contextmanager
-def opened_run(folder: Path, *, write: bool = False, code: Path | None = None) -> Iterator["Run"]:
-    """Open a run folder and print the warnings of its record."""
+def opened_run(
+    folder: Path, *, write: bool = False, code: Path | None = None, simulates: bool | None = None
+) -> Iterator["Run"]:
+    """Open a run folder and print the warnings of its record (see `open_run`)."""
     from activefail.opening import open_run
 
-    with open_run(folder, write=write, code=code) as run:
+    with open_run(folder, write=write, code=code, simulates=simulates) as run:
         show_warnings(run.store.new_warnings())
         yield run
         show_warnings(run.store.new_warnings())

@@ -1,6 +1,7 @@
 """Commands on simulations done elsewhere: create, ask, tell, drop, add."""
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,7 +19,7 @@ from activefail.cli.common import (
 )
 from activefail.errors import InputError
 from activefail.record.layout import check_output
-from activefail.visible import quoted, visible
+from activefail.visible import visible
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -35,13 +36,14 @@ def create(
     ] = None,
 ) -> None:
     """Create a run folder without simulating anything."""
+    from activefail.campaign.continuing import continue_command
     from activefail.opening import campaign_for, create_run
 
     check_output("--out", out)
     with create_run(out, campaign_for(out, campaign, seed, budget)) as created:
         show_warnings(created.store.new_warnings())
     print(f"created    {visible(str(out))}")
-    print(f"continue   activefail ask {quoted(out)} --n {created.settings.sampling.batch} --csv todo.csv")
+    print(f"continue   {visible(continue_command(out, created.campaign))}")
 
 
 def ask(
@@ -60,21 +62,41 @@ def ask(
     """Hand out designs to be simulated elsewhere."""
     from activefail.csv_table import writing
 
-    with table_output("--csv", csv) as target, opened_run(folder, write=not in_flight, code=code) as opened:
+    with (
+        table_output("--csv", csv) as target,
+        opened_run(folder, write=not in_flight, code=code, simulates=False) as opened,
+    ):
         space = opened.space
-        # The table first: if it cannot be written, no design is handed out.
-        with writing(target, ["id", *space.names, *space.fixed]) as write:
+        with suppress(_NothingError), writing(target, ["id", *space.names, *space.fixed]) as write:
+            # The table first: if it cannot be written, no design is handed out.
             table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
+            if not len(table):
+                # An earlier table under this name may be the one that somebody works on.
+                raise _NothingError
             write([[int(cells[0]), *map(repr, cells[1:])] for cells in table.itertuples(index=False)])
         show_warnings(opened.store.new_warnings())
+        waiting = opened.counts["in_flight"] - (0 if in_flight else len(table))
         if reason := table.attrs.get("reason", ""):
             print(f"{len(table)} instead of {n} designs: {visible(reason)}", file=sys.stderr)
-        print(f"{_numbers(table)} written to {name_of(csv)}")
+        if len(table):
+            print(f"{_numbers(table)} written to {name_of(csv)}")
+        else:
+            print("no designs, so no table was written" + (_WAITING if waiting else ""))
+
+
+class _NothingError(Exception):
+    """There is no design to write."""
+
+
+_WAITING = "; --in-flight writes the designs in flight again"
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things in words."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def _numbers(table: "DataFrame") -> str:
-    if not len(table):
-        return "no designs"
     ids = table["id"].tolist()
     if len(ids) == 1:
         return f"1 design, id {ids[0]},"
@@ -90,10 +112,10 @@ def tell(
     code: Code = None,
 ) -> None:
     """Record the results of designs that were handed out."""
-    with opened_run(folder, write=True, code=code) as opened:
+    with opened_run(folder, write=True, code=code, simulates=False) as opened:
         new = opened.tell(table_input(csv))
         left, summary = opened.counts["in_flight"], opened.summary
-    print(f"{new} new results recorded; {left} designs in flight")
+    print(f"{counted(new, 'new result')} recorded; {counted(left, 'design')} in flight")
     show_unseen(summary)
 
 
@@ -104,10 +126,10 @@ def drop(
 ) -> None:
     """Give up designs in flight; they are not proposed again."""
     numbers = [_id(text.strip()) for text in ids.split(",")]
-    with opened_run(folder, write=True, code=code) as opened:
+    with opened_run(folder, write=True, code=code, simulates=False) as opened:
         number = opened.drop(numbers)
         left = opened.counts["in_flight"]
-    print(f"{number} designs dropped; {left} designs in flight")
+    print(f"{counted(number, 'design')} dropped; {counted(left, 'design')} in flight")
 
 
 def _id(text: str) -> int:
@@ -124,8 +146,8 @@ def add(
     code: Code = None,
 ) -> None:
     """Record simulations that were not asked for, such as last year's."""
-    with opened_run(folder, write=True, code=code) as opened:
+    with opened_run(folder, write=True, code=code, simulates=False) as opened:
         new = opened.add(table_input(csv))
         summary = opened.summary
-    print(f"{new} simulations added")
+    print(f"{counted(new, 'simulation')} added")
     show_unseen(summary)

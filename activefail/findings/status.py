@@ -140,13 +140,23 @@ class Status:
         return [("estimate", text + "`activefail probability` estimates it from fresh simulations")]
 
     @property
+    def _asking(self) -> list[tuple[str, str]]:
+        """How to continue a campaign whose simulations are made elsewhere."""
+        settings, folder, flight = self.summary.settings, quoted(self.folder), self.summary.in_flight
+        lines = [f"activefail tell {folder} --csv answers.csv"] if flight else []
+        if self.summary.done + len(flight) < settings.budget:
+            ignoring = " --ignore-stop" if self._rule_is_met else ""
+            lines.append(f"activefail ask {folder} --n {settings.batch} --csv todo.csv{ignoring}")
+        return [("continue" if number == 0 else "", line) for number, line in enumerate(lines)]
+
+    @property
     def continuation(self) -> list[tuple[str, str]]:
         """Titles and texts of how to continue; empty once the budget is spent."""
         settings = self.summary.settings
+        if settings.is_elsewhere:
+            return self._asking
         if self.summary.done + len(self.summary.in_flight) >= settings.budget:
             return []
-        if settings.is_elsewhere:
-            return [("continue", f"activefail ask {quoted(self.folder)} --n {settings.batch} --csv todo.csv")]
         known = known_code(self.folder) if settings.custom_code else None
         if settings.custom_code and known is None:
             # Not a command that could be pasted: nobody has named the folder yet.

@@ -205,7 +205,7 @@ class Summary:
     @property
     def _in_flight(self) -> str:
         shown = ", ".join(map(str, self.in_flight[:_IDS_SHOWN])) + (", ..." if len(self.in_flight) > _IDS_SHOWN else "")
-        return f"{len(self.in_flight)} designs, ids {shown}"
+        return f"1 design, id {shown}" if len(self.in_flight) == 1 else f"{len(self.in_flight)} designs, ids {shown}"
 
     @property
     def unseen_warning(self) -> str:

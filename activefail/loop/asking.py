@@ -164,7 +164,7 @@ class RowError(InputError):
 
 
 def drop(store: Store, ids: NDArray[np.int64]) -> int:
-    """Give designs in flight up: they get no result, and are not proposed again.
+    """Give up designs in flight: they get no result and are not proposed again.
 
     Args:
         store: the record, open for writing.

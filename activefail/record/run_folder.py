@@ -126,6 +126,7 @@ class FolderStore:
         self._shown = 0
         self._rejected: set[int] = set()
         self._segments: list[Segment] = []
+        self._asked: Asked | StoreError = Asked.none(0)
         self._start = ""
         self._batches: list[Batch] = []
         # Built on demand: a commit must not copy all earlier batches.
@@ -252,6 +253,7 @@ class FolderStore:
             raise StoreError(f"{self.folder}: {error}") from error
         self._segments = list(recovery.chain)
         self._batches = [batch for segment in recovery.chain for batch in segment.batches]
+        self._asked = self._read_asked()
         for name in plain_files(folder):
             if not is_segment(name) and not name.startswith(TEMPORARY) and QUARANTINE not in name:
                 self._warn(f"segments/{name} is ignored: its name is not that of a segment.")
@@ -522,22 +524,30 @@ class FolderStore:
 
     @property
     def asked(self) -> Asked:
-        """The designs that were handed out (see Store)."""
+        """The designs that were handed out, as of opening (see Store)."""
+        if isinstance(self._asked, StoreError):
+            raise self._asked
+        return self._asked.copy()
+
+    def _read_asked(self) -> "Asked | StoreError":
+        """The designs that were handed out; the error if they cannot be read, for those who ask for them."""
         path = self.folder / ASKED
-        if self.schema is None:
-            if path.exists():
-                raise StoreError(f"{path} cannot be read without a schema while the record holds no batch.")
-            return Asked.none(0)
+        columns = 0 if self.schema is None else len(self.schema.variables)
         try:
             with reading(path):
-                return decode_asked(read_regular(path, LARGEST_ASKED), self._start, len(self.schema.variables))
+                data = read_regular(path, LARGEST_ASKED)
+            if self.schema is None:
+                return StoreError(f"{path} cannot be read without a schema while the record holds no batch.")
+            return decode_asked(data, self._start, columns)
         except FileNotFoundError:
-            return Asked.none(len(self.schema.variables))
+            return Asked.none(columns)
         except (DamagedError, ValueError) as error:
-            raise StoreError(
+            return StoreError(
                 f"{path} {error}. It lists the designs in flight. Restore it from a copy; if you remove it, designs in "
                 "flight may be handed out again."
-            ) from None
+            )
+        except StoreError as error:
+            return error
 
     def write_asked(self, asked: Asked) -> None:
         """Keep the designs that were handed out (see Store)."""
@@ -546,6 +556,7 @@ class FolderStore:
         data = encode_asked(asked, self._start)
         with self._writing():
             replace(self.folder / ASKED, data, self._check_place)
+            self._asked = asked.copy()
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

@@ -64,7 +64,7 @@ class Store(Protocol):
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays, learned from the batches so far; durable when this returns.
 
-        A state that includes fewer batches of its iteration than the record is skipped: its iteration went on.
+        A state that includes fewer batches of its iteration than the record is skipped.
         A state of the same iteration is replaced. States of later iterations are dropped: they belong to
         discarded batches. The newest three states are kept. A lost state costs only time, as it can be learned
         again.
@@ -82,7 +82,7 @@ class Store(Protocol):
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
         """The newest state and its iteration, among intact, not rejected states learned from these batches.
 
-        A state of an iteration that got another batch since is none of them.
+        A state is skipped if its iteration has got another batch since.
         """
         ...
 
@@ -99,7 +99,7 @@ class Store(Protocol):
 
     @property
     def asked(self) -> Asked:
-        """The designs that were handed out to be simulated elsewhere, as of the last `write_asked`.
+        """The designs that were handed out to be simulated elsewhere, as of opening or the last `write_asked`.
 
         Raises:
             StoreError: if they cannot be read; nothing says then which designs are in flight.

@@ -119,6 +119,8 @@ def _pairs(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     shown = sorted(np.argsort(scales[campaign.severity - 1], kind="stable")[:MOST_PAIRED].tolist())
     names = quantities.features(campaign)
     rows = findings.answered & ~findings.given
+    if not rows.any():
+        rows = findings.answered
     figure = plot_pairs(
         features.raw(findings.X[rows])[:, shown],
         findings.outcome[rows],

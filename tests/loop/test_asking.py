@@ -430,3 +430,74 @@ def test_any_order_of_ask_tell_drop_add_crash_and_reopening_keeps_every_design_i
     machine = Interleaved.TestCase
     machine.settings = examples(max_examples=1000 if every_fault else 25, stateful_step_count=15, deadline=None)
     machine().runTest()
+
+
+# --- one rule for the loop and for asking ------------------------------------------------------------------------
+
+EXPLORING = "acquisition.exploration = 0.25"
+
+
+@pytest.mark.parametrize("criterion", ["entropy", "eavc"])
+@pytest.mark.parametrize("fate", ["in flight", "dropped"])
+def test_the_loop_never_simulates_a_design_that_was_handed_out(criterion: str, fate: str) -> None:
+    campaign = disc(extra=f'{EXPLORING}\n        acquisition.criterion = "{criterion}"')
+    store = take(campaign, budget=INITIAL_SIZE)
+    flight = ask(campaign, store, 4, BUDGET).designs
+    if fate == "dropped":
+        drop(store, flight.id)
+    take(campaign, store)
+    handed = HandedOut.of(store)
+    simulated = {design.tobytes() for design in handed.history.designs}
+    assert not simulated & {design.tobytes() for design in flight.designs}
+    assert handed.in_flight.id.tolist() == ([] if fate == "dropped" else flight.id.tolist())
+    assert len(handed.history) == (BUDGET if fate == "dropped" else BUDGET - 4)
+
+
+@pytest.mark.parametrize("at", [12, 14, 16])
+def test_exploring_campaigns_have_the_bits_of_the_loop_from_wherever_asking_begins(at: int) -> None:
+    campaign = disc(extra="acquisition.exploration = 0.15")
+    store = take(campaign, budget=at)
+    designs = ask(campaign, store, BATCH, BUDGET).designs
+    tell(campaign, store, designs.id, campaign.simulator.run(designs.designs))
+    looped = take(campaign, take(campaign, budget=at), budget=at + BATCH)
+    assert rows(store) == rows(looped)
+
+
+def test_given_failures_are_neither_failures_of_the_simulator_nor_another_initial_design() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    X = campaign.space.from_unit(np.random.default_rng(7).random((31, 2)))
+    add(campaign, store, X, results(0, *[NUMERICAL_FAILURE] * 30, margin=np.nan))
+    assert len(HandedOut.of(store).initial_left(campaign)) == INITIAL_SIZE
+    take(campaign, store)
+    assert HandedOut.of(store).history.asked_for == BUDGET
+
+
+def test_after_a_lost_batch_ids_are_not_given_again(tmp_path: Path) -> None:
+    campaign = disc()
+    with create_folder(tmp_path / "run", campaign) as store:
+        first = ask(campaign, store, 6, BUDGET).designs
+        tell(campaign, store, first.id, campaign.simulator.run(first.designs))
+        X = campaign.space.from_unit(np.random.default_rng(5).random((5, 2)))
+        add(campaign, store, X, campaign.simulator.run(X))
+        assert ask(campaign, store, 2, BUDGET).designs.id.tolist() == [11, 12]
+    last = sorted((tmp_path / "run" / "segments").iterdir())[-1]
+    last.write_bytes(last.read_bytes()[:-1])
+    with FolderStore.open(tmp_path / "run", campaign.schema, write=True) as store:
+        assert HandedOut.of(store).ids.tolist() == [0, 1, 2, 3, 4, 5]
+        assert ask(campaign, store, 1, BUDGET).designs.id.tolist() == [13]
+        assert add(campaign, store, X, campaign.simulator.run(X)) == 5
+        ids = HandedOut.of(store).ids.tolist()
+        assert len(set(ids)) == 11
+
+
+def test_a_reader_keeps_the_list_that_it_opened(tmp_path: Path) -> None:
+    campaign = disc()
+    with create_folder(tmp_path / "run", campaign) as store:
+        first = ask(campaign, store, 3, BUDGET).designs
+        with FolderStore.open(tmp_path / "run", campaign.schema, write=False) as reader:
+            tell(campaign, store, first.id, campaign.simulator.run(first.designs))
+            X = campaign.space.from_unit(np.random.default_rng(5).random((5, 2)))
+            add(campaign, store, X, campaign.simulator.run(X))
+            ask(campaign, store, 2, BUDGET)
+            handed = HandedOut.of(reader)
+            assert (handed.in_flight.id.tolist(), handed.ids.tolist()) == ([0, 1, 2], [])
