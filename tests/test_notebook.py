@@ -15,9 +15,13 @@ PAGE = Path(__file__).parents[1] / "docs" / "elsewhere.ipynb"
 def executed(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     """The cells of code with their outputs, after a kernel has executed all cells in order."""
     notebook = nbformat.read(PAGE, as_version=4)
-    place = str(tmp_path_factory.mktemp("notebook"))
-    client = NotebookClient(notebook, timeout=3 * PATIENCE, resources={"metadata": {"path": place}})
-    client.execute()
+    place = tmp_path_factory.mktemp("notebook")
+    client = NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": str(place)}})
+    with pytest.MonkeyPatch.context() as patch:
+        # Kernels write a history and sockets, by default into the home.
+        for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
+            patch.setenv(name, str(tmp_path_factory.mktemp("jupyter")))
+        client.execute()
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
