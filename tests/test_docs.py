@@ -1,6 +1,8 @@
 """What the documentation says can be done is done here."""
 
+import ast
 import importlib.util
+import inspect
 import re
 import shlex
 import shutil
@@ -9,6 +11,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import commandline
 import pytest
 
 import activefail
@@ -36,11 +39,86 @@ def test_every_command_of_the_readme_runs_in_its_order(tmp_path):
     assert {"response.png", "bearing.gif", "simulations.csv", "predictions.csv"} <= {p.name for p in tmp_path.iterdir()}
 
 
-def test_the_python_of_the_readme_runs():
+def test_the_python_of_the_readme_runs(tmp_path):
     source = "\n".join(blocks(ROOT / "README.md", "python"))
-    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", source], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "failure" in done.stdout
+    assert (tmp_path / "beam.png").read_bytes().startswith(b"\x89PNG")
+
+
+GUIDE = ROOT / "docs" / "guide.md"
+
+
+def section(page, heading):
+    """The text of a page under a heading, to the next one of its rank."""
+    rank = heading.split()[0]
+    text = page.read_text(encoding="utf-8")
+    return text[text.index(f"\n{heading}\n") :].split(f"\n{rank} ")[1]
+
+
+PLATE = """
+sampling = { initial = 8, budget = 16, batch = 4 }
+simulator = { python = "guides_plate:run" }
+[space]
+x = { low = 0.0, high = 1.0 }
+y = { low = 0.0, high = 1.0 }
+"""
+
+
+def test_the_guides_simulations_done_elsewhere_can_be_done(tmp_path, monkeypatch):
+    (tmp_path / "runs").mkdir()
+    monkeypatch.chdir(tmp_path)
+    text = section(GUIDE, "## Simulations done elsewhere")
+    found = re.findall(r"^```(\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    (campaign,) = (body for language, body in found if language == "toml")
+    answers, old = (body for language, body in found if language == "csv")
+    for name, body in (("lab.toml", campaign), ("answers.csv", answers), ("old.csv", old), ("plate.toml", PLATE)):
+        (tmp_path / name).write_text(body)
+    (tmp_path / "guides_plate.py").write_text("def run(d):\n    return 'failure' if d['x'] + d['y'] > 1 else 'safe'\n")
+    said, todo = {}, []
+    commands = [line for language, body in found if language == "sh" for line in body.splitlines()]
+    assert {command.split()[1] for command in commands} == {"create", "ask", "tell", "drop", "add", "status", "resume"}
+    for command in commands:
+        name, *words = shlex.split(command)
+        if words[:2] == ["tell", "runs/plate"]:
+            rows = [f"{row['id']},{outcome}\n" for row, outcome in zip(todo, ["safe", "failure"] * 2, strict=True)]
+            (tmp_path / "answers.csv").write_text("id,outcome\n" + "".join(rows))
+        done = commandline.activefail(*words)
+        assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
+        said[command] = done.out
+        if words[0] == "ask":
+            todo = commandline.table(tmp_path / "todo.csv")
+    assert "3 new results recorded; 1 designs in flight" in said["activefail tell runs/lab --csv answers.csv"]
+    assert "1 designs dropped; 0 designs in flight" in said["activefail drop runs/lab --ids 3"]
+    assert "2 simulations added" in said["activefail add runs/lab --csv old.csv"]
+    assert "2 designs" in said["activefail ask runs/plate --n 2 --csv todo.csv"]
+
+
+def test_the_python_of_the_guide_runs(tmp_path):
+    (source,) = re.findall(r"^```python\n(.*?)^```", section(GUIDE, "## From Python"), re.MULTILINE | re.DOTALL)
+    done = subprocess.run([sys.executable, "-c", source], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "the budget is 16 simulations, with 0 in flight\n{'safe'" in done.stdout
+    assert float(done.stdout.split("misclassified")[1]) < 0.1
+
+
+def test_the_guide_lists_every_method_and_property_of_a_run_with_its_arguments():
+    first_cells = re.findall(r"^\| (`.*?`) \|", section(GUIDE, "## From Python"), re.MULTILINE)
+    listed = [entry for cell in first_cells for entry in re.findall(r"`([^`]+)`", cell)]
+    arguments = dict(re.findall(r"^(\w+)\((.*)\)$", entry)[0] for entry in listed if entry.endswith(")"))
+    functions = {"create_run", "open_run"}
+    public = {name for name in dir(activefail.Run) if not name.startswith("_")} | {"folder", "campaign", "store"}
+    assert {entry.partition("(")[0] for entry in listed} - functions == public
+    for name, stated in arguments.items():
+        signature = inspect.signature(getattr(activefail if name in functions else activefail.Run, name))
+        parameters = [parameter for parameter in signature.parameters.values() if parameter.name != "self"]
+        texts = stated.split(", ") if stated else []
+        assert [text.partition("=")[0] for text in texts] == [one.name for one in parameters], name
+        for text, one in zip(texts, parameters, strict=True):
+            _, given, default = text.partition("=")
+            assert bool(given) == (one.default is not one.empty), name
+            assert default in ("", "…") or ast.literal_eval(default) == one.default, name
 
 
 def test_the_python_of_the_theory_runs():

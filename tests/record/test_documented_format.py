@@ -153,6 +153,71 @@ def test_the_new_run_folder_has_all_that_the_page_describes(reader, new_run):
     assert "flight/designs" in reader.read_state(max((new_run / "state").iterdir()), chain)
 
 
+ELSEWHERE = """
+seed = 5
+sampling = { initial = 6, budget = 20, batch = 2 }
+simulator = { elsewhere = true, margins = ["g"] }
+[space]
+load = { low = 1.0, high = 5.0 }
+strength = { low = 2.0, high = 12.0 }
+"""
+
+
+@pytest.fixture
+def asked_run(tmp_path):
+    """A run folder with designs in flight, results told in another order than asked for, dropped and given designs."""
+    import activefail
+
+    def answered(designs):
+        return designs.assign(g=designs["strength"] - 2.0 * designs["load"])
+
+    (tmp_path / "lab.toml").write_text(ELSEWHERE)
+    with activefail.create_run(tmp_path / "run", tmp_path / "lab.toml") as run:
+        first = answered(run.ask(6))
+        run.tell(first[3:])
+        run.add({"load": 2.0, "strength": 3.0, "g": -1.0})
+        run.drop(1)
+        run.tell(first[:1])
+        run.add(first[1:2])  # what was dropped was simulated after all
+        run.tell(answered(run.ask(3))[1:2])
+        run.drop(10)
+    return tmp_path / "run"
+
+
+def test_the_pages_reader_knows_ids_and_what_is_in_flight_from_asked_h5(reader, asked_run, tmp_path):
+    schema, batches, chain = reader.read_record(asked_run)
+    asked = reader.read_asked(asked_run / "asked.h5", batches, chain)
+    assert activefail("export", asked_run, "--csv", tmp_path / "all.csv").code == 0
+    assert activefail("ask", asked_run, "--in-flight", "--csv", tmp_path / "todo.csv").code == 0
+    with (tmp_path / "all.csv").open(newline="") as file:
+        exported = list(csv.DictReader(file))
+    with (tmp_path / "todo.csv").open(newline="") as file:
+        todo = list(csv.DictReader(file))
+    assert reader.record_ids(asked, max(chain)) == [int(row["id"]) for row in exported] == [3, 4, 5, 6, 0, 7, 9]
+    assert [row["origin"] for row in exported].count("given") == 2
+    assert sum(int((batch["origin"] == 3).sum()) for batch in batches) == 2
+    flight = (asked["row"] < 0) & (asked["dropped"] == 0)
+    assert asked["id"][flight].tolist() == [int(row["id"]) for row in todo] == [2, 8]
+    assert asked["designs"][flight].tolist() == [[float(row[name]) for name in schema["variables"]] for row in todo]
+    assert asked["id"][asked["dropped"] == 1].tolist() == [1, 10]
+    assert asked["learned"].tolist() == [-1] * 6 + [0] * 3
+    assert asked["origin"].tolist() == [0] * 6 + [1] * 3
+
+
+def test_the_page_lists_every_dataset_of_asked_h5_with_its_type(reader, asked_run):
+    listed = dict(re.findall(r"^\| `(\w+)` \| (\w+) \| \(k", PAGE, re.MULTILINE))
+    with reader.body((asked_run / "asked.h5").read_bytes()) as file:
+        assert set(file.attrs) == {"schema_version", "campaign"}
+        for name, dataset in file.items():
+            assert np.dtype(listed[name]) == dataset.dtype, name
+
+
+def test_the_pages_reader_refuses_asked_h5_of_another_campaign(reader, asked_run):
+    _, batches, chain = reader.read_record(asked_run)
+    with pytest.raises(reader.Damaged):
+        reader.read_asked(asked_run / "asked.h5", batches, chain | {0: "0" * 64})
+
+
 def test_the_page_lists_all_datasets_and_attributes_of_each_kind_of_file(reader, run):
     listed = set(re.findall(r"`([\w.<>]+)`", PAGE))
     for path in sorted(run.rglob("*.h5")):
