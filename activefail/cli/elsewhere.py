@@ -91,7 +91,7 @@ class _NothingError(Exception):
 _WAITING = "; --in-flight writes the designs in flight again"
 
 
-def counted(number: int, thing: str) -> str:
+def _counted(number: int, thing: str) -> str:
     """A number of things in words."""
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
@@ -115,7 +115,7 @@ def tell(
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         new = opened.tell(table_input(csv))
         left, summary = opened.counts["in_flight"], opened.summary
-    print(f"{counted(new, 'new result')} recorded; {counted(left, 'design')} in flight")
+    print(f"{_counted(new, 'new result')} recorded; {_counted(left, 'design')} in flight")
     show_unseen(summary)
 
 
@@ -129,7 +129,7 @@ def drop(
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         number = opened.drop(numbers)
         left = opened.counts["in_flight"]
-    print(f"{counted(number, 'design')} dropped; {counted(left, 'design')} in flight")
+    print(f"{_counted(number, 'design')} dropped; {_counted(left, 'design')} in flight")
 
 
 def _id(text: str) -> int:
@@ -149,5 +149,5 @@ def add(
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         new = opened.add(table_input(csv))
         summary = opened.summary
-    print(f"{counted(new, 'simulation')} added")
+    print(f"{_counted(new, 'simulation')} added")
     show_unseen(summary)

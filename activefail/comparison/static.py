@@ -152,7 +152,8 @@ def compare(
 ) -> list[Score]:
     """Score the campaign's first n simulations and a static design of size n, for each budget n.
 
-    Simulations that the campaign did not ask for count among its first n. Both samplings train the same classifier. Test set and static designs are simulated once and kept in the run folder.
+    Simulations that the campaign did not ask for count among its first n. Both samplings train the same classifier.
+    Test set and static designs are simulated once and kept in the run folder.
 
     Raises:
         InputError: if a budget is below 2 or above the campaign's simulations, or the campaign has none.
