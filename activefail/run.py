@@ -1,5 +1,6 @@
 """An open run folder, on which the commands are methods."""
 
+import io
 import json
 import os
 import threading
@@ -9,6 +10,8 @@ from html import escape
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex
+
+import numpy as np
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
@@ -48,6 +51,9 @@ if TYPE_CHECKING:
     from activefail.surrogate.classifier import Classifier
     from activefail.verification.error import ErrorEstimate
 
+
+_LARGEST_ID = 2**53
+"""Largest id; none is that large."""
 
 TEST_DESIGNS = 2000
 """Fresh designs of a comparison by default."""
@@ -105,6 +111,8 @@ class Run:
     def __init__(self, folder: Path, campaign: Campaign, store: "FolderStore", write: bool) -> None:
         self.folder, self.campaign, self.store = folder, campaign, store
         self._write = write
+        # Two threads that ask at once must not get the same designs.
+        self._turn = threading.RLock()
         self._learned: Learned | None = None
 
     # ------------------------------------------------------------------------------------------- properties
@@ -267,7 +275,7 @@ class Run:
         from activefail.loop.asking import ask
 
         check_whole("n", n, 1)
-        with one_thread():
+        with self._turn, one_thread():
             proposed = ask(self.campaign, self.store, n, None if beyond else self.settings.sampling.budget, ignore_stop)
         frame = designs_frame(self.campaign, proposed.designs)
         frame.attrs["reason"] = proposed.reason
@@ -295,14 +303,20 @@ class Run:
         from activefail.campaign.results_table import ResultTable
         from activefail.loop.asking import RowError, tell
 
-        told = ResultTable.told(self.campaign, _table(table))
-        asked = self.handed_out.asked
-        told.check_designs(self.campaign, asked.id, asked.designs)
-        try:
-            new = tell(self.campaign, self.store, told.ids, told.results)
-        except RowError as error:
-            raise InputError(f"{told.table.places[told.rows[error.row]]}: {error}.") from None
-        self._learned = None
+        given = _table(table)
+        if not given.rows:
+            return 0
+        told = ResultTable.told(self.campaign, given)
+        with self._turn:
+            handed_out = self.handed_out
+            ids = np.concatenate([handed_out.asked.id, handed_out.ids])
+            designs = handed_out.history.designs.reshape(-1, self.space.dimension)
+            told.check_designs(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
+            try:
+                new = tell(self.campaign, self.store, told.ids, told.results)
+            except RowError as error:
+                raise InputError(f"{told.table.places[told.rows[error.row]]}: {error}.") from None
+            self._learned = None
         return new
 
     def drop(self, ids: "Iterable[int] | int") -> int:
@@ -318,14 +332,15 @@ class Run:
             InputError: if an id is unknown or has a result; nothing is dropped then.
             StoreError: if the run is not open for writing, or this cannot be recorded.
         """
-        import numpy as np
-
         from activefail.loop.asking import drop
 
-        numbers = [ids] if isinstance(ids, SupportsIndex) else list(ids)
+        numbers = np.atleast_1d(np.asarray(ids, dtype=object)).tolist()
         for number in numbers:
             check_whole("ids", number, 0)
-        return drop(self.store, np.array([index(number) for number in numbers], dtype=np.int64))
+            if number > _LARGEST_ID:
+                raise InputError(f"ids: must be at most {_LARGEST_ID}, got {number}.")
+        with self._turn:
+            return drop(self.store, np.array([index(number) for number in numbers], dtype=np.int64))
 
     def add(self, table: Any) -> int:
         """Record simulations that were not asked for, such as last year's; they are durable once this returns.
@@ -346,12 +361,16 @@ class Run:
         from activefail.campaign.results_table import ResultTable
         from activefail.loop.asking import RowError, add
 
-        added = ResultTable.added(self.campaign, _table(table))
-        try:
-            new = add(self.campaign, self.store, added.designs, added.results)
-        except RowError as error:
-            raise InputError(f"{added.table.places[added.rows[error.row]]}: {error}.") from None
-        self._learned = None
+        given = _table(table)
+        if not given.rows:
+            return 0
+        added = ResultTable.added(self.campaign, given)
+        with self._turn:
+            try:
+                new = add(self.campaign, self.store, added.designs, added.results)
+            except RowError as error:
+                raise InputError(f"{added.table.places[added.rows[error.row]]}: {error}.") from None
+            self._learned = None
         return new
 
     # ------------------------------------------------------------------------------------------- actions
@@ -803,6 +822,8 @@ def _table(table: Any) -> "Table":
 
     if isinstance(table, str | os.PathLike):
         table = Path(table)
+    if isinstance(table, io.TextIOBase):
+        raise InputError("table: must be a file that was opened in binary mode, or its path.")
     return Table.of_csv(table) if isinstance(table, Path) or hasattr(table, "read") else Table.of_python(table)
 
 
@@ -813,6 +834,8 @@ def check_whole(name: str, number: SupportsIndex, least: int) -> None:
         InputError: naming the argument, the rule and the value.
     """
     try:
+        if isinstance(number, bool):
+            raise TypeError
         whole = index(number)
     except TypeError:
         raise InputError(f"{name}: must be a whole number, got {number!r}.") from None

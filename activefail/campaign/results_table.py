@@ -113,9 +113,12 @@ class Table:
             if isinstance(value, bool | np.bool_):
                 raise ValueError
             # 1_000 is a number in Python alone.
-            return float(value.replace("_", "?") if isinstance(value, str) else value)
-        except (TypeError, ValueError, OverflowError):
+            number = float(value.replace("_", "?") if isinstance(value, str) else value)
+        except (TypeError, ValueError, ArithmeticError):
             raise self.broken(row, name, "must be a number", value) from None
+        if math.isinf(number) and isinstance(value, str) and value.lower().strip("+-") not in ("inf", "infinity"):
+            raise self.broken(row, name, "must fit a float64, at most 1.8e308 in size", value)
+        return number
 
     def finite(self, row: int, name: str) -> float:
         """A cell as a finite number.
@@ -152,7 +155,7 @@ def _is_missing(value: object) -> bool:
     """Whether a cell is None, NaN or pandas' NA."""
     try:
         return value is None or bool(value != value)
-    except (TypeError, ValueError):  # pandas' NA has no truth value
+    except (TypeError, ValueError, ArithmeticError):  # pandas' NA has no truth value
         return type(value).__name__ == "NAType"
 
 
@@ -257,7 +260,10 @@ def _whole(table: Table, row: int) -> int:
     if isinstance(value, str) and re.fullmatch(r"[0-9]{1,15}(\.0*)?", value):
         return int(float(value))
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            raise table.broken(row, _ID, "must be a whole number below 2**53", value) from None
         if abs(number) < 2**53 and number == int(number):
             return int(number)
     raise table.broken(row, _ID, "must be a whole number", value)
@@ -302,7 +308,7 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
         raise table.broken(row, _SECONDS, "`0 <= seconds < inf` must hold", seconds)
     name = table.cell(row, _OUTCOME)
     cause = np.array([_cause(campaign, table, row)], dtype=np.int8)
-    if name == "numerical_failure":
+    if isinstance(name, str) and name == "numerical_failure":
         known = np.array([[values[margin] for margin in margins]]).reshape(1, len(margins))
         return Results(np.array([NUMERICAL_FAILURE], dtype=np.int8), cause, known, np.array([seconds]))
     answer: object = {"outcome": name, "margins": values}
@@ -310,7 +316,7 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
         if not (levels := _levels(campaign)):
             raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", "an empty cell")
         answer = values[margins[0]]
-    elif name not in outcomes:
+    elif not isinstance(name, str) or name not in outcomes:
         raise table.broken(row, _OUTCOME, f"must be one of {', '.join((*outcomes, 'numerical_failure'))}", name)
     else:
         levels = ()
@@ -327,6 +333,6 @@ def _cause(campaign: Campaign, table: Table, row: int) -> int:
     if name is None:
         return 0
     known = {**{text: code for code, text in EXECUTION_CAUSES.items()}, **{text: i for i, text in enumerate(causes)}}
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         raise table.broken(row, _CAUSE, f"must be empty or one of {', '.join(filter(None, known))}", name)
     return known[name]

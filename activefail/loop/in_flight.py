@@ -76,7 +76,12 @@ class HandedOut:
 
     def initial_left(self, campaign: Campaign) -> Array:
         """The designs of the initial design, (k, d), that have neither been simulated nor handed out, in order."""
-        initial = initial_designs(campaign, initial_sets(campaign, self.history))
+        sets = initial_sets(campaign, self.history)
+        if not self.history.answered.any():
+            # Of a hypercube that was given up nothing can be learned either.
+            given_up = int((self.asked.origin[self.asked.dropped == 1] == INITIAL).sum())
+            sets = 1 + (self.history.leading_failures + given_up) // campaign.settings.sampling.initial
+        initial = initial_designs(campaign, sets)
         known = {design.tobytes() for design in self.asked.designs}
         known |= {design.tobytes() for design in self.history.designs}
         return initial[[design.tobytes() not in known for design in initial]]
@@ -95,4 +100,5 @@ class HandedOut:
             completed = int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))
             if last or completed:
                 learned = max(learned, last)
-        return learned + 1
+        # A damaged file that was set aside may have held what a proposal learned from.
+        return min(learned, self.history.last_iteration if len(self.history) else NEVER) + 1

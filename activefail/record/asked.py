@@ -4,6 +4,7 @@ The file `asked.h5` lists every design that `ask` handed out, with its id. A des
 that of any other simulation; so a design is in flight until a batch holds it, or until it was dropped.
 """
 
+import hashlib
 from collections import defaultdict
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
@@ -24,6 +25,9 @@ LARGEST_ASKED = 1_000_000_000
 
 _LARGEST_ID = 2**53
 """Largest id and iteration: a float holds it too, as it must in a table."""
+
+ASKED_ENTRY = "asked"
+"""The entry of a batch's provenance that says which designs had been handed out."""
 
 NO_ROW = -1
 """In place of a row of the record, for a design without a result."""
@@ -108,7 +112,12 @@ class Asked:
             and np.isin(self.dropped, (0, 1)).all()
             and (self.learned >= NEVER).all()
             and (self.learned <= _LARGEST_ID).all()
+            and len(np.unique(self.designs, axis=0)) == len(self)
         )
+
+    def digest_of(self, count: int) -> str:
+        """The number of the first designs, and a digest of them; a list never loses designs, it only grows."""
+        return f"{count} {hashlib.sha256(self.designs[:count].astype('<f8').tobytes()).hexdigest()[:16]}"
 
     @property
     def given_up(self) -> Array:

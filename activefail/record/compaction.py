@@ -9,6 +9,7 @@ import json
 from collections.abc import Sequence
 from itertools import accumulate, groupby, takewhile
 
+from activefail.record.asked import ASKED_ENTRY
 from activefail.record.segment import Segment
 
 COMPACT_AT = 64
@@ -45,6 +46,10 @@ def merge(segments: Sequence[Segment]) -> Segment:
     """One segment with the batches of consecutive segments."""
     provenance = {}
     for key in sorted({key for segment in segments for key in segment.provenance}):
+        if key == ASKED_ENTRY:
+            # It differs from batch to batch; only the last value is ever read.
+            provenance[key] = next(one.provenance[key] for one in reversed(segments) if key in one.provenance)
+            continue
         texts = [
             item for segment in segments for item in history(segment.provenance.get(key, ""), segment.first).items()
         ]

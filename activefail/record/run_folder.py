@@ -26,7 +26,7 @@ from activefail import __version__
 from activefail.errors import DamagedError, InputError, StoreError, SyncError
 from activefail.files import TEMPORARY, make_folder, publish, read_regular, replace, sync_folder
 from activefail.record import compaction
-from activefail.record.asked import LARGEST_ASKED, Asked, decode_asked, encode_asked
+from activefail.record.asked import ASKED_ENTRY, LARGEST_ASKED, Asked, decode_asked, encode_asked
 from activefail.record.attachments import decode_set, decode_state, encode_set, encode_state
 from activefail.record.batch import Batch, Schema, checked_copy
 from activefail.record.layout import (
@@ -122,6 +122,8 @@ class FolderStore:
         self._provenance = {"activefail": __version__, **provenance}
         self._decisive = frozenset(decisive)
         self._lock = lock
+        # A fork inherits the lock, and would be a second writer.
+        self._pid = os.getpid()
         self._warnings: list[str] = []
         self._shown = 0
         self._rejected: set[int] = set()
@@ -347,6 +349,8 @@ class FolderStore:
         """
         if self._refusal or self.schema is None:
             raise StoreError(self._refusal)
+        if os.getpid() != self._pid:
+            raise StoreError(f"{self.folder} was opened for writing by another process; open it in this one.")
         return self.schema
 
     @contextmanager
@@ -397,7 +401,10 @@ class FolderStore:
         schema = self._writable()
         first = self._segments[-1].last + 1 if self._segments else 0
         copy = checked_copy(batch, schema)
-        segment = Segment(self.settings, schema, first, self.digest, (copy,), self._provenance)
+        provenance = self._provenance
+        if not isinstance(self._asked, StoreError) and len(self._asked):
+            provenance = provenance | {ASKED_ENTRY: self._asked.digest_of(len(self._asked))}
+        segment = Segment(self.settings, schema, first, self.digest, (copy,), provenance)
         data = encode_segment(segment)
         with self._writing():
             self._publish(segment, data)
@@ -538,9 +545,9 @@ class FolderStore:
                 data = read_regular(path, LARGEST_ASKED)
             if self.schema is None:
                 return StoreError(f"{path} cannot be read without a schema while the record holds no batch.")
-            return decode_asked(data, self._start, columns)
+            asked = decode_asked(data, self._start, columns)
         except FileNotFoundError:
-            return Asked.none(columns)
+            asked = Asked.none(columns)
         except (DamagedError, ValueError) as error:
             return StoreError(
                 f"{path} {error}. It lists the designs in flight. Restore it from a copy; if you remove it, designs in "
@@ -548,6 +555,14 @@ class FolderStore:
             )
         except StoreError as error:
             return error
+        known = self._segments[-1].provenance.get(ASKED_ENTRY, "") if self._segments else ""
+        count = known.partition(" ")[0]
+        if known and not (re.fullmatch("[0-9]{1,9}", count) and asked.digest_of(int(count)) == known):
+            return StoreError(
+                f"{path} is not the list that the last batch knows: it was removed, or replaced by an earlier or "
+                "another one. Restore it from a copy; without it designs in flight would be handed out again."
+            )
+        return asked
 
     def write_asked(self, asked: Asked) -> None:
         """Keep the designs that were handed out (see Store)."""
