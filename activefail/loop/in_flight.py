@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.loop.proposing import initial_designs, initial_sets
-from activefail.record.asked import NEVER, NO_ROW, Asked, rows_with_results
+from activefail.record.asked import NEVER, NO_ROW, Asked, bits_of, rows_with_results
 from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
 from activefail.space import Array
@@ -75,9 +75,8 @@ class HandedOut:
     def initial_left(self, campaign: Campaign) -> Array:
         """The designs of the initial design, (k, d), that have neither been simulated nor handed out, in order."""
         initial = initial_designs(campaign, initial_sets(campaign, self.history))
-        known = {design.tobytes() for design in self.asked.designs}
-        known |= {design.tobytes() for design in self.history.designs}
-        return initial[[design.tobytes() not in known for design in initial]]
+        known = {*bits_of(self.asked.designs), *bits_of(self.history.designs)}
+        return initial[[bits not in known for bits in bits_of(initial)]]
 
     def next_iteration(self, campaign: Campaign) -> int:
         """The iteration of the next results: one more than the last that a proposal learned from.
@@ -88,9 +87,11 @@ class HandedOut:
         by_loop = ~self.handed_out & (self.history.origin != GIVEN)
         if by_loop.any():
             last = int(self.history.iteration[by_loop].max())
-            # The loop learns from iteration 0 once it has completed the initial design, unless `ask` completed it.
-            asked_last = int(self.asked.id[self.asked.origin == INITIAL].max(initial=-1))
-            completed = int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))
-            if last or completed:
+            if last or self._loop_completed_initial(campaign, by_loop):
                 learned = max(learned, last)
         return learned + 1
+
+    def _loop_completed_initial(self, campaign: Campaign, by_loop: NDArray[np.bool_]) -> bool:
+        """Whether the loop completed the initial design, and so learned from iteration 0; not if `ask` completed it."""
+        asked_last = int(self.asked.id[self.asked.origin == INITIAL].max(initial=-1))
+        return int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))

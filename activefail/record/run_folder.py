@@ -130,6 +130,8 @@ class FolderStore:
         self._batches: list[Batch] = []
         # Built on demand: a commit must not copy all earlier batches.
         self._batches_read: tuple[Batch, ...] | None = None
+        # As in the file, which no other process changes under the lock; None if it was not read yet.
+        self._asked: Asked | None = None
         # The reason why this object may not write; empty if it may.
         self._refusal = "" if lock else f"{folder} was opened for reading only."
         if lock and not lock.held:
@@ -528,9 +530,13 @@ class FolderStore:
             if path.exists():
                 raise StoreError(f"{path} cannot be read without a schema while the record holds no batch.")
             return Asked.none(0)
+        if self._asked is not None:
+            return self._asked.copy()
         try:
             with reading(path):
-                return decode_asked(read_regular(path, LARGEST_ASKED), self._start, len(self.schema.variables))
+                asked = decode_asked(read_regular(path, LARGEST_ASKED), self._start, len(self.schema.variables))
+            self._keep_asked(asked)
+            return asked
         except FileNotFoundError:
             return Asked.none(len(self.schema.variables))
         except (DamagedError, ValueError) as error:
@@ -544,8 +550,14 @@ class FolderStore:
         schema = self._writable()
         check_asked(asked, schema)
         data = encode_asked(asked, self._start)
+        self._asked = None
         with self._writing():
             replace(self.folder / ASKED, data, self._check_place)
+        self._keep_asked(asked)
+
+    def _keep_asked(self, asked: Asked) -> None:
+        if self._lock and self._lock.held:
+            self._asked = asked.copy()
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""
@@ -593,7 +605,7 @@ class FolderStore:
         """Refuse further writes and release the lock; the batches stay readable."""
         if self._lock:
             self._lock.release()
-            self._lock = None
+            self._lock = self._asked = None
             self._refusal = f"This store of {self.folder} is closed."
 
     def __enter__(self) -> Self:
