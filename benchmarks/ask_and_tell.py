@@ -8,8 +8,8 @@ Latin hypercube of each seed, is there before the clock starts; simulations are 
 the same number of steps: it proposes one design, gets its outcome and keeps it.
 
     pairs         `run.ask(1)` and `run.tell(table)` on a run folder. The design and its outcome are durable when the
-                  calls return. Each `ask` learns from all outcomes and saves the classifier. It learns hyperparameters again
-                  whenever the record has grown by a twentieth, and otherwise keeps them.
+                  calls return. Each `ask` learns from all outcomes and saves the classifier. It learns hyperparameters
+                  again whenever the record has grown by a twentieth, and otherwise keeps them.
     loop          what `activefail run` spends between two simulations, in batches of one, on a run folder. It learns,
                   saves and proposes the same, which is checked. It does not record designs in flight, since the record
                   gives them again.
