@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
     from activefail.loop.in_flight import HandedOut
-    from activefail.loop.learning import Learned
+    from activefail.loop.learning import Learned, Memory
     from activefail.record.batch import Batch
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
@@ -114,6 +114,7 @@ class Run:
         # Two threads that ask at once must not get the same designs.
         self._turn = threading.RLock()
         self._learned: Learned | None = None
+        self._memory: Memory | None = None
 
     # ------------------------------------------------------------------------------------------- properties
 
@@ -276,7 +277,8 @@ class Run:
 
         check_whole("n", n, 1)
         with self._turn, one_thread():
-            proposed = ask(self.campaign, self.store, n, None if beyond else self.settings.sampling.budget, ignore_stop)
+            budget = None if beyond else self.settings.sampling.budget
+            proposed = ask(self.campaign, self.store, n, budget, ignore_stop, self._remembered)
         frame = designs_frame(self.campaign, proposed.designs)
         frame.attrs["reason"] = proposed.reason
         return frame
@@ -447,7 +449,8 @@ class Run:
             use_stop_rule=not ignore_stop,
             resume_command=command,
         )
-        self._learned = None
+        # The loop saved newer states.
+        self._learned = self._memory = None
         progress = standing(self.campaign, self.store.batches, target)
         stop_rule = self._met_after(progress.done) if finished and progress.done < target else ""
         return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
@@ -491,9 +494,19 @@ class Run:
             )
         stage("learning")
         with one_thread():
-            learned = learned_so_far if self.settings.sampling.asynchronous else current
-            self._learned = learned(self.campaign, self.store, self._write)
+            if self.settings.sampling.asynchronous:
+                self._learned = learned_so_far(self.campaign, self.store, self._write)
+            else:
+                self._learned = current(self.campaign, self.store, self._write, self._remembered)
         return self._learned
+
+    @property
+    def _remembered(self) -> "Memory":
+        from activefail.loop.learning import Memory
+
+        if self._memory is None:
+            self._memory = Memory()
+        return self._memory
 
     def classifier_after(self, simulations: int) -> "Classifier":
         """The classifier of the first simulations, numerical failures included.

@@ -1,9 +1,13 @@
 """Simulations done elsewhere, through the Python interface and the commands, wrong inputs included."""
 
 import csv
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -243,6 +247,8 @@ WRONG = [
     ({"id": "", "g": 1.0}, "column id: must be a whole number, got 'an empty cell'"),
     ({"id": 8, "g": "1_0"}, "column g: must be a number, got '1_0'"),
     ({"id": 8, "g": "wide"}, "column g: must be a number, got 'wide'"),
+    ({"id": 8, "g": "1e400"}, "column g: must fit a float64, at most 1.8e308 in size, got '1e400'"),
+    ({"id": "9" * 30, "g": 1.0}, "column id: must be a whole number, got '9999"),
     ({"id": 8, "g": "", "outcome": "collapse"}, "column outcome: must be one of safe, failure, numerical_failure, got"),
     ({"id": 8, "g": 1.0, "cause": "fog"}, "column cause: must be empty or one of"),
     ({"id": 8, "g": 1.0, "seconds": -1}, "column seconds: `0 <= seconds < inf` must hold, got -1.0"),
@@ -323,12 +329,8 @@ def test_dropping_names_what_is_wrong(folder: Path) -> None:
 
 @pytest.mark.parametrize("n", [0, -1, 2.5, "3", True])
 def test_a_number_of_designs_is_a_whole_number_of_at_least_one(folder: Path, n: Any) -> None:
-    with af.open_run(folder, write=True) as run:
-        if n is True:
-            assert len(run.ask(n)) == 1
-            return
-        with pytest.raises(InputError, match="n: must be"):
-            run.ask(n)
+    with af.open_run(folder, write=True) as run, pytest.raises(InputError, match="n: must be"):
+        run.ask(n)
 
 
 def test_a_run_that_is_open_for_reading_hands_nothing_out(folder: Path) -> None:
@@ -431,3 +433,137 @@ def test_every_public_name_can_be_imported_and_is_documented() -> None:
         if not name.startswith("_"):
             assert (getattr(af.Run, name).__doc__ or "").strip(), name
     assert issubclass(af.InputError, af.ActivefailError)
+
+
+# --- found under attack ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        {"id": 10**400, "g": 1.0},
+        {"id": 8, "g": Decimal("sNaN")},
+        {"id": 8, "g": 1.0, "cause": ["fog"]},
+        {"id": 8, "g": 1.0, "outcome": ("safe",)},
+        {"id": 8, "g": 1j},
+        {"id": 8, "g": True},
+    ],
+)
+def test_odd_cells_get_a_message(folder: Path, row: dict[str, Any]) -> None:
+    with af.open_run(folder, write=True) as run:
+        with pytest.raises(InputError, match="row 0, column"):
+            run.tell([row])
+        assert len(run.history) == 8
+
+
+def test_nothing_to_tell_or_add_is_nothing(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        assert (run.tell([]), run.tell(pd.DataFrame()), run.add([])) == (0, 0, 0)
+
+
+def test_ids_to_drop_may_be_an_array_and_nothing_else_odd(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        for ids in (2**63, None, 1.0, True, b"12", "8"):
+            with pytest.raises(InputError, match="ids: must be"):
+                run.drop(ids)  # type: ignore[arg-type]
+        assert run.drop(run.in_flight["id"].to_numpy()) == 2
+
+
+def test_a_table_is_read_from_a_path_or_a_binary_file(folder: Path, tmp_path: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        path = written(tmp_path / "answers.csv", [{"id": 8, "g": 1.0}])
+        with path.open() as text, pytest.raises(InputError, match="table: must be a file that was opened in binary"):
+            run.tell(text)
+        assert run.tell(str(path)) == 1
+        with path.open("rb") as binary:
+            assert run.tell(binary) == 0
+
+
+def test_threads_that_ask_at_once_get_different_designs(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run, ThreadPoolExecutor(4) as pool:
+        tables = list(pool.map(lambda _: run.ask(1, beyond=True), range(4)))
+    assert sorted(int(table["id"].iloc[0]) for table in tables) == [10, 11, 12, 13]
+    assert len({table["load"].iloc[0] for table in tables}) == 4
+
+
+def test_a_fork_of_a_writer_hands_nothing_out(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        child = os.fork()
+        if child == 0:
+            code = 1
+            try:
+                run.ask(1)
+            except StoreError as error:
+                code = 0 if "was opened for writing by another process" in str(error) else 2
+            finally:
+                os._exit(code)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        assert run.ask(1)["id"].tolist() == [10]
+
+
+@pytest.mark.parametrize("fate", ["removed", "earlier", "twin's"])
+def test_a_list_that_the_last_batch_does_not_know_is_refused(folder: Path, lab: Path, fate: str) -> None:
+    path = folder / "asked.h5"
+    earlier = path.read_bytes()
+    with af.open_run(folder, write=True) as run:
+        run.tell(answered(run.ask(2)))
+    if fate == "removed":
+        path.unlink()
+    elif fate == "earlier":
+        path.write_bytes(earlier)
+    else:
+        with af.create_run(lab.with_name("twin"), lab) as twin:
+            twin.tell(answered(twin.ask(8)).assign(g=1.0, outcome="safe"))
+            twin.ask(4)
+        shutil.copy(lab.with_name("twin") / "asked.h5", path)
+    said = activefail("ask", folder, "--csv", lab.with_name("todo.csv"))
+    refused(said, f"{path} is not the list that the last batch knows", code=1)
+    refused(activefail("export", folder, "--csv", lab.with_name("all.csv")), f"{path} is not the list", code=1)
+
+
+def test_a_list_with_designs_outside_the_space_is_refused(folder: Path, lab: Path) -> None:
+    from activefail.record.run_folder import FolderStore
+
+    with FolderStore.open(folder, write=True) as store:
+        asked = store.asked
+        asked.designs[-1] = 1e300
+        store.write_asked(asked)
+    refused(activefail("ask", folder, "--csv", lab.with_name("todo.csv")), "outside the design space", code=1)
+
+
+def test_an_initial_design_that_was_given_up_is_followed_by_another(lab: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        first = run.ask(8)
+        assert run.drop(first["id"]) == 8
+        second = run.ask(8)
+        assert (len(second), second.attrs["reason"]) == (8, "")
+        assert not set(first["load"]) & set(second["load"])
+
+
+def test_a_changed_design_is_refused_for_simulations_of_the_loop_too(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        row = run.simulations.iloc[0].to_dict()
+        with pytest.raises(InputError, match="as handed out with id 0"):
+            run.tell({**row, "load": row["load"] + 0.1})
+
+
+def test_asking_for_nothing_keeps_the_table_that_is_there(folder: Path, tmp_path: Path) -> None:
+    todo = tmp_path / "todo.csv"
+    assert activefail("ask", folder, "--n", "6", "--csv", todo).code == 0
+    before = todo.read_bytes()
+    said = activefail("ask", folder, "--n", "6", "--csv", todo)
+    assert (said.code, said.out) == (
+        0,
+        "no designs, so no table was written; --in-flight writes the designs in flight again\n",
+    )
+    assert todo.read_bytes() == before
+
+
+def test_a_report_of_given_simulations_alone_is_written(lab: Path, tmp_path: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        load, strength = np.random.default_rng(3).uniform([1.0, 2.0], [5.0, 12.0], (20, 2)).T
+        assert run.add(pd.DataFrame({"load": load, "strength": strength, "g": strength - 2.0 * load})) == 20
+        run.report(tmp_path / "report.html")
+        with pytest.raises(InputError, match="has not finished its initial design"):
+            run.verify(10)
+    assert "given" in (tmp_path / "report.html").read_text()

@@ -275,13 +275,16 @@ def apportion(shares: Sequence[float], first: int, q: int) -> list[int]:
         shares: not negative, with sum 1.
         first: number of designs assigned before.
     """
-    assigned = np.zeros(len(shares))
-    claimants = np.empty(first + q, dtype=np.intp)
+    if max(shares) == 1.0:
+        return [q if share == 1.0 else 0 for share in shares]
+    assigned, now = [0] * len(shares), [0] * len(shares)
     for number in range(first + q):
         # Rounded, so that equal claims tie despite rounding errors of their sums.
-        claimants[number] = np.argmax(np.round(np.multiply(shares, number + 1) - assigned, 9))
-        assigned[claimants[number]] += 1.0
-    return [int(n) for n in np.bincount(claimants[first:], minlength=len(shares))]
+        claims = [round((share * (number + 1) - n) * 1e9) for share, n in zip(shares, assigned, strict=True)]
+        claimant = claims.index(max(claims))
+        assigned[claimant] += 1
+        now[claimant] += number >= first
+    return now
 
 
 SEARCH_SHARE = 0.2

@@ -14,7 +14,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError
 from activefail.loop.choosing import choose
 from activefail.loop.in_flight import HandedOut
-from activefail.loop.learning import current
+from activefail.loop.learning import Memory, current
 from activefail.record.asked import NEVER, Asked
 from activefail.record.batch import CHECK, GIVEN, INITIAL, Batch
 from activefail.record.store import Store
@@ -48,7 +48,14 @@ def check_batches(campaign: Campaign) -> None:
         )
 
 
-def ask(campaign: Campaign, store: Store, n: int, budget: int | None, ignore_stop: bool = False) -> Proposed:
+def ask(
+    campaign: Campaign,
+    store: Store,
+    n: int,
+    budget: int | None,
+    ignore_stop: bool = False,
+    memory: Memory | None = None,
+) -> Proposed:
     """Hand out n designs; they are in flight once this returns.
 
     Args:
@@ -57,6 +64,7 @@ def ask(campaign: Campaign, store: Store, n: int, budget: int | None, ignore_sto
         n: number of designs.
         budget: simulations in all, those in flight included; None for no limit.
         ignore_stop: whether to propose designs although the stop rule is met.
+        memory: as for `current`.
 
     Raises:
         InputError: if the campaign is asynchronous.
@@ -82,7 +90,7 @@ def ask(campaign: Campaign, store: Store, n: int, budget: int | None, ignore_sto
     if (flight.origin == CHECK).any():
         ids = ", ".join(map(str, flight.id[flight.origin == CHECK].tolist()))
         return Proposed(none, f"the stop rule waits for the results of its check, ids {ids}")
-    learned = current(campaign, store, write=True)
+    learned = current(campaign, store, write=True, memory=memory)
     if learned.looks.is_known and not ignore_stop:
         return Proposed(none, "the stop rule is met")
     chosen = choose(campaign, handed, learned, n, room)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.loop.proposing import initial_designs, initial_sets
-from activefail.record.asked import NEVER, NO_ROW, Asked, rows_with_results
+from activefail.record.asked import NEVER, NO_ROW, Asked, bits_of, rows_with_results
 from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store
 from activefail.space import Array
@@ -82,9 +82,8 @@ class HandedOut:
             given_up = int((self.asked.origin[self.asked.dropped == 1] == INITIAL).sum())
             sets = 1 + (self.history.leading_failures + given_up) // campaign.settings.sampling.initial
         initial = initial_designs(campaign, sets)
-        known = {design.tobytes() for design in self.asked.designs}
-        known |= {design.tobytes() for design in self.history.designs}
-        return initial[[design.tobytes() not in known for design in initial]]
+        known = {*bits_of(self.asked.designs), *bits_of(self.history.designs)}
+        return initial[[bits not in known for bits in bits_of(initial)]]
 
     def next_iteration(self, campaign: Campaign) -> int:
         """The iteration of the next results: one more than the last that a proposal learned from.
@@ -95,10 +94,12 @@ class HandedOut:
         by_loop = ~self.handed_out & (self.history.origin != GIVEN)
         if by_loop.any():
             last = int(self.history.iteration[by_loop].max())
-            # The loop learns from iteration 0 once it has completed the initial design, unless `ask` completed it.
-            asked_last = int(self.asked.id[self.asked.origin == INITIAL].max(initial=-1))
-            completed = int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))
-            if last or completed:
+            if last or self._loop_completed_initial(campaign, by_loop):
                 learned = max(learned, last)
         # A damaged file that was set aside may have held what a proposal learned from.
         return min(learned, self.history.last_iteration if len(self.history) else NEVER) + 1
+
+    def _loop_completed_initial(self, campaign: Campaign, by_loop: NDArray[np.bool_]) -> bool:
+        """Whether the loop completed the initial design, and so learned from iteration 0; not if `ask` completed it."""
+        asked_last = int(self.asked.id[self.asked.origin == INITIAL].max(initial=-1))
+        return int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))

@@ -116,7 +116,26 @@ class Learned:
         return classifier_state(self.classifier) | looks_state(self.looks)
 
 
-def current(campaign: Campaign, store: Store, write: bool) -> Learned:
+@dataclass
+class Memory:
+    """What a process has learned last, which need not be restored from a saved state.
+
+    Attributes:
+        iteration: the last one that it has learned from.
+        simulations: number of simulations through this iteration.
+        learned: None if nothing was learned yet.
+    """
+
+    iteration: int = -1
+    simulations: int = 0
+    learned: Learned | None = None
+
+    def holds(self, history: History) -> bool:
+        """Whether this was learned from the beginning of a record; not if its iteration got another batch since."""
+        return self.learned is not None and self.simulations == int((history.iteration <= self.iteration).sum())
+
+
+def current(campaign: Campaign, store: Store, write: bool, memory: Memory | None = None) -> Learned:
     """What a campaign has learned from all recorded batches, bit for bit as in the running loop.
 
     It starts from the last saved state and retrains on the later batches in the same order, from the same starts.
@@ -125,16 +144,22 @@ def current(campaign: Campaign, store: Store, write: bool) -> Learned:
         campaign: the campaign.
         store: its record.
         write: whether to save the retrained states.
+        memory: takes the place of the last saved state, and remembers what is learned.
     """
     history = History.of(store.batches)
     last = history.last_iteration
-    saved = restore(campaign, store, last, lambda _, state: check_looks(campaign, state))
-    iteration, learned = (-1, None) if saved is None else (saved[0], Learned(saved[2], looks_from_state(saved[1])))
+    memory = Memory() if memory is None else memory
+    iteration, learned = -1, None
+    if memory.holds(history):
+        iteration, learned = memory.iteration, memory.learned
+    elif (saved := restore(campaign, store, last, lambda _, state: check_looks(campaign, state))) is not None:
+        iteration, learned = saved[0], Learned(saved[2], looks_from_state(saved[1]))
     for later in range(iteration + 1, last + 1):
         learned = Learned.after(campaign, history, later, learned)
         if write:
             store.write_state(later, learned.state)
     assert learned is not None
+    memory.iteration, memory.simulations, memory.learned = last, len(history), learned
     return learned
 
 

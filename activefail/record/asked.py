@@ -5,7 +5,6 @@ that of any other simulation; so a design is in flight until a batch holds it, o
 """
 
 import hashlib
-from collections import defaultdict
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -137,14 +136,24 @@ def rows_with_results(asked: Asked, designs: Array, origin: NDArray[np.int8]) ->
         designs, origin: (n, d) and (n,) of the record.
     """
     # The bits of a design identify it: a result is recorded with the design of the list, not with a user's copy.
-    recorded: dict[bytes, list[int]] = defaultdict(list)
-    for row in np.flatnonzero(origin != GIVEN)[::-1].tolist():
-        recorded[designs[row].tobytes()].append(row)
+    places = np.flatnonzero(origin != GIVEN)[::-1].tolist()
+    recorded: dict[bytes, list[int]] = {}
+    for row, bits in zip(places, bits_of(designs[places]), strict=True):
+        recorded.setdefault(bits, []).append(row)
     rows = []
-    for design, dropped in zip(asked.designs, asked.dropped.tolist(), strict=True):
-        candidates = recorded.get(design.tobytes())
+    for bits, dropped in zip(bits_of(asked.designs), asked.dropped.tolist(), strict=True):
+        candidates = recorded.get(bits)
         rows.append(candidates.pop() if candidates and not dropped else NO_ROW)
     return np.array(rows, dtype=np.int64)
+
+
+def bits_of(designs: Array) -> list[bytes]:
+    """The bits of each of the designs, (n, d)."""
+    if not designs.size:
+        return [b""] * len(designs)
+    rows = np.ascontiguousarray(designs)
+    # Twice as fast as `tobytes` of each row.
+    return [bytes(row) for row in rows.view(f"V{rows.shape[1] * rows.itemsize}").ravel().tolist()]
 
 
 def encode_asked(asked: Asked, campaign: str) -> bytes:

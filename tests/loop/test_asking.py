@@ -17,7 +17,7 @@ from activefail.execution.local import ThreadExecutor
 from activefail.loop.asking import RowError, add, ask, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.in_flight import HandedOut
-from activefail.loop.learning import current
+from activefail.loop.learning import Memory, current
 from activefail.record.asked import Asked
 from activefail.record.batch import GIVEN, INITIAL, columns_of
 from activefail.record.memory import MemoryStore
@@ -94,6 +94,31 @@ def test_the_bits_are_the_same_if_the_classifier_is_read_between_two_parts(loope
     assert rows(told) == rows(looped)
     current(campaign, told, write=True)
     assert state(told) == state(looped)
+
+
+def test_the_bits_are_the_same_if_a_process_remembers_what_it_has_learned(looped: Store) -> None:
+    campaign, memory = disc(), Memory()
+    told = MemoryStore(campaign.schema)
+    while len(designs := ask(campaign, told, BATCH, BUDGET, memory=memory).designs):
+        for part in in_two(designs):
+            tell(campaign, told, part.id, campaign.simulator.run(part.designs))
+            # After the first part, what is remembered lacks a part of its iteration.
+            assert current(campaign, told, write=True, memory=memory) is memory.learned
+    assert rows(told) == rows(looped)
+    assert state(told) == state(looped)
+
+
+def test_what_is_remembered_is_not_learned_again_and_holds_until_its_iteration_goes_on() -> None:
+    campaign, memory = disc(), Memory()
+    store = take(campaign, budget=INITIAL_SIZE)
+    learned = current(campaign, store, write=True, memory=memory)
+    assert current(campaign, store, write=True, memory=memory) is learned
+    designs = ask(campaign, store, 2, BUDGET, memory=memory).designs
+    tell(campaign, store, designs.id[:1], campaign.simulator.run(designs.designs[:1]))
+    assert memory.holds(HandedOut.of(store).history)
+    assert current(campaign, store, write=True, memory=memory) is not learned
+    tell(campaign, store, designs.id[1:], campaign.simulator.run(designs.designs[1:]))
+    assert not memory.holds(HandedOut.of(store).history)
 
 
 @pytest.mark.parametrize("loop_first", [True, False])

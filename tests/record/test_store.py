@@ -28,8 +28,9 @@ from activefail.record import compaction, recovery
 from activefail.record import hdf5 as image
 from activefail.record import run_folder as store_module
 from activefail.record import segment as segment_module
+from activefail.record.asked import Asked
 from activefail.record.attachments import encode_set
-from activefail.record.batch import Batch, Schema, columns_of
+from activefail.record.batch import ACTIVE, Batch, Schema, columns_of
 from activefail.record.recovery import recover
 from activefail.record.run_folder import FolderStore
 from activefail.record.segment import Segment, chain_next, chain_start
@@ -684,6 +685,33 @@ def test_a_second_writer_is_refused_and_a_reader_is_not(tmp_path: Path) -> None:
         assert read(tmp_path / "run") == contents(store)
         store.commit(batch(2, 1))
     FolderStore.open(tmp_path / "run", SCHEMA, write=True).close()
+
+
+def handed_out(*ids: int) -> Asked:
+    return Asked.of(np.array(ids, dtype=np.int64), np.ones((len(ids), 2)), ACTIVE, 0)
+
+
+def test_a_writer_reads_the_list_of_handed_out_designs_again_once_it_has_no_lock(tmp_path: Path) -> None:
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as store:
+        store.write_asked(handed_out(0, 1))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(store_module, "decode_asked", lambda *_: pytest.fail("read again"))
+            assert store.asked.id.tolist() == [0, 1]
+    with FolderStore.open(tmp_path / "run", SCHEMA, write=True) as other:
+        other.write_asked(handed_out(0, 1, 2))
+    assert store.asked.id.tolist() == [0, 1, 2]
+
+
+def test_a_list_of_handed_out_designs_that_could_not_be_written_is_forgotten(
+    tmp_path: Path, faults: Callable[..., Faults]
+) -> None:
+    with FolderStore.create(tmp_path / "run", SETTINGS, SCHEMA) as store:
+        store.write_asked(handed_out(0))
+        faults(fail("write", errno.ENOSPC))
+        with pytest.raises(StoreError, match="No space left"):
+            store.write_asked(handed_out(0, 1))
+        faults(None)
+        assert store.asked.id.tolist() == [0]
 
 
 def test_kill_9_releases_the_lock_and_loses_no_acknowledged_batch(tmp_path: Path) -> None:
