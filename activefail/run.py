@@ -289,8 +289,8 @@ class Run:
         A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded.
 
         Args:
-            table: a DataFrame, a dictionary of columns, a list of dictionaries, one dictionary, or a CSV file as a
-                `pathlib.Path`, with the columns `id` and `outcome`, the campaign's margins (empty where undefined), and
+            table: a DataFrame, a dictionary of columns, a list of dictionaries, one dictionary, or a CSV file (its
+                path, or opened in binary mode), with the columns `id` and `outcome`, the campaign's margins (empty where undefined), and
                 optionally `cause`, `seconds` and the variables, which must not have changed. The outcome
                 "numerical_failure" is that of a simulation without a result. Where one margin has levels, the outcome
                 may be left out. Other columns are ignored, as are rows without outcome and margins.
