@@ -290,10 +290,10 @@ class Run:
 
         Args:
             table: a DataFrame, a dictionary of columns, a list of dictionaries, one dictionary, or a CSV file (its
-                path, or opened in binary mode), with the columns `id` and `outcome`, the campaign's margins (empty where undefined), and
-                optionally `cause`, `seconds` and the variables, which must not have changed. The outcome
-                "numerical_failure" is that of a simulation without a result. Where one margin has levels, the outcome
-                may be left out. Other columns are ignored, as are rows without outcome and margins.
+                path, or opened in binary mode). Its columns are `id`, `outcome`, the campaign's margins (empty where
+                undefined), and optionally `cause`, `seconds` and the variables, which must not have changed. The
+                outcome "numerical_failure" is that of a simulation without a result. Where one margin has levels, the
+                outcome may be left out. Other columns are ignored, as are rows without outcome and margins.
 
         Returns:
             Number of new results.

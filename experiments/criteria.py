@@ -17,8 +17,9 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
 from activefail.loop.history import History
+from activefail.loop.initial import initial_designs
 from activefail.loop.learning import accuracy
-from activefail.loop.proposing import initial_designs, next_designs
+from activefail.loop.proposing import next_designs
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, train

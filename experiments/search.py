@@ -17,7 +17,8 @@ from activefail.acquisition.criteria import criterion as criterion_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
-from activefail.loop.proposing import initial_designs, next_designs
+from activefail.loop.initial import initial_designs
+from activefail.loop.proposing import next_designs
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
 

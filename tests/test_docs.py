@@ -89,8 +89,8 @@ def test_the_guides_simulations_done_elsewhere_can_be_done(tmp_path, monkeypatch
         said[command] = done.out
         if words[0] == "ask":
             todo = commandline.table(tmp_path / "todo.csv")
-    assert "3 new results recorded; 1 designs in flight" in said["activefail tell runs/lab --csv answers.csv"]
-    assert "1 designs dropped; 0 designs in flight" in said["activefail drop runs/lab --ids 3"]
+    assert "3 new results recorded; 1 design in flight" in said["activefail tell runs/lab --csv answers.csv"]
+    assert "1 design dropped; 0 designs in flight" in said["activefail drop runs/lab --ids 3"]
     assert "2 simulations added" in said["activefail add runs/lab --csv old.csv"]
     assert "2 designs" in said["activefail ask runs/plate --n 2 --csv todo.csv"]
 

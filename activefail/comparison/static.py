@@ -15,8 +15,8 @@ from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.executor import Executor
 from activefail.loop.history import History
+from activefail.loop.initial import initial_sets
 from activefail.loop.learning import learn_from
-from activefail.loop.proposing import initial_sets
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
 from activefail.space import Array

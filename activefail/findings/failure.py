@@ -10,8 +10,8 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.findings.probability import ProbabilityFindings, bound_without_model
 from activefail.loop.history import History
+from activefail.loop.initial import initial_sets
 from activefail.loop.learning import Learned, learn_from
-from activefail.loop.proposing import initial_sets
 from activefail.record.store import Store
 from activefail.reliability.design_point import DesignPoint, design_point
 from activefail.reliability.estimate import ProbabilityEstimate, integrated, standardised_latent

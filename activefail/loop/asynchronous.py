@@ -18,9 +18,10 @@ from activefail.campaign.random_streams import stream
 from activefail.errors import DamagedError
 from activefail.execution.executor import AsynchronousExecutor
 from activefail.loop.history import History
+from activefail.loop.initial import initial_designs, initial_sets
 from activefail.loop.learning import Learned, current, learn, restore
 from activefail.loop.progress import standing
-from activefail.loop.proposing import initial_designs, initial_sets, next_designs
+from activefail.loop.proposing import next_designs
 from activefail.loop.stopping import (
     Looks,
     check_designs,

@@ -14,10 +14,10 @@ from activefail.loop.asynchronous import run_asynchronously
 from activefail.loop.choosing import choose
 from activefail.loop.history import History
 from activefail.loop.in_flight import HandedOut
+from activefail.loop.initial import initial_designs, initial_sets
 from activefail.loop.learning import Learned, current
 from activefail.loop.observed import ObservedExecutor
 from activefail.loop.progress import Observer, standing
-from activefail.loop.proposing import initial_designs, initial_sets
 from activefail.loop.task import Task
 from activefail.record.batch import CHECK, INITIAL, Batch
 from activefail.record.store import Store

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
-from activefail.loop.proposing import initial_designs, initial_sets
+from activefail.loop.initial import initial_designs, initial_sets
 from activefail.record.asked import NEVER, NO_ROW, Asked, bits_of, rows_with_results
 from activefail.record.batch import GIVEN, INITIAL
 from activefail.record.store import Store

@@ -1,11 +1,10 @@
-"""Propose the designs of a campaign: the initial design, then those that the criterion ranks highest."""
+"""Propose the active designs of a campaign: those that the criterion ranks highest."""
 
 import numpy as np
 
 from activefail.acquisition.batch import Search, propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.random_streams import stream
 from activefail.loop.history import History
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
@@ -16,25 +15,6 @@ WIDENING = 2.0
 """Factor that stretches the proposals of a campaign that seeks a probability and learns from outcomes alone.
 
 Of a rare failure the design measure itself has no candidates."""
-
-
-def initial_sets(campaign: Campaign, history: History) -> int:
-    """How many Latin hypercubes the record needs: one, plus one for each in which every simulation failed.
-
-    A campaign stops after such a hypercube; once the simulator is fixed and the campaign resumes, it needs another.
-    """
-    return 1 + history.leading_failures // campaign.settings.sampling.initial
-
-
-def initial_designs(campaign: Campaign, sets: int = 1) -> Array:
-    """The Latin hypercubes of the initial design, (sets · initial, d)."""
-    settings = campaign.settings
-    return np.concatenate(
-        [
-            campaign.space.latin_hypercube(settings.sampling.initial, stream(settings.seed, "initial", number))
-            for number in range(sets)
-        ]
-    )
 
 
 def next_designs(

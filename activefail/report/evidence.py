@@ -16,8 +16,8 @@ from activefail.comparison.static import Recall, Score, default_budgets, score
 from activefail.errors import InputError
 from activefail.files import read_regular
 from activefail.loop.history import History
+from activefail.loop.initial import initial_sets
 from activefail.loop.learning import learn_from
-from activefail.loop.proposing import initial_sets
 from activefail.record.layout import COMPARISON, SCORES
 from activefail.record.store import Store
 from activefail.space import Array

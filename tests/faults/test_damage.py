@@ -35,7 +35,7 @@ from record.test_store import (
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import parse_settings
 from activefail.errors import DamagedError, StoreError
-from activefail.loop.proposing import initial_designs
+from activefail.loop.initial import initial_designs
 from activefail.record import hdf5 as image
 from activefail.record.attachments import decode_set, decode_state
 from activefail.record.batch import INITIAL, Batch

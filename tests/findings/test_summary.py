@@ -16,7 +16,7 @@ from activefail.execution.local import ThreadExecutor
 from activefail.findings.summary import SettingsInBrief, Summary, read_summary
 from activefail.loop.batches import run
 from activefail.record import compaction
-from activefail.record.batch import INITIAL, Batch
+from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
 from activefail.record.run_folder import FolderStore
 
 
@@ -62,17 +62,20 @@ def test_a_summary_says_what_the_whole_record_says(folder: Path) -> None:
 
 def test_designs_are_counted_by_who_asked_for_them_not_by_when_they_were_answered(tmp_path: Path) -> None:
     campaign = disc(Disc(), asynchronous=True)
-    with (
-        FolderStore.create(tmp_path, campaign.settings.text(), campaign.schema) as store,
-        ThreadExecutor(1) as executor,
-    ):
-        run(campaign, store, executor, 28)
-        # The last initial designs are answered when the first chosen ones are out.
-        assert any((batch.origin == INITIAL).any() for batch in store.batches if batch.iteration > 0)
+    X = campaign.space.from_unit(np.random.default_rng(0).random((20, 2)))
+    # As without batches: the last initial designs are answered when the first chosen ones are out.
+    parts = [(0, [INITIAL] * 10), (1, [INITIAL, ACTIVE, INITIAL]), (2, [ACTIVE] * 4), (3, [GIVEN, ACTIVE, CHECK])]
+    first = 0
+    with FolderStore.create(tmp_path, campaign.settings.text(), campaign.schema) as store:
+        for iteration, origins in parts:
+            designs = X[first : first + len(origins)]
+            first += len(origins)
+            store.commit(Batch(iteration, designs, np.array(origins, dtype=np.int8), Disc().run(designs)))
     summary = read_summary(tmp_path)
     assert values(summary) == values(whole(tmp_path))
     assert summary is not None
-    assert (int(summary.initial.sum()), int(summary.chosen.sum())) == (12, 16)
+    assert (int(summary.initial.sum()), int(summary.chosen.sum()), int(summary.given.sum())) == (12, 7, 1)
+    assert summary.done == 19
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ from activefail.execution.local import ProcessExecutor, ThreadExecutor
 from activefail.loop.asynchronous import Course, resumed
 from activefail.loop.batches import run
 from activefail.loop.history import History
+from activefail.loop.initial import initial_designs
 from activefail.loop.learning import current_classifier, learn
 from activefail.loop.progress import Observer, Progress
-from activefail.loop.proposing import initial_designs
 from activefail.record.batch import ACTIVE, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore

@@ -23,9 +23,9 @@ from activefail.errors import SimulationError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.history import History
+from activefail.loop.initial import initial_designs
 from activefail.loop.learning import accuracy, current_classifier
 from activefail.loop.progress import Observer, Progress, standing
-from activefail.loop.proposing import initial_designs
 from activefail.record.batch import ACTIVE, INITIAL, Batch
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
