@@ -241,6 +241,9 @@ def read_cells(source: Source) -> tuple[tuple[str, ...], list[list[str]], list[i
     path = name_of(source)
     with _reading(source) as lines:
         header = _header(path, next(lines, None), "")
+        for separator in (";", "\t"):
+            if len(header) == 1 and separator in header[0]:
+                raise InputError(f"{path}: columns must be separated by commas, not by {separator!r}.")
         for cells in filter(None, lines):
             if len(cells) != len(header):
                 place = f"{path}: row {len(rows) + 1} (line {lines.line_num})"

@@ -79,7 +79,8 @@ def check_unused(folder: Path, campaign: Campaign) -> None:
         InputError: if it does, with the command that continues it.
     """
     if (folder / SETTINGS).exists():
-        raise InputError(f"{folder}: already holds a campaign; {how_to_continue(folder, campaign)}.")
+        how = how_to_continue(folder, campaign)
+        raise InputError(f"{folder}: already holds a campaign; {how}. In Python, `open_run` opens it.")
 
 
 def open_run(

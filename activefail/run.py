@@ -2,8 +2,8 @@
 
 import io
 import json
-import os
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from html import escape
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from activefail.campaign.results_table import Table
+    from activefail.campaign.results_table import ResultTable, Table
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
     from activefail.csv_table import Source, Target
@@ -111,7 +111,7 @@ class Run:
     def __init__(self, folder: Path, campaign: Campaign, store: "FolderStore", write: bool) -> None:
         self.folder, self.campaign, self.store = folder, campaign, store
         self._write = write
-        # Two threads that ask at once must not get the same designs.
+        # Threads take turns: two that ask at once must not get the same designs.
         self._turn = threading.RLock()
         self._learned: Learned | None = None
         self._memory: Memory | None = None
@@ -319,6 +319,7 @@ class Run:
             except RowError as error:
                 raise InputError(f"{told.table.places[told.rows[error.row]]}: {error}.") from None
             self._learned = None
+        self._warn(told)
         return new
 
     def drop(self, ids: "Iterable[int] | int") -> int:
@@ -373,7 +374,13 @@ class Run:
             except RowError as error:
                 raise InputError(f"{added.table.places[added.rows[error.row]]}: {error}.") from None
             self._learned = None
+        self._warn(added)
         return new
+
+    def _warn(self, results: "ResultTable") -> None:
+        for text in results.warnings(self.campaign):
+            # Attributed to the caller of `tell` or `add`.
+            warnings.warn(text, stacklevel=3)
 
     # ------------------------------------------------------------------------------------------- actions
 
@@ -439,18 +446,21 @@ class Run:
         target = self.settings.sampling.budget if budget is None else budget
         # It follows the advice to fix the simulator.
         command = self.resume_command(ignore_stop=ignore_stop, executor_options=executor_options, changes_code=True)
-        finished = run(
-            self.campaign,
-            self.store,
-            executor,
-            target,
-            observer,
-            failure_limit=failure_limit,
-            use_stop_rule=not ignore_stop,
-            resume_command=command,
-        )
-        # The loop saved newer states.
-        self._learned = self._memory = None
+        with self._turn:
+            try:
+                finished = run(
+                    self.campaign,
+                    self.store,
+                    executor,
+                    target,
+                    observer,
+                    failure_limit=failure_limit,
+                    use_stop_rule=not ignore_stop,
+                    resume_command=command,
+                )
+            finally:
+                # The loop recorded results and saved newer states, also if it failed later.
+                self._learned = self._memory = None
         progress = standing(self.campaign, self.store.batches, target)
         stop_rule = self._met_after(progress.done) if finished and progress.done < target else ""
         return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
@@ -486,19 +496,19 @@ class Run:
         from activefail.loop.asynchronous import learned_so_far
         from activefail.loop.learning import current
 
-        if self._learned is not None:
+        with self._turn:
+            if self._learned is not None:
+                return self._learned
+            if not len(self.history):
+                how = how_to_continue(self.folder, self.campaign)
+                raise InputError(f"{self.folder}: has no simulations to learn from yet; {how}.")
+            stage("learning")
+            with one_thread():
+                if self.settings.sampling.asynchronous:
+                    self._learned = learned_so_far(self.campaign, self.store, self._write)
+                else:
+                    self._learned = current(self.campaign, self.store, self._write, self._remembered)
             return self._learned
-        if not len(self.history):
-            raise InputError(
-                f"{self.folder}: has no simulations to learn from yet; {how_to_continue(self.folder, self.campaign)}."
-            )
-        stage("learning")
-        with one_thread():
-            if self.settings.sampling.asynchronous:
-                self._learned = learned_so_far(self.campaign, self.store, self._write)
-            else:
-                self._learned = current(self.campaign, self.store, self._write, self._remembered)
-        return self._learned
 
     @property
     def _remembered(self) -> "Memory":
@@ -561,9 +571,10 @@ class Run:
                 dictionaries.
 
         Returns:
-            One row for each design, in the given order: the variables, the probability `p_<outcome>` of each outcome,
-            and mean and standard deviation of the latent of the target boundary, `latent_mean` and `latent_sd`. The
-            latent is positive where the outcome is probably beyond the boundary.
+            One row for each design, in the given order and with the index of a DataFrame: the variables, the
+            probability `p_<outcome>` of each outcome, and mean and standard deviation of the latent of the target
+            boundary, `latent_mean` and `latent_sd`. The latent is positive where the outcome is probably beyond the
+            boundary.
 
         Raises:
             InputError: if there is no simulation to learn from, a variable is missing or a value is not finite.
@@ -572,7 +583,8 @@ class Run:
 
         designs, classifier = designs_of(self.campaign, X), self.classifier
         with one_thread():
-            return predictions_frame(self.campaign, classifier, designs)
+            # The table's own index: pandas joins columns by it.
+            return predictions_frame(self.campaign, classifier, designs, X.index if hasattr(X, "columns") else None)
 
     def model(self, outcome: str | None = None) -> Any:
         """The latent of a boundary as a BoTorch model of a GPyTorch variational GP.
@@ -602,8 +614,8 @@ class Run:
 
     def predict_table(
         self,
-        source: "Source",
-        target: "Target",
+        source: "Source | str",
+        target: "Target | str",
         begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None,
         after: int | None = None,
     ) -> int:
@@ -622,19 +634,19 @@ class Run:
 
         classifier = self.classifier if after is None else self.classifier_after(after)
         with one_thread():
-            return predict_table(self.campaign, classifier, source, target, begin)
+            return predict_table(self.campaign, classifier, _file(source), _file(target), begin)
 
-    def export_table(self, target: "Target") -> int:
+    def export_table(self, target: "Target | str") -> int:
         """Write every simulation as a row of a CSV table, a file or a text stream; returns their number."""
         from activefail.findings.tables import export_table
 
-        return export_table(self.campaign, self.store, target)
+        return export_table(self.campaign, self.store, _file(target))
 
-    def export_parquet(self, target: Path) -> int:
+    def export_parquet(self, target: Path | str) -> int:
         """Write every simulation as a row of a Parquet file; returns their number (needs pyarrow)."""
         from activefail.findings.parquet import export_parquet
 
-        return export_parquet(self.campaign, self.store, target)
+        return export_parquet(self.campaign, self.store, Path(target))
 
     def verify(
         self, simulations: int = 200, confidence: float = 0.9, executor: "Executor | None" = None
@@ -823,6 +835,9 @@ class Run:
         """Close the folder, so that another process can write to it."""
         self.store.close()
 
+    def __repr__(self) -> str:
+        return f"Run({str(self.folder)!r}: {self.history.asked_for} of {self.settings.sampling.budget} simulations)"
+
     def __enter__(self) -> Self:
         return self
 
@@ -830,11 +845,15 @@ class Run:
         self.close()
 
 
+def _file(file: Any) -> Any:
+    """A path for a text, anything else as it is."""
+    return Path(file) if isinstance(file, str) else file
+
+
 def _table(table: Any) -> "Table":
     from activefail.campaign.results_table import Table
 
-    if isinstance(table, str | os.PathLike):
-        table = Path(table)
+    table = _file(table)
     if isinstance(table, io.TextIOBase):
         raise InputError("table: must be a file that was opened in binary mode, or its path.")
     return Table.of_csv(table) if isinstance(table, Path) or hasattr(table, "read") else Table.of_python(table)

@@ -95,7 +95,7 @@ def test_the_bearing_asked_for_and_told_from_a_script_has_the_bits_of_run(
     with af.create_run(str(tmp_path / "run"), str(file)) as run:
         while len(designs := run.ask(4)):
             assert run.tell(simulated(designs)) == len(designs)
-        assert run.ask(1).attrs["reason"] == "the budget is 16 simulations, with 0 in flight"
+        assert run.ask(1).attrs["reason"] == "the campaign's budget is 16 simulations, with 0 in flight"
     assert record(tmp_path / "run") == whole
 
 
@@ -369,7 +369,7 @@ def test_status_lists_the_designs_in_flight_and_the_command_that_continues(folde
 def test_fewer_designs_than_asked_for_come_with_the_reason(folder: Path, tmp_path: Path) -> None:
     said = activefail("ask", folder, "--n", "10", "--csv", tmp_path / "todo.csv")
     assert said.code == 0
-    assert said.err == "6 instead of 10 designs: the budget is 16 simulations, with 2 in flight\n"
+    assert said.err == "6 instead of 10 designs: the campaign's budget is 16 simulations, with 2 in flight\n"
     beyond = activefail("ask", folder, "--n", "3", "--beyond", "--csv", tmp_path / "todo.csv")
     assert (beyond.err, len(table(tmp_path / "todo.csv"))) == ("", 3)
 
@@ -567,3 +567,110 @@ def test_a_report_of_given_simulations_alone_is_written(lab: Path, tmp_path: Pat
         with pytest.raises(InputError, match="has not finished its initial design"):
             run.verify(10)
     assert "given" in (tmp_path / "report.html").read_text()
+
+
+# --- what a newcomer stumbled over -------------------------------------------------------------------------------
+
+
+def test_predictions_keep_the_index_so_that_they_join_their_designs(folder: Path) -> None:
+    with af.open_run(folder) as run:
+        some = run.simulations.iloc[[5, 2, 7]]
+        predicted = run.predict(some)
+        assert predicted.index.tolist() == [5, 2, 7]
+        assert predicted["load"].tolist() == some["load"].tolist()
+        assert run.predict([[2.0, 4.5]])["load"].tolist() == [2.0]
+        with pytest.raises(InputError, match="X: must be a DataFrame, a dictionary of columns, a list of dictionaries"):
+            run.predict(["load"])
+
+
+def test_a_misspelt_column_a_missing_margin_and_a_contradiction_are_warned_of(folder: Path, tmp_path: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        with pytest.warns(UserWarning, match="column 'outcom' is ignored; 'outcome' is missing"):
+            run.tell([{"id": 8, "g": 1.0, "outcom": "safe"}])
+        with pytest.warns(UserWarning, match=r"row 0: g -0\.5 contradicts the outcome safe"):
+            run.tell([{"id": 9, "g": -0.5, "outcome": "safe"}])
+    path = written(tmp_path / "old.csv", [{"load": 2.0, "strength": 8.0, "outcome": "safe"}])
+    said = activefail("add", folder, "--csv", path)
+    assert (said.code, said.out) == (0, "1 simulation added\n")
+    assert said.err.startswith(
+        f"warning: {path}: row 1 (line 2): g is missing. A boundary is learned from a margin only"
+    )
+
+
+def test_a_table_with_results_in_it_is_not_replaced(folder: Path, tmp_path: Path) -> None:
+    todo = written(tmp_path / "todo.csv", [{"id": 8, "load": 1.0, "strength": 2.0, "span": 3.0, "outcome": "safe"}])
+    refused(activefail("ask", folder, "--csv", todo), f"--csv: {todo} holds results (outcome)")
+    with af.open_run(folder) as run:
+        assert run.in_flight["id"].tolist() == [8, 9]
+
+
+def test_tables_may_be_named_by_a_text(folder: Path, tmp_path: Path) -> None:
+    with af.open_run(folder) as run:
+        assert run.export_table(str(tmp_path / "all.csv")) == 8
+        assert run.predict_table(str(tmp_path / "all.csv"), str(tmp_path / "predicted.csv")) == 0
+        assert repr(run) == f"Run({str(folder)!r}: 8 of 16 simulations)"
+
+
+def test_semicolons_are_named_as_such(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "answers.csv"
+    path.write_text("id;g\n8;1.0\n")
+    refused(activefail("tell", folder, "--csv", path), f"{path}: columns must be separated by commas, not by ';'")
+
+
+def test_status_names_tell_wherever_designs_are_in_flight(tmp_path: Path) -> None:
+    (tmp_path / "plate.py").write_text("def run(d):\n    return 'failure' if d['x'] + d['y'] > 1.3 else 'safe'\n")
+    (tmp_path / "plate.toml").write_text(
+        'simulator = { python = "plate:run" }\nsampling = { initial = 6, budget = 8, batch = 2 }\n'
+        "[space]\nx = { low = 0, high = 1 }\ny = { low = 0, high = 1 }\n"
+    )
+    folder = tmp_path / "run"
+    assert activefail("create", tmp_path / "plate.toml", "--out", folder).code == 0
+    assert activefail("ask", folder, "--n", "2", "--csv", tmp_path / "todo.csv").code == 0
+    said = activefail("status", folder).out
+    assert f"continue   activefail resume {folder}\n           activefail tell {folder} --csv answers.csv\n" in said
+    said = activefail("resume", folder, "--workers", "1").out
+    assert "in flight  ids 0, 1 count towards the budget; `activefail tell` or `activefail drop` them" in said
+    assert f"continue   activefail tell {folder} --csv answers.csv\n" in activefail("status", folder).out
+
+
+def test_a_folder_in_place_of_a_table_hands_nothing_out(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "tables").mkdir()
+    refused(activefail("ask", folder, "--csv", tmp_path / "tables"), "is a folder")
+    with af.open_run(folder) as run:
+        assert run.in_flight["id"].tolist() == [8, 9]
+
+
+def test_status_reports_a_list_that_is_gone(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        run.tell(answered(run.in_flight))
+    (folder / "asked.h5").unlink()
+    refused(activefail("status", folder), f"{folder / 'asked.h5'} is not the list that the last batch knows", code=1)
+
+
+def test_a_design_on_a_computed_bound_is_accepted_although_its_last_digits_differ(folder: Path) -> None:
+    from activefail.record.run_folder import FolderStore
+
+    with FolderStore.open(folder, write=True) as store:
+        asked = store.asked
+        asked.designs[-1] = [np.nextafter(5.0, 6.0), 12.0]
+        store.write_asked(asked)
+    assert activefail("status", folder).code == 0
+    with af.open_run(folder) as run:
+        assert len(run.in_flight) == 2
+
+
+def test_after_a_failed_campaign_the_classifier_is_that_of_the_record(tmp_path: Path) -> None:
+    (tmp_path / "plate.py").write_text(
+        "def run(d):\n    if d['x'] > 0.3:\n        raise ValueError('no')\n"
+        "    return 'failure' if d['y'] > 0.5 else 'safe'\n"
+    )
+    (tmp_path / "plate.toml").write_text(
+        'simulator = { python = "plate:run" }\nsampling = { initial = 24, budget = 26, batch = 4 }\n'
+        "[space]\nx = { low = 0, high = 1 }\ny = { low = 0, high = 1 }\n"
+    )
+    with af.create_run(tmp_path / "run", tmp_path / "plate.toml") as run:
+        run.add([{"x": 0.1, "y": 0.9, "outcome": "failure"}, {"x": 0.1, "y": 0.1, "outcome": "safe"}])
+        before = len(run.classifier.latents[0].features)
+        with pytest.raises(af.SimulationError, match="failed numerically"):
+            run.take(progress=False, workers=1)
+        assert len(run.classifier.latents[0].features) == int(run.history.answered.sum()) > before

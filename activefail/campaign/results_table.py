@@ -1,5 +1,6 @@
 """Tables of results that a user tells or adds: what their columns mean, and which rules they must keep."""
 
+import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -209,6 +210,39 @@ class ResultTable:
                     raise table.broken(row, parameter.name, rule, value)
         none = np.empty(0, dtype=np.int64)
         return cls(table, tuple(rows), none, designs, _results(campaign, table, rows))
+
+    def warnings(self, campaign: Campaign) -> list[str]:
+        """What a user has probably not meant: columns that are ignored for their spelling, margins that are missing."""
+        simulator, names = campaign.simulator, self.table.columns
+        known = [_ID, _OUTCOME, _CAUSE, _SECONDS, *simulator.margins, *campaign.space.names, *campaign.space.fixed]
+        texts = []
+        for name in names:
+            close = difflib.get_close_matches(name, [one for one in known if one not in names], 1, 0.75)
+            if name not in known and close:
+                texts.append(f"column {name!r} is ignored; {close[0]!r} is missing.")
+        if not (levels := _levels(campaign)) or campaign.settings.classifier.learns == "outcomes":
+            return texts
+        name, worst = simulator.margins[0], len(simulator.outcomes) - 1
+        outcome, margin = self.results.outcome, self.results.margins[:, 0]
+        lacking = np.isnan(margin) & (outcome >= 0) & (outcome < worst)
+        if lacking.any():
+            texts.append(
+                f"{self._place(lacking)}: {name} is missing. A boundary is learned from a margin only if all "
+                f"simulations short of {simulator.outcomes[worst]} have it."
+            )
+        wrong = (sum((margin <= level).astype(np.int64) for level in levels) != outcome) & ~np.isnan(margin)
+        wrong &= outcome >= 0
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            texts.append(
+                f"{self._place(wrong)}: {name} {float(margin[row])!r} contradicts the outcome "
+                f"{simulator.outcomes[outcome[row]]}."
+            )
+        return texts
+
+    def _place(self, rows: NDArray[np.bool_]) -> str:
+        """How messages name the first of the marked results, (n,)."""
+        return self.table.places[self.rows[int(np.argmax(rows))]]
 
     def check_designs(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> None:
         """Check that no design was changed since it was handed out.

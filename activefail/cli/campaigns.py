@@ -123,6 +123,9 @@ def _take(
     if taken.stop_rule:
         print(f"stop rule  {visible(taken.stop_rule)}")
     show_unseen(run.summary)
+    if flight := run.summary.in_flight:
+        ids = ", ".join(map(str, flight))
+        print(f"in flight  ids {ids} count towards the budget; `activefail tell` or `activefail drop` them")
     print(f"results    {visible(str(run.folder))}")
 
 

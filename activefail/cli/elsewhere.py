@@ -1,13 +1,16 @@
 """Commands on simulations done elsewhere: create, ask, tell, drop, add."""
 
 import sys
-from contextlib import suppress
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from activefail.cli.common import (
+    STANDARD,
     Code,
     RunFolder,
     name_of,
@@ -67,10 +70,11 @@ def ask(
         opened_run(folder, write=not in_flight, code=code, simulates=False) as opened,
     ):
         space = opened.space
+        _check_replaceable(csv, ["outcome", "cause", *opened.campaign.simulator.margins])
         with suppress(_NothingError), writing(target, ["id", *space.names, *space.fixed]) as write:
             # The table first: if it cannot be written, no design is handed out.
             table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
-            if not len(table):
+            if not len(table) and csv != STANDARD:
                 # An earlier table under this name may be the one that somebody works on.
                 raise _NothingError
             write([[int(cells[0]), *map(repr, cells[1:])] for cells in table.itertuples(index=False)])
@@ -81,7 +85,27 @@ def ask(
         if len(table):
             print(f"{_numbers(table)} written to {name_of(csv)}")
         else:
-            print("no designs, so no table was written" + (_WAITING if waiting else ""))
+            print(f"no designs{'' if csv == STANDARD else ', so no table was written'}{_WAITING if waiting else ''}")
+
+
+def _check_replaceable(path: Path, columns: list[str]) -> None:
+    """Check that a table to be replaced has none of the columns of results: somebody may have filled them in.
+
+    Raises:
+        InputError: naming the columns.
+    """
+    from activefail.csv_table import read_cells
+
+    if path.is_dir():
+        raise InputError(f"--csv: {path} is a folder.")
+    if not path.is_file():
+        return
+    try:
+        others = [name for name in read_cells(path)[0] if name in columns]
+    except InputError:
+        return  # not a table of designs: replaced, as every output is
+    if others:
+        raise InputError(f"--csv: {path} holds results ({', '.join(others)}): `tell` them first, or name another file.")
 
 
 class _NothingError(Exception):
@@ -89,6 +113,15 @@ class _NothingError(Exception):
 
 
 _WAITING = "; --in-flight writes the designs in flight again"
+
+
+@contextmanager
+def _shown_warnings() -> Iterator[None]:
+    """Print Python's warnings as those of the command line."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    show_warnings(str(one.message) for one in caught)
 
 
 def _counted(number: int, thing: str) -> str:
@@ -113,7 +146,8 @@ def tell(
 ) -> None:
     """Record the results of designs that were handed out."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
-        new = opened.tell(table_input(csv))
+        with _shown_warnings():
+            new = opened.tell(table_input(csv))
         left, summary = opened.counts["in_flight"], opened.summary
     print(f"{_counted(new, 'new result')} recorded; {_counted(left, 'design')} in flight")
     show_unseen(summary)
@@ -147,7 +181,8 @@ def add(
 ) -> None:
     """Record simulations that were not asked for, such as last year's."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
-        new = opened.add(table_input(csv))
+        with _shown_warnings():
+            new = opened.add(table_input(csv))
         summary = opened.summary
     print(f"{_counted(new, 'simulation')} added")
     show_unseen(summary)

@@ -1,5 +1,6 @@
 """Tables of the Python interface as pandas DataFrames: simulations, designs in flight, predictions."""
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,14 +39,20 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
     return pd.DataFrame(parts)
 
 
-def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array) -> "DataFrame":
-    """Predictions for designs, (n, d): the variables, the probability of each outcome, and the latent's moments."""
+def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array, index: Any = None) -> "DataFrame":
+    """Predictions for designs, (n, d): the variables, the probability of each outcome, and the latent's moments.
+
+    Args:
+        campaign, classifier: the campaign and its classifier.
+        X: the designs.
+        index: of the table; 0, 1, ... if None.
+    """
     import pandas as pd
 
     latent = classifier.latent(campaign.settings.acquisition.main_boundary).moments(campaign.features(X))
     values = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
     columns = dict(zip(campaign.space.names, X.T, strict=True))
-    return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)))
+    return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)), index=index)
 
 
 def designs_of(campaign: Campaign, X: Any) -> Array:
@@ -57,6 +64,14 @@ def designs_of(campaign: Campaign, X: Any) -> Array:
     from activefail.campaign.results_table import Table
 
     space = campaign.space
+    if isinstance(X, Sequence) and not isinstance(X, str) and X and not isinstance(X[0], Mapping):
+        try:
+            X = np.array(X, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(
+                "X: must be a DataFrame, a dictionary of columns, a list of dictionaries, or an "
+                f"(n, {space.dimension}) array of numbers."
+            ) from None
     if isinstance(X, np.ndarray):
         if X.ndim != 2 or X.shape[1] != space.dimension or X.dtype.kind not in "fiu":
             raise InputError(

@@ -143,7 +143,7 @@ class Status:
     def _asking(self) -> list[tuple[str, str]]:
         """How to continue a campaign whose simulations are made elsewhere."""
         settings, folder, flight = self.summary.settings, quoted(self.folder), self.summary.in_flight
-        lines = [f"activefail tell {folder} --csv answers.csv"] if flight else []
+        lines = [text for _, text in self._telling]
         if self.summary.done + len(flight) < settings.budget:
             ignoring = " --ignore-stop" if self._rule_is_met else ""
             lines.append(f"activefail ask {folder} --n {settings.batch} --csv todo.csv{ignoring}")
@@ -156,7 +156,7 @@ class Status:
         if settings.is_elsewhere:
             return self._asking
         if self.summary.done + len(self.summary.in_flight) >= settings.budget:
-            return []
+            return self._telling
         known = known_code(self.folder) if settings.custom_code else None
         if settings.custom_code and known is None:
             # Not a command that could be pasted: nobody has named the folder yet.
@@ -172,7 +172,13 @@ class Status:
             lines.append(("", "the code in that folder has changed since the campaign last ran with it"))
         if is_verified(self.folder, self.summary):
             lines.append(("", f"{ignoring}, if the stop rule ended the campaign"))
-        return lines
+        return [*lines, *(("", text) for _, text in self._telling)]
+
+    @property
+    def _telling(self) -> list[tuple[str, str]]:
+        """The command for designs in flight; empty without any."""
+        command = f"activefail tell {quoted(self.folder)} --csv answers.csv"
+        return [("continue", command)] if self.summary.in_flight else []
 
 
 def read_estimates(folder: Path, digest: str, outcomes: Sequence[str]) -> dict[str, dict[str, Any]]:

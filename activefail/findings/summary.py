@@ -265,12 +265,16 @@ def read_summary(folder: Path) -> Summary | None:
         )
         brief = SettingsInBrief.of(settings)
         in_flight: tuple[int, ...] = ()
+        if outlines and outlines[-1].asked and not (folder / ASKED).exists():
+            return None
         if (folder / ASKED).exists() and outlines:
             # Only designs tell which of those that were handed out have a result.
             schema = outlines[0].schema
             data = read_regular(folder / ASKED, LARGEST_ASKED)
             asked = decode_asked(data, chain_start(settings, schema), len(schema.variables))
             segments = [decode_segment(name, (folder / SEGMENTS / name).read_bytes()) for name in names]
+            if (known := outlines[-1].asked) and asked.digest_of(int(known.partition(" ")[0])) != known:
+                return None
             in_flight = _in_flight(asked, [batch for segment in segments for batch in segment.batches])
     except (OSError, MemoryError, RecursionError, ValueError, StoreError):
         return None

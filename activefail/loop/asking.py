@@ -77,7 +77,7 @@ def ask(
     room = None if budget is None else max(0, budget - handed.history.asked_for - len(flight))
     if room is not None and room < n:
         n = room
-        reason = f"the budget is {budget} simulations, with {len(flight)} in flight"
+        reason = f"the campaign's budget is {budget} simulations, with {len(flight)} in flight"
         if n == 0:
             return Proposed(none, reason)
     left = handed.initial_left(campaign)

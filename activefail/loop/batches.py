@@ -125,6 +125,8 @@ def _run_in_batches(task: Task) -> bool:
         iteration = progress.iteration + 1
         observer.stage("proposing")
         designs, origin = choose(campaign, HandedOut.of(store), learned, batch, left)
+        if not len(designs):
+            raise InputError(_NO_OTHERS)
         observer.stage("simulating")
         _simulate_and_record(task, iteration, origin, designs)
         observer.stage("learning")
@@ -135,6 +137,10 @@ def _run_in_batches(task: Task) -> bool:
 
 _CHECK_IN_FLIGHT = (
     "The stop rule's check is in flight: `activefail tell` its results, or `activefail drop` its designs, then resume."
+)
+
+_NO_OTHERS = (
+    "The criterion finds no design that was not handed out before: `activefail tell` or `activefail add` results first."
 )
 
 _NOTHING_KNOWN = (

@@ -19,6 +19,9 @@ from activefail.space import Array
 _ATTEMPTS = 5
 """Most proposals in place of designs that were handed out or simulated before."""
 
+_LATER = 10**9
+"""Keeps the random streams of repeated proposals apart from those of later ones."""
+
 
 class Chosen(NamedTuple):
     """Designs, (k, d), and their origin: ACTIVE or CHECK."""
@@ -51,8 +54,11 @@ def choose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int, 
     known = {design.tobytes() for design in (*history.designs, *asked.designs)} if len(asked) else set()
     designs = np.empty((0, campaign.space.dimension))
     for attempt in range(_ATTEMPTS):
+        pending = [flight.designs, designs]
         if attempt:
-            rng = stream(campaign.settings.seed, "ask", len(asked) + attempt)
+            # A search may end at the corner of a design that was given up, again and again.
+            pending.append(asked.given_up)
+            rng = stream(campaign.settings.seed, "ask", _LATER * attempt + len(asked))
         proposed = next_designs(
             campaign,
             learned.classifier,
@@ -60,12 +66,14 @@ def choose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int, 
             rng,
             q=n - len(designs),
             chosen=_chosen_before(campaign, handed_out) + len(designs),
-            pending=np.concatenate([flight.designs, designs]) if len(flight) + len(designs) else None,
+            pending=np.concatenate(pending) if any(map(len, pending)) else None,
         )
-        designs = np.concatenate([designs, proposed[[design.tobytes() not in known for design in proposed]]])
-        known |= {design.tobytes() for design in designs} if known else set()
-        if len(designs) == n:
+        new = [design.tobytes() not in known for design in proposed]
+        designs = np.concatenate([designs, proposed[new]])
+        # Without designs that were handed out, what the criterion proposes is what it has always proposed.
+        if len(designs) == n or not known:
             break
+        known |= {design.tobytes() for design in designs}
     return Chosen(designs, ACTIVE)
 
 

@@ -76,13 +76,16 @@ class HandedOut:
 
     def initial_left(self, campaign: Campaign) -> Array:
         """The designs of the initial design, (k, d), that have neither been simulated nor handed out, in order."""
-        sets = initial_sets(campaign, self.history)
+        sets, size = initial_sets(campaign, self.history), campaign.settings.sampling.initial
         if not self.history.answered.any():
             # Of a hypercube that was given up nothing can be learned either.
             given_up = int((self.asked.origin[self.asked.dropped == 1] == INITIAL).sum())
-            sets = 1 + (self.history.leading_failures + given_up) // campaign.settings.sampling.initial
-        initial = initial_designs(campaign, sets)
+            sets = 1 + (self.history.leading_failures + given_up) // size
         known = {*bits_of(self.asked.designs), *bits_of(self.history.designs)}
+        # A hypercube that was begun is finished.
+        while not known.isdisjoint(bits_of(initial_designs(campaign, sets + 1)[-size:])):
+            sets += 1
+        initial = initial_designs(campaign, sets)
         return initial[[bits not in known for bits in bits_of(initial)]]
 
     def next_iteration(self, campaign: Campaign) -> int:

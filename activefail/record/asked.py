@@ -25,9 +25,6 @@ LARGEST_ASKED = 1_000_000_000
 _LARGEST_ID = 2**53
 """Largest id and iteration: a float holds it too, as it must in a table."""
 
-ASKED_ENTRY = "asked"
-"""The entry of a batch's provenance that says which designs had been handed out."""
-
 NO_ROW = -1
 """In place of a row of the record, for a design without a result."""
 

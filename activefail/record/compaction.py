@@ -9,8 +9,7 @@ import json
 from collections.abc import Sequence
 from itertools import accumulate, groupby, takewhile
 
-from activefail.record.asked import ASKED_ENTRY
-from activefail.record.segment import Segment
+from activefail.record.segment import ASKED_ENTRY, Segment
 
 COMPACT_AT = 64
 """Number of segments of one level that are merged into one."""

@@ -26,7 +26,7 @@ from activefail import __version__
 from activefail.errors import DamagedError, InputError, StoreError, SyncError
 from activefail.files import TEMPORARY, make_folder, publish, read_regular, replace, sync_folder
 from activefail.record import compaction
-from activefail.record.asked import ASKED_ENTRY, LARGEST_ASKED, Asked, decode_asked, encode_asked
+from activefail.record.asked import LARGEST_ASKED, Asked, decode_asked, encode_asked
 from activefail.record.attachments import decode_set, decode_state, encode_set, encode_state
 from activefail.record.batch import Batch, Schema, checked_copy
 from activefail.record.layout import (
@@ -54,7 +54,7 @@ from activefail.record.recovery import (
     recover,
     set_aside,
 )
-from activefail.record.segment import Segment, chain_start, encode_segment
+from activefail.record.segment import ASKED_ENTRY, Segment, chain_start, encode_segment
 from activefail.record.store import STATES_KEPT, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array

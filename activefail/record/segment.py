@@ -16,6 +16,9 @@ from activefail.record.batch import COLUMNS, Batch, Schema, batch_of, columns_of
 from activefail.record.hdf5 import Image, encode, open_image
 from activefail.visible import visible
 
+ASKED_ENTRY = "asked"
+"""The entry of a batch's provenance that says which designs had been handed out."""
+
 SCHEMA_VERSION = 1
 """Version of the meaning of the files' datasets and attributes."""
 
@@ -110,6 +113,7 @@ class Outline:
     Attributes:
         iterations, sizes: (number of batches,) int64.
         origin, outcome: (n,) int8.
+        asked: which designs had been handed out (`record.asked.Asked.digest_of`); empty before the first.
     """
 
     settings: str
@@ -122,6 +126,7 @@ class Outline:
     sizes: NDArray[np.int64]
     origin: NDArray[np.int8]
     outcome: NDArray[np.int8]
+    asked: str
 
 
 def decode_outline(name: str, data: bytes) -> Outline:
@@ -176,7 +181,8 @@ def _outline(name: str, image: Image) -> Outline:
     if (name, image.attribute("settings_sha256")) != (segment_name(first, last), sha256(settings)):
         raise DamagedError(_MISNAMED)
     before, after = image.attribute("chain_before"), image.attribute("chain_after")
-    return Outline(settings, schema, first, last, before, after, iterations, sizes, origin, outcome)
+    asked = image.attributes("provenance.").get(ASKED_ENTRY, "")
+    return Outline(settings, schema, first, last, before, after, iterations, sizes, origin, outcome, asked)
 
 
 _MISNAMED = "does not match its name, its chain or its settings' SHA-256"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign.stub import CENTRE, disc
+from campaign.stub import CENTRE, Disc, disc
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -170,7 +170,7 @@ def test_the_budget_counts_designs_in_flight_and_says_so() -> None:
     store = take(campaign, budget=BUDGET - 3)
     proposed = ask(campaign, store, 5, BUDGET)
     assert len(proposed.designs) == 3
-    assert "the budget is 28 simulations" in proposed.reason
+    assert "the campaign's budget is 28 simulations" in proposed.reason
     assert len(ask(campaign, store, 5, BUDGET).designs) == 0
     assert len(ask(campaign, store, 5, None).designs) == 5
 
@@ -526,3 +526,33 @@ def test_a_reader_keeps_the_list_that_it_opened(tmp_path: Path) -> None:
             ask(campaign, store, 2, BUDGET)
             handed = HandedOut.of(reader)
             assert (handed.in_flight.id.tolist(), handed.ids.tolist()) == ([0, 1, 2], [])
+
+
+def test_a_design_that_was_given_up_does_not_block_the_campaign() -> None:
+    # A search for an outcome that was never seen ends in a corner, whatever its random numbers are.
+    campaign = disc(Disc(blind=-np.inf), initial=6, batch=1)
+
+    def told(designs: Asked) -> None:
+        tell(campaign, store, designs.id, results(*[0] * len(designs.id), margin=-0.5))
+
+    store = MemoryStore(campaign.schema)
+    told(ask(campaign, store, 6, BUDGET).designs)
+    for _ in range(4):
+        designs = ask(campaign, store, 1, BUDGET).designs
+        assert len(designs) == 1
+        drop(store, designs.id)
+    handed = HandedOut.of(store)
+    assert len(np.unique(handed.asked.designs, axis=0)) == len(handed.asked)
+    take(campaign, store)
+    assert HandedOut.of(store).history.asked_for == BUDGET
+
+
+def test_a_hypercube_that_was_begun_is_finished_whatever_became_of_the_one_before() -> None:
+    campaign, store = disc(initial=6), MemoryStore(disc().schema)
+    first = ask(campaign, store, 6, BUDGET).designs
+    drop(store, first.id)
+    second = ask(campaign, store, 1, BUDGET).designs
+    tell(campaign, store, second.id, results(0))
+    assert len(HandedOut.of(store).initial_left(campaign)) == 5
+    third = ask(campaign, store, 6, BUDGET).designs
+    assert (third.origin.tolist(), len(third)) == ([INITIAL] * 5, 5)
