@@ -387,7 +387,7 @@ def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     path = sorted((folder / "state").iterdir())[-1]
     with FolderStore.open(folder, write=False) as store:
         digests = {digest for segment in store.segments for digest in segment.chain.values()}
-        state = decode_state(path.read_bytes(), int(path.stem), digests)
+        _, state = decode_state(path.read_bytes(), int(path.stem), digests)
         change(state)
         path.write_bytes(encode_state(int(path.stem), state, store.digest))
     return path
