@@ -315,7 +315,7 @@ class Run:
             designs = handed_out.history.designs.reshape(-1, self.space.dimension)
             told.check_designs(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
             try:
-                new = tell(self.campaign, self.store, told.ids, told.results)
+                new = tell(self.campaign, self.store, told.ids, told.results, handed_out)
             except RowError as error:
                 raise InputError(f"{told.table.places[told.rows[error.row]]}: {error}.") from None
             self._learned = None
@@ -738,7 +738,7 @@ class Run:
 
     @property
     def has_initial_design(self) -> bool:
-        """Whether every design of the initial design was simulated or given up."""
+        """Whether every design of the initial design was simulated or dropped."""
         handed_out = self.handed_out
         waiting = (handed_out.in_flight.origin == INITIAL).any()
         return bool(len(handed_out.history) and not waiting and not len(handed_out.initial_left(self.campaign)))
@@ -846,7 +846,7 @@ class Run:
 
 
 def _file(file: Any) -> Any:
-    """A path for a text, anything else as it is."""
+    """The path that a string names; anything else is returned unchanged."""
     return Path(file) if isinstance(file, str) else file
 
 

@@ -322,7 +322,7 @@ def test_dropping_names_what_is_wrong(folder: Path) -> None:
     with af.open_run(folder, write=True) as run:
         assert run.drop(8) == 0
         with pytest.raises(InputError, match=r"ids: must be a whole number, got 8\.5"):
-            run.drop([8.5])  # type: ignore[list-item]
+            run.drop([8.5])
         with pytest.raises(InputError, match="row 0: id 8 was dropped; `add` records its result"):
             run.tell({"id": 8, "g": 1.0})
 
@@ -465,7 +465,7 @@ def test_ids_to_drop_may_be_an_array_and_nothing_else_odd(folder: Path) -> None:
     with af.open_run(folder, write=True) as run:
         for ids in (2**63, None, 1.0, True, b"12", "8"):
             with pytest.raises(InputError, match="ids: must be"):
-                run.drop(ids)  # type: ignore[arg-type]
+                run.drop(ids)
         assert run.drop(run.in_flight["id"].to_numpy()) == 2
 
 

@@ -59,7 +59,7 @@ class Table:
         """A pandas DataFrame, a mapping of columns, or a sequence of mappings, one for each row.
 
         Raises:
-            InputError: if it is none of these.
+            InputError: if it is something else.
         """
         import pandas as pd
 
@@ -125,7 +125,7 @@ class Table:
         """A cell as a finite number.
 
         Raises:
-            InputError: if it is none.
+            InputError: if it is not a finite number.
         """
         number = self.number(row, name)
         if not math.isfinite(number):

@@ -5,6 +5,9 @@ it as the loop does. Asked for and told batch by batch, a campaign has the same 
 flight into account.
 """
 
+import bisect
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,8 +46,8 @@ def check_batches(campaign: Campaign) -> None:
     """
     if campaign.settings.sampling.asynchronous:
         raise InputError(
-            "sampling.asynchronous: applies to simulations that activefail starts itself. Designs that are asked for "
-            "are learned from as soon as they are told, also without this setting."
+            "sampling.asynchronous: applies to simulations that activefail starts itself. `ask` learns from every "
+            "result that was told, also without this setting."
         )
 
 
@@ -108,7 +111,13 @@ def _hand_out(store: Store, handed: HandedOut, designs: Array, origin: int, lear
     return Proposed(new, reason)
 
 
-def tell(campaign: Campaign, store: Store, ids: NDArray[np.int64], results: Results) -> int:
+def tell(
+    campaign: Campaign,
+    store: Store,
+    ids: NDArray[np.int64],
+    results: Results,
+    handed_out: HandedOut | None = None,
+) -> int:
     """Record the results of designs that were handed out; they are durable once this returns.
 
     Args:
@@ -116,31 +125,33 @@ def tell(campaign: Campaign, store: Store, ids: NDArray[np.int64], results: Resu
         store: its record, open for writing.
         ids: (n,) of the designs. They may be any of those in flight, in any order.
         results: of the n designs.
+        handed_out: the designs of the store, if the caller has them already.
 
     Returns:
-        Number of new results; a result that was told before is none.
+        Number of new results. A result that was told before is not counted.
 
     Raises:
         InputError: if an id is unknown or was dropped, or has another result already; nothing is recorded then.
         StoreError: if the results cannot be recorded.
     """
-    handed = HandedOut.of(store)
+    handed = handed_out or HandedOut.of(store)
+    before = _rows(store)
     place = {number: k for k, number in enumerate(handed.asked.id.tolist())}
     recorded = {number: row for row, number in enumerate(handed.ids.tolist())}
     new: dict[int, int] = {}
     for row, number in enumerate(ids.tolist()):
         answer = results[row : row + 1]
         if number in recorded:
-            batch = _row(store, recorded[number])
-            if not _is_same(batch, answer):
-                raise RowError(row, f"id {number} has the result {_shown(campaign, batch)} already", campaign, answer)
+            known = before(recorded[number])
+            if not _is_same(known, answer):
+                raise RowError(row, f"id {number} has the result {_shown(campaign, known)} already", campaign, answer)
         elif number not in place:
             raise RowError(row, f"id {number} is unknown: no design was handed out under it", campaign, answer)
         elif handed.asked.dropped[place[number]]:
             raise RowError(row, f"id {number} was dropped; `add` records its result", campaign, answer)
         elif number in new and not _is_same(results[new[number] : new[number] + 1], answer):
-            before = _shown(campaign, results[new[number] : new[number] + 1])
-            raise RowError(row, f"id {number} has the result {before} in an earlier row", campaign, answer)
+            earlier = _shown(campaign, results[new[number] : new[number] + 1])
+            raise RowError(row, f"id {number} has the result {earlier} in an earlier row", campaign, answer)
         else:
             new.setdefault(number, row)
     if not new:
@@ -179,7 +190,7 @@ def drop(store: Store, ids: NDArray[np.int64]) -> int:
         ids: (n,) of the designs.
 
     Returns:
-        Number of designs that were in flight; a design that was dropped before is none.
+        Number of designs that were in flight. A design that was dropped before is not counted.
 
     Raises:
         InputError: if an id is unknown or has a result; nothing is dropped then.
@@ -193,10 +204,10 @@ def drop(store: Store, ids: NDArray[np.int64]) -> int:
             raise InputError(f"ids: must be of designs in flight; id {number} has a result.")
         if number not in known:
             raise InputError(f"ids: must be of designs in flight; id {number} is unknown.")
-    given_up = np.isin(handed.asked.id, ids)
-    number = int((given_up & (handed.asked.dropped == 0)).sum())
+    dropped = np.isin(handed.asked.id, ids)
+    number = int((dropped & (handed.asked.dropped == 0)).sum())
     if number:
-        store.write_asked(handed.asked.without(given_up))
+        store.write_asked(handed.asked.without(dropped))
     return number
 
 
@@ -212,7 +223,7 @@ def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
         results: of the n designs.
 
     Returns:
-        Number of new simulations; one that is recorded already with this result is none.
+        Number of new simulations. One that is recorded already with this result is not counted.
 
     Raises:
         InputError: if a design is in flight, or is recorded with another result; nothing is recorded then.
@@ -223,6 +234,7 @@ def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
     flight = handed.in_flight
     in_flight = {design.tobytes(): number for design, number in zip(flight.designs, flight.id.tolist(), strict=True)}
     recorded = {design.tobytes(): row for row, design in enumerate(handed.history.designs)}
+    ids, known = handed.ids, _rows(store)
     new: dict[bytes, int] = {}
     for row in range(len(X)):
         design, answer = X[row].tobytes(), results[row : row + 1]
@@ -232,8 +244,8 @@ def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
                 row, f"the design is in flight with id {number}; `tell` records its result", campaign, answer
             )
         if design in recorded:
-            before = _row(store, recorded[design])
-            where = f"as id {handed.ids[recorded[design]]}"
+            before = known(recorded[design])
+            where = f"as id {ids[recorded[design]]}"
         elif design in new:
             before, where = results[new[design] : new[design] + 1], "in an earlier row"
         else:
@@ -249,13 +261,17 @@ def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
     return len(rows)
 
 
-def _row(store: Store, row: int) -> Results:
-    """The results of one row of the record."""
-    for batch in store.batches:
-        if row < len(batch):
-            return batch.results[row : row + 1]
-        row -= len(batch)
-    raise IndexError(row)
+def _rows(store: Store) -> Callable[[int], Results]:
+    """The result in a row of the record, by the number of the row."""
+    batches = store.batches
+    ends = list(itertools.accumulate(map(len, batches)))
+
+    def result(row: int) -> Results:
+        place = bisect.bisect_right(ends, row)
+        last = row - ends[place] + len(batches[place]) + 1
+        return batches[place].results[last - 1 : last]
+
+    return result
 
 
 def _is_same(one: Results, other: Results) -> bool:

@@ -47,7 +47,7 @@ def choose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int, 
     name, index = ("ask", len(asked)) if of_batch.any() else ("propose", learned_from + 1)
     rng = stream(campaign.settings.seed, name, index)
     if needs_check(campaign, history, learned.looks):
-        simulated = np.concatenate([history.designs, flight.designs, asked.given_up])
+        simulated = np.concatenate([history.designs, flight.designs, asked.dropped_designs])
         return Chosen(check_designs(campaign, simulated, learned.looks, rng)[:room], CHECK)
     if room is not None:
         n = min(n, room)
@@ -56,8 +56,8 @@ def choose(campaign: Campaign, handed_out: HandedOut, learned: Learned, n: int, 
     for attempt in range(_ATTEMPTS):
         pending = [flight.designs, designs]
         if attempt:
-            # A search may end at the corner of a design that was given up, again and again.
-            pending.append(asked.given_up)
+            # A search may end at the same corner each time, where a design was dropped.
+            pending.append(asked.dropped_designs)
             rng = stream(campaign.settings.seed, "ask", _LATER * attempt + len(asked))
         proposed = next_designs(
             campaign,

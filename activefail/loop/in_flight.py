@@ -78,9 +78,9 @@ class HandedOut:
         """The designs of the initial design, (k, d), that have neither been simulated nor handed out, in order."""
         sets, size = initial_sets(campaign, self.history), campaign.settings.sampling.initial
         if not self.history.answered.any():
-            # Of a hypercube that was given up nothing can be learned either.
-            given_up = int((self.asked.origin[self.asked.dropped == 1] == INITIAL).sum())
-            sets = 1 + (self.history.leading_failures + given_up) // size
+            # Nothing can be learned from a dropped hypercube either.
+            dropped = int((self.asked.origin[self.asked.dropped == 1] == INITIAL).sum())
+            sets = 1 + (self.history.leading_failures + dropped) // size
         known = {*bits_of(self.asked.designs), *bits_of(self.history.designs)}
         # A hypercube that was begun is finished.
         while not known.isdisjoint(bits_of(initial_designs(campaign, sets + 1)[-size:])):

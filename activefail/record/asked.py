@@ -1,4 +1,4 @@
-"""Designs that were handed out to be simulated elsewhere: which are in flight, and which were given up.
+"""Designs that were handed out to be simulated elsewhere: which are in flight, and which were dropped.
 
 The file `asked.h5` lists every design that `ask` handed out, with its id. A design's result is in the batches, like
 that of any other simulation; so a design is in flight until a batch holds it, or until it was dropped.
@@ -41,7 +41,7 @@ class Asked:
         designs: (k, d) float64, in the variables' units.
         origin: (k,) int8, INITIAL, ACTIVE or CHECK.
         learned: (k,) int64, the iteration that the proposal had learned from; NEVER in the initial design.
-        dropped: (k,) int8, 1 for a design that was given up.
+        dropped: (k,) int8, 1 for a dropped design.
 
     Raises:
         ValueError: if the shapes disagree.
@@ -93,7 +93,7 @@ class Asked:
         )
 
     def without(self, rows: NDArray[np.bool_]) -> Self:
-        """The same list with the marked designs, (k,), given up."""
+        """The same list with the marked designs, (k,), dropped."""
         return replace(self, dropped=np.where(rows, np.int8(1), self.dropped).astype(np.int8))
 
     @property
@@ -116,8 +116,8 @@ class Asked:
         return f"{count} {hashlib.sha256(self.designs[:count].astype('<f8').tobytes()).hexdigest()[:16]}"
 
     @property
-    def given_up(self) -> Array:
-        """The designs that were given up, (j, d)."""
+    def dropped_designs(self) -> Array:
+        """The designs that were dropped, (j, d)."""
         return np.asarray(self.designs[self.dropped == 1])
 
     def copy(self) -> Self:

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign.stub import CENTRE, Disc, disc
+from campaign.stub import CENTRE, disc
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.opening import create_folder
+from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.asking import RowError, add, ask, drop, tell
@@ -528,23 +529,27 @@ def test_a_reader_keeps_the_list_that_it_opened(tmp_path: Path) -> None:
             assert (handed.in_flight.id.tolist(), handed.ids.tolist()) == ([0, 1, 2], [])
 
 
-def test_a_design_that_was_given_up_does_not_block_the_campaign() -> None:
-    # A search for an outcome that was never seen ends in a corner, whatever its random numbers are.
-    campaign = disc(Disc(blind=-np.inf), initial=6, batch=1)
-
-    def told(designs: Asked) -> None:
-        tell(campaign, store, designs.id, results(*[0] * len(designs.id), margin=-0.5))
-
+def test_a_dropped_design_does_not_block_the_campaign() -> None:
+    # The search for failure, of which nothing is known, ends in the same corner whatever its random numbers are.
+    text = """
+        seed = 1
+        sampling = { initial = 6, budget = 28, batch = 1 }
+        simulator = { elsewhere = true, outcomes = ["safe", "failure"] }
+        [space]
+        x = { distribution = "truncated_normal", mean = 0.0, sd = 1.0, low = -3.0, high = 3.0 }
+        y = { distribution = "truncated_normal", mean = 0.0, sd = 1.0, low = -3.0, high = 3.0 }
+        """
+    campaign = Campaign.of(parse_settings(text, "corner"))
     store = MemoryStore(campaign.schema)
-    told(ask(campaign, store, 6, BUDGET).designs)
+    first = ask(campaign, store, 6, BUDGET).designs
+    nothing = np.zeros(6, dtype=np.int8)
+    tell(campaign, store, first.id, Results(nothing, nothing, np.empty((6, 0)), np.zeros(6)))
     for _ in range(4):
         designs = ask(campaign, store, 1, BUDGET).designs
         assert len(designs) == 1
         drop(store, designs.id)
-    handed = HandedOut.of(store)
-    assert len(np.unique(handed.asked.designs, axis=0)) == len(handed.asked)
-    take(campaign, store)
-    assert HandedOut.of(store).history.asked_for == BUDGET
+    asked = HandedOut.of(store).asked
+    assert len(np.unique(asked.designs, axis=0)) == len(asked) == 10
 
 
 def test_a_hypercube_that_was_begun_is_finished_whatever_became_of_the_one_before() -> None:
