@@ -29,10 +29,11 @@ from activefail.surrogate.threads import one_thread
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from pandas import DataFrame
 
+    from activefail.campaign.question import Question
     from activefail.campaign.results_table import ResultTable, Table
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
@@ -674,8 +675,9 @@ class Run:
         simulations: int = 50,
         confidence: float = 0.9,
         outcome: str | None = None,
-        question: Path | None = None,
+        question: "Question | Path | str | None" = None,
         executor: "Executor | None" = None,
+        fixed: "Mapping[str, float] | Path | str | None" = None,
     ) -> "ProbabilityFindings":
         """Estimate the probability of an outcome or a more severe one, from fresh simulations.
 
@@ -683,15 +685,16 @@ class Run:
             simulations: number of fresh simulations, outside the budget.
             confidence: of the interval.
             outcome: its name; that of the (main) target boundary if None.
-            question: file with other distributions of the variables (docs/probability.md); the campaign's question if
-                None.
+            question: other distributions of the variables: a question file (docs/probability.md), a hazard file
+                (docs/design.md), or what `asked` returns; the campaign's question if None.
             executor: as for `take`.
+            fixed: values of variables, which are then certain: by name, or a TOML file.
 
         Raises:
             InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary, or
                 the question's file is invalid.
         """
-        from activefail.campaign.question import read_question
+        from activefail.campaign.question import Question
         from activefail.findings.probability import ProbabilityFindings
         from activefail.verification.probability import estimate_probability
 
@@ -702,9 +705,7 @@ class Run:
             raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
         if outcome not in boundaries:
             raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
-        asked = self.campaign.question
-        if question is not None:
-            asked = read_question(question, self.settings, self.space)
+        asked = question if isinstance(question, Question) else self.asked(question, fixed)
         self._check_initial_design("estimate")
         history, classifier = self.history, self.classifier
         with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
@@ -720,9 +721,46 @@ class Run:
                 asked,
             )
         findings = ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate, asked)
-        if self._write and question is None:
+        if self._write and question is None and fixed is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
+
+    def asked(
+        self, question: Path | str | None = None, fixed: "Mapping[str, float] | Path | str | None" = None
+    ) -> "Question":
+        """A distribution of the variables, under which a probability is asked for.
+
+        Args:
+            question: a question file or a hazard file; the campaign's question if None.
+            fixed: values of variables, which are then certain: by name, or a TOML file.
+
+        Raises:
+            InputError: naming the file, the key, the rule and the value.
+        """
+        from activefail.campaign.question import question_of, read_question
+
+        values = self.fixed_values(fixed)
+        if question is not None:
+            return read_question(Path(question), self.settings, self.space, values)
+        return question_of(self.settings, self.space, values) if values else self.campaign.question
+
+    def fixed_values(self, fixed: "Mapping[str, float] | Path | str | None") -> dict[str, float]:
+        """Values of variables, by name or from a TOML file.
+
+        Raises:
+            InputError: if a name is not a variable, or a value is not a finite number.
+        """
+        from activefail.campaign.question import check_names, read_fixed
+
+        if fixed is None:
+            return {}
+        if isinstance(fixed, str | Path):
+            return read_fixed(Path(fixed), self.space)
+        check_names(fixed, self.space)
+        for name, value in fixed.items():
+            if not (isinstance(value, int | float | np.number) and np.isfinite(value)):
+                raise InputError(f"{name}: must be a finite number, got {value!r}.")
+        return {name: float(value) for name, value in fixed.items()}
 
     def _save_estimate(self, outcome: str, numbers: dict[str, Any]) -> None:
         """Save an estimate beside those of other outcomes from the same record."""

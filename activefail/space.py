@@ -133,6 +133,12 @@ class DesignSpace:
         """A bound on the probability of designs outside the bounds: the sum over the variables."""
         return sum(parameter.outside for parameter in self.parameters)
 
+    def without(self, name: str) -> "DesignSpace":
+        """The space of the other variables."""
+        kept = tuple(parameter for parameter in self.parameters if parameter.name != name)
+        pairs = tuple(pair for pair in self.correlation if name not in pair[:2])
+        return DesignSpace(kept, self.fixed, pairs)
+
     def standardised(self, X: Array) -> Array:
         """Designs, shape (n, d), in standard deviations of each variable from its middle."""
         columns = [p.standardised(x) for p, x in zip(self.parameters, np.asarray(X).T, strict=True)]

@@ -14,6 +14,7 @@ import numpy as np
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import REACH, Array, DesignSpace, radius
+from activefail.weighted import WeightedRows
 
 _PER_PARENT, _PARENTS = 400, 100
 """Designs of a population for each parent of its local part, and most parents."""
@@ -29,7 +30,7 @@ class Population(NamedTuple):
     """A weighted sample of the design measure.
 
     Attributes:
-        Z: (n, d) points of standard normal space.
+        Z: (n, d) points of standard normal space; NaN for weighted rows, which have none.
         X: (n, d) the same points as designs.
         weight: (n,) density of the design measure over that of the sample.
     """
@@ -97,6 +98,20 @@ def _local_ratio(Z: Array, parents: Array) -> Array:
     return ratio
 
 
+def integration_points(space: DesignSpace | WeightedRows, n: int) -> tuple[Array, Array]:
+    """Fixed points that integrate a probability that is not rare, (n, d), with weights whose mean is 1, (n,).
+
+    A scrambled Sobol' sequence; all rows of weighted rows.
+
+    Args:
+        space: the design space, or weighted rows.
+        n: number of points; a power of two.
+    """
+    if isinstance(space, WeightedRows):
+        return space.X, space.weight
+    return space.sobol(n, np.random.default_rng(0)), np.ones(n)
+
+
 def finite(features: FeatureMap, X: Array) -> Array:
     """Scaled features of designs of a population, (n, d) -> (n, m).
 
@@ -116,19 +131,23 @@ def finite(features: FeatureMap, X: Array) -> Array:
     return F
 
 
-def population(space: DesignSpace, n: int, importance: Importance | None, rng: np.random.Generator) -> Population:
-    """A population of n designs.
+def population(
+    space: DesignSpace | WeightedRows, n: int, importance: Importance | None, rng: np.random.Generator
+) -> Population:
+    """A population of n designs; of weighted rows all, whatever n.
 
     Half of it is radial: it fills the ball outside which the probability is `REACH`, in all directions. The other half
     is local, around parents that are drawn from another radial sample in proportion to weight times importance. Parents
     from the same sample would bias the weighted means.
 
     Args:
-        space: the design space.
+        space: the design space, or weighted rows.
         n: number of designs.
         importance: of designs; without it, the population is radial.
         rng: generator of the sample.
     """
+    if isinstance(space, WeightedRows):
+        return Population(np.full_like(space.X, np.nan), space.X, space.weight)
     d = space.dimension
     parents = None
     if importance is not None:

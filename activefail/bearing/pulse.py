@@ -4,7 +4,9 @@ import math
 
 from numba import njit
 
+from activefail.bearing.design import GRAVITY
 from activefail.bearing.kernels import KERNEL
+from activefail.space import Array
 
 _SPREAD = 2.0 * math.pi / math.sqrt(3.0)
 PEAK = 1.38
@@ -15,6 +17,24 @@ _ROOT = math.sqrt(3.0)
 
 HALF_DURATION = 1.5
 """The pulse lasts from 1.5 T_p before its centre to 1.5 T_p after, where 4·10⁻⁵ of its peak remain."""
+
+VELOCITY_PER_ACCELERATION = 1.0 / (PEAK * _SPREAD)
+"""Peak ground velocity of a pulse over A_p T_p: its velocity is largest at its centre."""
+
+VELOCITY_PERIOD = math.sqrt(1.5)
+"""Period of the peak of the velocity spectrum over T_p, the peak of the acceleration spectrum.
+
+Published periods of pulses are those of a wavelet that fits the velocity. They are divided by this number."""
+
+
+def amplitude_of(velocity: Array, period: Array) -> Array:
+    """Amplitude A_p [g] of pulses with a peak ground velocity [m/s] and a period T_p [s]."""
+    return velocity / (VELOCITY_PER_ACCELERATION * period * GRAVITY)
+
+
+def velocity_of(amplitude: Array, period: Array) -> Array:
+    """Peak ground velocity [m/s] of pulses with an amplitude A_p [g] and a period T_p [s]."""
+    return amplitude * (VELOCITY_PER_ACCELERATION * period * GRAVITY)
 
 
 @njit(cache=True, **KERNEL)

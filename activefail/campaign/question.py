@@ -1,116 +1,246 @@
 """A question: another distribution of a campaign's variables, under which a probability is asked for."""
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from activefail.campaign.sections import FixedVariable, QuestionSettings, Variable
+from activefail.campaign.sections import FixedSettings, FixedVariable, QuestionSettings, Variable
 from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
 from activefail.errors import InputError
+from activefail.parameter import Parameter
 from activefail.space import Array, DesignSpace, radius
 from activefail.visible import visible
+from activefail.weighted import WeightedRows
 
 _SHARE = 2**14
-"""Designs that estimate which share of a question lies outside the design space."""
+"""Points that estimate which share of a question lies outside the design space."""
+
+PGV = "PGV"
+"""Peak ground velocity of the pulse [m/s], which may take the place of its amplitude A_p [g]."""
+
+_OF_HAZARDS = ("magnitude", "pulse_period", "pgv", "samples")
+"""Keys that tell a hazard file from a question file."""
+
+PERIOD, AMPLITUDE = "T_p", "A_p"
+"""The variables of a pulse: period [s] and amplitude [g]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A distribution of a campaign's variables.
+    """A distribution of a campaign's variables: some are uncertain, the others have values.
 
     Attributes:
         title: in words.
-        space: of the k uncertain variables.
-        columns: (k,) their columns among the campaign's variables.
-        values: (d,) values of the campaign's variables; those of uncertain ones mean nothing.
-        digest: SHA-256 of what the question defines; empty for the campaign's own design measure.
+        variables: names of the campaign's variables.
+        space: the uncertain variables: the campaign's own, or the peak ground velocity in place of the amplitude.
+        fixed: values of all other variables.
+        factors: factors on variables, applied last, such as a bound on friction.
+        draw: number of an independent sample of fresh simulations.
+        is_own: whether this is the campaign's own design measure.
     """
 
     title: str
-    space: DesignSpace
-    columns: tuple[int, ...]
-    values: Array
-    digest: str = ""
+    variables: tuple[str, ...]
+    space: DesignSpace | WeightedRows
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
+    draw: int = 0
+    is_own: bool = False
 
     @classmethod
     def of_space(cls, space: DesignSpace) -> "Question":
         """The campaign's own design measure."""
-        return cls("the design measure", space, tuple(range(space.dimension)), np.zeros(space.dimension))
+        return cls("the design measure", space.names, space, is_own=True)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of what the question defines; empty for the campaign's own design measure."""
+        if self.is_own:
+            return ""
+        if isinstance(self.space, WeightedRows):
+            rows = hashlib.sha256(np.column_stack([self.space.X, self.space.weight]).tobytes()).hexdigest()
+            defined: tuple[object, ...] = (self.space.names, rows)
+        else:
+            defined = (self.space.parameters, sorted(self.space.correlation))
+        values = [float(self.fixed.get(name, 0.0)) for name in self.variables]
+        more = [PGV, self.fixed[PGV]] if PGV in self.fixed else []
+        # Parts that older questions did not have are left out where they say nothing, so that digests stay.
+        more += [sorted(self.factors.items())] if self.factors else []
+        more += [self.draw] if self.draw else []
+        return hashlib.sha256(repr((*defined, values, *more)).encode()).hexdigest()
 
     def designs(self, X: Array) -> Array:
         """Designs of the campaign, (n, d), from values of the uncertain variables, (n, k)."""
-        if len(self.columns) == len(self.values):
+        if self.is_own:
             return X
-        designs = np.tile(self.values, (len(X), 1))
-        designs[:, list(self.columns)] = X
-        return designs
+        columns = {name: np.full(len(X), value) for name, value in self.fixed.items()}
+        columns |= dict(zip(self.space.names, X.T, strict=True))
+        if PGV in columns:
+            from activefail.bearing.pulse import amplitude_of
+
+            columns[AMPLITUDE] = amplitude_of(columns[PGV], columns[PERIOD])
+        return np.column_stack([columns[name] * self.factors.get(name, 1.0) for name in self.variables])
+
+    def at(self, values: Mapping[str, float]) -> "Question":
+        """The question with these values of variables, which are no longer uncertain."""
+        fixed = {name: value for name, value in self.fixed.items() if name not in values} | dict(values)
+        space = self.space
+        for name in values:
+            if name in space.names:
+                space = space.without(name)
+        return replace(self, space=space, fixed=fixed, is_own=False)
+
+    def drawn(self, draw: int) -> "Question":
+        """The same question with another independent sample of fresh simulations."""
+        return replace(self, draw=draw)
 
     def share_outside(self, space: DesignSpace) -> float:
         """The share of the question outside a campaign's design space, where its classifier extrapolates.
 
-        Estimated by 16,384 designs of a scrambled Sobol' sequence.
+        Estimated by 16,384 points of a scrambled Sobol' sequence.
         """
-        X = self.space.sobol(_SHARE, np.random.default_rng(0))
-        return float(1.0 - space.contains(self.designs(X)).mean())
+        from activefail.acquisition.population import integration_points
+
+        X, weight = integration_points(self.space, _SHARE)
+        return float(1.0 - (weight * space.contains(self.designs(X))).mean())
 
 
-def read_question(path: Path, settings: CampaignSettings, space: DesignSpace) -> Question:
-    """Read the question of a file.
+def read_question(
+    path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float] | None = None
+) -> Question:
+    """Read the question of a file: a question file, or a hazard file.
 
     Args:
         path: the file.
         settings, space: of the campaign.
+        fixed: further values of variables (see `read_fixed`).
 
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
-    asked = checked(QuestionSettings, parse_toml(read_text(path), str(path)), str(path))
+    values = parse_toml(read_text(path), str(path))
+    if "space" not in values and not values.keys().isdisjoint(_OF_HAZARDS):
+        from activefail.campaign.hazard import hazard_of, hazard_question
+
+        return hazard_question(hazard_of(values, path), settings, space, fixed or {})
+    asked = checked(QuestionSettings, values, str(path))
     try:
-        return _question(asked, path.stem, settings, space)
+        return _question(asked, path.stem, settings, space, fixed or {})
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def question_of(settings: CampaignSettings, space: DesignSpace) -> Question:
+def question_of(settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float] | None = None) -> Question:
     """The question of a campaign file; its design measure if it asks none.
 
     Raises:
         InputError: naming the key, the rule and the value.
     """
     if settings.question is None:
+        if fixed:
+            return asked_of("the campaign's distributions", settings, space, {}, fixed)
         return Question.of_space(space)
     try:
-        return _question(settings.question, "the campaign's question", settings, space)
+        return _question(settings.question, "the campaign's question", settings, space, fixed or {})
     except InputError as error:
         raise InputError(f"question.{error}") from None
 
 
-def _question(asked: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace) -> Question:
-    for name, entry in asked.space.items():
-        _check_variable(name, entry, settings, space)
-    fixed = {name: entry.value for name, entry in asked.space.items() if isinstance(entry, FixedVariable)}
-    changed = {name: entry for name, entry in asked.space.items() if isinstance(entry, Variable)}
-    uncertain = [name for name in space.names if name not in fixed]
+def read_fixed(path: Path, space: DesignSpace) -> dict[str, float]:
+    """Read values of variables: a TOML table such as `T_b = 4.0`.
+
+    Raises:
+        InputError: naming the file, the key, the rule and the value.
+    """
+    values = checked(FixedSettings, {"values": parse_toml(read_text(path), str(path))}, str(path)).values
+    try:
+        check_names(values, space)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return values
+
+
+def check_names(names: Mapping[str, object], space: DesignSpace) -> None:
+    """Check names of variables.
+
+    Raises:
+        InputError: naming the first that is not a variable of the campaign.
+    """
+    for name in names:
+        if name in space.fixed:
+            raise InputError(f"{name}: has the fixed value {space.fixed[name]:g} in the campaign; leave it out.")
+        if name not in space.names:
+            raise InputError(
+                f"{visible(name)}: is not a variable of the campaign; its variables are {', '.join(space.names)}."
+            )
+
+
+def asked_of(
+    title: str,
+    settings: CampaignSettings,
+    space: DesignSpace,
+    changed: Mapping[str, Parameter],
+    fixed: Mapping[str, float],
+    correlation: list[tuple[str, str, float]] | None = None,
+) -> Question:
+    """The question with other distributions of variables.
+
+    Args:
+        title: in words.
+        settings, space: of the campaign.
+        changed: distributions by name; a variable that is left out keeps the campaign's.
+        fixed: values of certain variables.
+        correlation: of the uncertain variables; the campaign's among them if None.
+
+    Raises:
+        InputError: if no variable is uncertain.
+    """
+    replaced = [name for name in space.names if not (name == AMPLITUDE and PGV in {*changed, *fixed})]
+    names = [*replaced, PGV] if len(replaced) < space.dimension else replaced
+    uncertain = [name for name in names if name not in fixed]
     if not uncertain:
         raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
-    unbounded = sum(not variable.is_bounded for variable in changed.values())
-    distance = radius(asked.reach, unbounded) if unbounded else np.inf
     own = dict(zip(space.names, space.parameters, strict=True))
-    parameters = tuple(changed[name].parameter(name, distance) if name in changed else own[name] for name in uncertain)
-    correlation = asked.correlation
     if correlation is None:
         correlation = [pair for pair in settings.correlation if pair[0] in uncertain and pair[1] in uncertain]
-    values = np.array([fixed.get(name, 0.0) for name in space.names])
-    digest = hashlib.sha256(repr((parameters, sorted(correlation), values.tolist())).encode()).hexdigest()
-    return Question(
-        asked.description or title,
-        DesignSpace(parameters, correlation=tuple(correlation)),
-        tuple(space.names.index(name) for name in uncertain),
-        values,
-        digest,
-    )
+    parameters = tuple(changed.get(name) or own[name] for name in uncertain)
+    return Question(title, space.names, DesignSpace(parameters, correlation=tuple(correlation)), dict(fixed))
+
+
+def check_pulse(space: DesignSpace, what: str) -> None:
+    """Check that a campaign's variables contain a pulse.
+
+    Raises:
+        InputError: naming `what` needs it.
+    """
+    for name, unit in ((PERIOD, "s"), (AMPLITUDE, "g")):
+        known = dict(zip(space.names, space.parameters, strict=True))
+        if name not in known:
+            raise InputError(f"{what}: needs the variable {name!r} of a pulse; the campaign has {', '.join(known)}.")
+        if known[name].unit not in ("", unit):
+            raise InputError(f"{what}: needs {name} in {unit}; in the campaign its unit is {known[name].unit!r}.")
+
+
+def _question(
+    asked: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace, more: Mapping[str, float]
+) -> Question:
+    for name, entry in asked.space.items():
+        _check_variable(name, entry, settings, space)
+    if PGV in asked.space and AMPLITUDE in {*asked.space, *more}:
+        raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
+    fixed = {name: entry.value for name, entry in asked.space.items() if isinstance(entry, FixedVariable)} | dict(more)
+    entries = {name: entry for name, entry in asked.space.items() if isinstance(entry, Variable) and name not in fixed}
+    unbounded = sum(not variable.is_bounded for variable in entries.values())
+    distance = radius(asked.reach, unbounded) if unbounded else np.inf
+    changed = {name: entry.parameter(name, distance) for name, entry in entries.items()}
+    correlation = asked.correlation
+    if correlation is not None and more:
+        correlation = [pair for pair in correlation if pair[0] not in more and pair[1] not in more]
+    return asked_of(asked.description or title, settings, space, changed, fixed, correlation)
 
 
 def _check_variable(name: str, entry: Variable | FixedVariable, settings: CampaignSettings, space: DesignSpace) -> None:
@@ -119,13 +249,15 @@ def _check_variable(name: str, entry: Variable | FixedVariable, settings: Campai
     Raises:
         InputError: naming the key, the rule and the value.
     """
-    if name in space.fixed:
-        raise InputError(f"space.{name}: has the fixed value {space.fixed[name]:g} in the campaign; leave it out.")
-    if name not in space.names:
-        raise InputError(
-            f"space.{name}: is not a variable of the campaign; its variables are {', '.join(space.names)}."
-        )
-    unit = settings.space[name].unit
+    if name == PGV and PGV not in space.names:
+        check_pulse(space, f"space.{PGV}")
+        unit = "m/s"
+    else:
+        try:
+            check_names({name: entry}, space)
+        except InputError as error:
+            raise InputError(f"space.{error}") from None
+        unit = settings.space[name].unit
     if entry.unit and entry.unit != unit:
         stated = visible(unit) or "left out"
         raise InputError(f"space.{name}.unit: must be {stated}, as in the campaign, got {entry.unit!r}.")

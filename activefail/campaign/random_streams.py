@@ -13,6 +13,7 @@ STREAMS = {
     "estimate": 8,
     "check": 9,
     "ask": 10,
+    "draw": 11,
 }
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 

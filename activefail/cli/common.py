@@ -32,6 +32,11 @@ Code = Annotated[
     ),
 ]
 
+Fixed = Annotated[
+    Path | None,
+    typer.Option("--fixed", "--bearing", help="File with values of variables, such as T_b = 4.0.", show_default=False),
+]
+
 Workers = Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)]
 
 ExecutorName = Annotated[

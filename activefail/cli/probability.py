@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, opened_run, show_unseen
+from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_unseen
 from activefail.shares import percent
 from activefail.visible import or_worse, visible
 
@@ -23,15 +23,20 @@ def probability(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     question: Annotated[
         Path | None,
-        typer.Option(help="File with other distributions of the variables (docs/probability.md).", show_default=False),
+        typer.Option(
+            help="File with other distributions of the variables (docs/probability.md), or a hazard file "
+            "(docs/design.md).",
+            show_default=False,
+        ),
     ] = None,
+    fixed: Fixed = None,
     code: Code = None,
 ) -> None:
     """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
     from activefail.findings.probability import rounded_up
 
     with opened_run(folder, write=True, code=code) as opened:
-        findings = opened.probability(simulations, confidence, outcome, question)
+        findings = opened.probability(simulations, confidence, outcome, question, fixed=fixed)
         summary = opened.summary
         boundaries = opened.campaign.simulator.outcomes
     show_unseen(summary)

@@ -23,6 +23,7 @@ from activefail.features import FeatureMap
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.margin import MarginLatent
+from activefail.weighted import WeightedRows
 
 _RADIAL = 20_000
 """Designs of the radial population from which the simulations are drawn."""
@@ -37,7 +38,7 @@ density of the measure everywhere."""
 _WIDER = 2.0
 """Factor of the latent's standard deviation."""
 
-_PRIOR_WEIGHT = 12.0
+_PRIOR_WEIGHT = 16.0
 """Weight of the classifier's own doubt in the variance of the corrections, in simulations."""
 
 _INTEGRATION, _ROUNDS, _ACCURACY = 50_000, 20, 0.01
@@ -140,8 +141,10 @@ def standardised_latent(latent: Latent | MarginLatent, features: FeatureMap) -> 
     return standardised
 
 
-def integrated(standardised: Standardised, space: DesignSpace, rng: np.random.Generator) -> Integral:
+def integrated(standardised: Standardised, space: DesignSpace | WeightedRows, rng: np.random.Generator) -> Integral:
     """The share of the design measure that a classifier puts beyond a boundary, by weighted populations."""
+    if isinstance(space, WeightedRows):
+        return Integral(float((space.weight * (standardised(space.X) > 0.0)).mean()), 0.0)
 
     def importance(X: Array) -> Array:
         z = standardised(X)
@@ -160,22 +163,25 @@ def integrated(standardised: Standardised, space: DesignSpace, rng: np.random.Ge
 
 
 def plan_estimate(
-    standardised: Standardised, space: DesignSpace, integral: Integral, m: int, rng: np.random.Generator
+    standardised: Standardised, space: DesignSpace | WeightedRows, integral: Integral, m: int, rng: np.random.Generator
 ) -> Plan:
     """Plan m fresh simulations that correct a classifier's failure probability, `integral`."""
     drawn = population(space, _RADIAL, None, rng)
+    is_exact = isinstance(space, WeightedRows)
     z = standardised(drawn.X)
     side = ndtr(z / _WIDER)
     parts = drawn.weight * doubt(z / _WIDER)
-    shares = np.full(len(parts), 1.0 / len(parts))
+    # Without regard to doubt: a radial population is drawn as it comes, weighted rows by their weights.
+    shares = drawn.weight / drawn.weight.sum() if is_exact else np.full(len(parts), 1.0 / len(parts))
     if parts.sum() > 0.0:
         shares = (1.0 - _UNIFORM) * parts / parts.sum() + _UNIFORM * shares
-    ratio = drawn.weight / (len(parts) * shares)
+    # A row without weight is never drawn.
+    ratio = np.divide(drawn.weight, len(parts) * shares, out=np.zeros(len(parts)), where=shares > 0.0)
     in_doubt = np.minimum(side, 1.0 - side)
 
     def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
-        # The simulations are drawn from a population, which itself is a sample.
-        population_variance = float(np.sum((drawn.weight**2 * in_doubt)[rows])) / len(parts) ** 2
+        # The simulations are drawn from a population, which itself is a sample, unless it is the distribution.
+        population_variance = 0.0 if is_exact else float(np.sum((drawn.weight**2 * in_doubt)[rows])) / len(parts) ** 2
         return Doubt(float(np.sum((shares * ratio**2 * in_doubt)[rows])), population_variance)
 
     rows = rng.choice(len(parts), m, p=shares / shares.sum())

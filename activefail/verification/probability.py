@@ -21,6 +21,9 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
 
+_DRAWS = 10_000
+"""More than the number of independent samples that anything draws at one iteration."""
+
 
 def estimate_probability(
     campaign: Campaign,
@@ -87,6 +90,8 @@ def _planned(
     campaign: Campaign, classifier: Classifier, iteration: int, outcome: str, simulations: int, question: Question
 ) -> Plan:
     rng = stream(campaign.settings.seed, "estimate", iteration)
+    if question.draw:
+        rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
     of_designs = standardised_latent(classifier.latent(outcome), campaign.features)
 
     def standardised(X: Array) -> Array:

@@ -1,0 +1,25 @@
+"""Probabilities under questions as the classifier gives them, without simulations and without intervals."""
+
+from scipy.special import ndtr
+
+from activefail.acquisition.population import integration_points
+from activefail.campaign.question import Question
+from activefail.reliability.estimate import Standardised
+
+POINTS = 1024
+"""Points that integrate a probability of a per cent or more."""
+
+
+def classifier_probability(standardised: Standardised, question: Question, points: int = POINTS) -> float:
+    """The probability beyond a boundary, the mean of Φ(m/s) over a question's distribution.
+
+    The simulator is deterministic. So Φ(m/s) is integrated, the probability of the side under the latent, and not the
+    probit probability, which contains label noise.
+
+    Args:
+        standardised: mean/sd of the boundary's latent as a function of the campaign's designs.
+        question: the distribution of the variables.
+        points: number of fixed points; a power of two.
+    """
+    X, weight = integration_points(question.space, points)
+    return float((weight * ndtr(standardised(question.designs(X)))).mean())

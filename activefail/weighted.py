@@ -1,0 +1,49 @@
+"""A distribution that is given by weighted rows, such as the pulses of a deaggregation."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.errors import InputError
+from activefail.space import Array
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedRows:
+    """A discrete distribution of several variables.
+
+    Attributes:
+        names: (k,) of the variables.
+        X: (n, k) their values.
+        weight: (n,) relative to the mean weight, so that weighted means are means.
+
+    Raises:
+        InputError: if a weight is negative or not finite, or all are zero.
+    """
+
+    names: tuple[str, ...]
+    X: Array
+    weight: Array
+
+    def __post_init__(self) -> None:
+        bad = np.flatnonzero(~(np.isfinite(self.weight) & (self.weight >= 0.0)))
+        if len(bad):
+            raise InputError(f"row {bad[0] + 1}, column weight: must be at least 0, got {self.weight[bad[0]]}.")
+        if not self.weight.sum() > 0.0:
+            raise InputError("column weight: at least one weight must be positive.")
+        object.__setattr__(self, "weight", self.weight / self.weight.mean())
+
+    @property
+    def dimension(self) -> int:
+        """Number of variables k."""
+        return len(self.names)
+
+    @property
+    def outside(self) -> float:
+        """The probability of rows that are left out: none is."""
+        return 0.0
+
+    def without(self, name: str) -> "WeightedRows":
+        """The distribution of the other variables."""
+        kept = [column for column, other in enumerate(self.names) if other != name]
+        return WeightedRows(tuple(self.names[column] for column in kept), self.X[:, kept], self.weight)
