@@ -29,7 +29,7 @@ from activefail.surrogate.threads import one_thread
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from activefail.record.batch import Batch
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
+    from activefail.risk.findings import DesignFindings
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
     from activefail.verification.error import ErrorEstimate
@@ -724,6 +725,65 @@ class Run:
         if self._write and question is None and fixed is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
+
+    def design(
+        self,
+        target: "float | str",
+        question: "Question | Path | str | None" = None,
+        fixed: "Mapping[str, float] | Path | str | None" = None,
+        free: "Sequence[str]" = (),
+        cost: str = "",
+        confidence: float = 0.95,
+        simulations: int = 250,
+        looks: int = 2,
+        chart: bool = False,
+        stage: Callable[[str], None] = lambda _: None,
+        executor: "Executor | None" = None,
+    ) -> "DesignFindings":
+        """Find the smallest, or cheapest, design whose probabilities meet their targets, and verify it.
+
+        Args:
+            target: largest acceptable probability of the (main) target boundary's outcome, or a worse one; a risk
+                category; or several, such as "failure=0.05,impact=0.3".
+            question: as for `probability`: a hazard file, a question file, or what `asked` returns.
+            fixed: values of variables: by name, or a TOML file.
+            free: names of the variables that may change, within the campaign's ranges; D_tot by default. The first one
+                is made as small as the targets allow while the others are held.
+            cost: expression of the variables to make small; the first free variable by default.
+            confidence: one-sided, that the targets are met.
+            simulations: fresh simulations of each look and target.
+            looks: most looks.
+            chart: whether to compute the chart of required values.
+            stage: called with each stage of the work.
+            executor: as for `take`.
+
+        Raises:
+            InputError: if an argument is invalid, or the initial design is not finished.
+        """
+        from activefail.risk.search import search_design
+
+        check_whole("simulations", simulations, 2)
+        check_whole("looks", looks, 1)
+        self._check_initial_design("design")
+        values, classifier = self.fixed_values(fixed), self.classifier
+        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
+            return search_design(
+                self.campaign,
+                self.store,
+                pool,
+                classifier,
+                self.history.last_iteration,
+                str(target),
+                question,
+                values,
+                free,
+                cost,
+                confidence,
+                simulations,
+                looks,
+                chart,
+                stage,
+            )
 
     def asked(
         self, question: Path | str | None = None, fixed: "Mapping[str, float] | Path | str | None" = None

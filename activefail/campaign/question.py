@@ -123,7 +123,7 @@ def read_question(
         InputError: naming the file, the key, the rule and the value.
     """
     values = parse_toml(read_text(path), str(path))
-    if "space" not in values and not values.keys().isdisjoint(_OF_HAZARDS):
+    if _is_of_hazard(values):
         from activefail.campaign.hazard import hazard_of, hazard_question
 
         return hazard_question(hazard_of(values, path), settings, space, fixed or {})
@@ -132,6 +132,19 @@ def read_question(
         return _question(asked, path.stem, settings, space, fixed or {})
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def is_hazard(path: Path) -> bool:
+    """Whether a file is a hazard file, by its keys, and not a question file.
+
+    Raises:
+        InputError: if the file is not TOML.
+    """
+    return _is_of_hazard(parse_toml(read_text(path), str(path)))
+
+
+def _is_of_hazard(values: Mapping[str, object]) -> bool:
+    return "space" not in values and not values.keys().isdisjoint(_OF_HAZARDS)
 
 
 def question_of(settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float] | None = None) -> Question:
