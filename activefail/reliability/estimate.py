@@ -187,7 +187,7 @@ def plan_common(standardised: Standardised, space: DesignSpace, m: int, rng: np.
     z = standardised(X)
     means = (z > 0.0).reshape(_SEQUENCES, _SEQUENCE).mean(axis=1)
     integral = Integral(float(means.mean()), float(means.std(ddof=1) / np.sqrt(_SEQUENCES)))
-    if integral.standard_error > _COMMON_ACCURACY * integral.probability:
+    if not integral.probability or integral.standard_error > _COMMON_ACCURACY * integral.probability:
         return None
     return _planned(X, np.ones(len(X)), z, integral, m, rng, is_exact=False)
 
