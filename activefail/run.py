@@ -208,13 +208,17 @@ class Run:
         """Check a budget that replaces the campaign's; None is valid.
 
         Raises:
-            InputError: if it is no whole number, below 2 or below the number of recorded simulations.
+            InputError: if it is no whole number, below 2 or below the number of recorded simulations that count
+                towards it.
         """
         if budget is None:
             return
         check_whole("budget", budget, 2)
         if budget < (done := self.history.asked_for):
-            raise InputError(f"budget: must be at least {done}, the number of recorded simulations, got {budget}.")
+            raise InputError(
+                f"budget: must be at least {done}, the number of recorded simulations that count towards it, got "
+                f"{budget}."
+            )
 
     @property
     def handed_out(self) -> "HandedOut":
@@ -255,7 +259,7 @@ class Run:
     def ask(self, n: int = 1, *, beyond: bool = False, ignore_stop: bool = False) -> "DataFrame":
         """Hand out designs to be simulated elsewhere; they are in flight, and durable, once this returns.
 
-        Nobody gets one of them again, also not after a crash; `in_flight` lists them. The proposals are those of
+        None of them is handed out again, not even after a crash; `in_flight` lists them. The proposals are those of
         `take`: the initial design first, then what the criterion chooses, given the designs in flight.
 
         Args:
@@ -350,8 +354,8 @@ class Run:
     def add(self, table: Any) -> int:
         """Record simulations that were not asked for, such as last year's; they are durable once this returns.
 
-        The classifier learns from them. They are no part of the initial design, which is a sample of the design space,
-        and do not count towards the budget. A simulation that is recorded already is ignored.
+        The classifier learns from them. They are not part of the initial design, which is a sample of the design
+        space, and do not count towards the budget. A simulation that is recorded already is ignored.
 
         Args:
             table: as for `tell`, with all variables in place of `id`.
@@ -540,10 +544,15 @@ class Run:
     def _first(self, simulations: int) -> "tuple[Batch, ...]":
         check_whole("after", simulations, 1)
         history = self.history
-        if not history.leading_failures < simulations <= len(history):
-            least = f"{history.leading_failures + 1}, the first with an outcome," if history.answered.any() else "1"
+        if not history.answered.any():
             raise InputError(
-                f"after: must be from {least} to {len(history)}, the number of recorded simulations, got {simulations}."
+                f"after: none of the {len(history)} recorded simulations has an outcome, so there is nothing to learn "
+                f"from; got {simulations}."
+            )
+        if not history.leading_failures < simulations <= len(history):
+            raise InputError(
+                f"after: must be from {history.leading_failures + 1}, the first with an outcome, to {len(history)}, "
+                f"the number of recorded simulations, got {simulations}."
             )
         return first_simulations(self.store.batches, simulations)
 
