@@ -743,8 +743,7 @@ class Run:
         free: "Sequence[str]" = (),
         cost: str = "",
         confidence: float = 0.95,
-        simulations: int = 250,
-        looks: int = 2,
+        simulations: int = 500,
         chart: bool = False,
         stage: Callable[[str], None] = lambda _: None,
         executor: "Executor | None" = None,
@@ -760,8 +759,7 @@ class Run:
                 is made as small as the targets allow while the others are held.
             cost: expression of the variables to make small; the first free variable by default.
             confidence: one-sided, that the targets are met.
-            simulations: fresh simulations of each look and target.
-            looks: most looks.
+            simulations: most fresh simulations for each target, outside the budget.
             chart: whether to compute the chart of required values.
             stage: called with each stage of the work.
             executor: as for `take`.
@@ -771,8 +769,7 @@ class Run:
         """
         from activefail.risk.search import search_design
 
-        check_whole("simulations", simulations, 2)
-        check_whole("looks", looks, 1)
+        check_whole("simulations", simulations, 10)
         self._check_initial_design("design")
         values, classifier = self.fixed_values(fixed), self.classifier
         with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
@@ -789,7 +786,6 @@ class Run:
                 cost,
                 confidence,
                 simulations,
-                looks,
                 chart,
                 stage,
             )

@@ -46,9 +46,8 @@ def design(
     ] = None,
     confidence: Annotated[float, typer.Option(help="Confidence that the target is met.", min=0.5, max=0.999)] = 0.95,
     simulations: Annotated[
-        int, typer.Option(help="Fresh simulations of a look, for each target.", min=50, max=1_000_000)
-    ] = 250,
-    looks: Annotated[int, typer.Option(help="Most looks at a design.", min=1, max=20)] = 2,
+        int, typer.Option(help="Most fresh simulations, for each target, outside the budget.", min=50, max=1_000_000)
+    ] = 500,
     chart: Annotated[bool, typer.Option(help="Compute the chart of required values, with --out.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     out: Annotated[
@@ -72,7 +71,6 @@ def design(
             cost or "",
             confidence,
             simulations,
-            looks,
             chart and out is not None,
             show_stage,
         )

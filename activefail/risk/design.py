@@ -19,7 +19,7 @@ from activefail.reliability.estimate import (
     standardised_latent,
 )
 from activefail.risk.model import POINTS, classifier_probability
-from activefail.risk.task import DesignTask
+from activefail.risk.task import LOOKS, DesignTask
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.probability import Sampled, planned, sample_probability
@@ -36,11 +36,11 @@ _SAMPLED, _REFINED = 16, 30
 _FINE = 2e-4
 """Accuracy of the first free variable, in units of its range."""
 
-_SAFETY = (1.3, 2.0)
-"""Distance of an aim from its target, in expected half widths of the interval, at the first look and at later ones."""
-
 _CONFIDENCES = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Confidences for which a result says what they would cost."""
+
+_IMAGINED = len(LOOKS) + 1
+"""Number of the sample of pulses that predicts the width of an interval and is not simulated."""
 
 _LEAST = 1e-12
 """Least probability whose logarithm is taken."""
@@ -194,22 +194,22 @@ def find_design(
     def half_widths(candidate: Candidate) -> Array:
         """Expected half widths of the intervals, (r,)."""
         plans = [
-            planned(campaign, classifier, iteration, one.outcome, task.simulations, asked(candidate, task.looks + 1))
+            planned(campaign, classifier, iteration, one.outcome, task.simulations_of(0), asked(candidate, _IMAGINED))
             for one in task.requirements
         ]
-        return np.array([expected_half_width(plan, task.of_interval, np.random.default_rng(0)) for plan in plans])
+        return np.array([expected_half_width(plan, task.of_interval(0), np.random.default_rng(0)) for plan in plans])
 
     stage("searching a design under the classifier")
     candidate = cheapest(task, model, task.targets)
     correction = np.ones(len(task.requirements))
     half = half_widths(candidate)
     looks: list[Look] = []
-    for number in range(1, task.looks + 1):
-        safety = _SAFETY[min(number, len(_SAFETY)) - 1]
-        aims = np.maximum(task.targets - safety * half, 0.2 * task.targets) / correction
-        stage(f"searching a design for look {number}")
+    for number, plan in enumerate(LOOKS):
+        simulations, confidence = task.simulations_of(number), task.of_interval(number)
+        aims = np.maximum(task.targets - plan.safety * half, 0.2 * task.targets) / correction
+        stage(f"searching a design for look {number + 1}")
         candidate = cheapest(task, model, aims)
-        stage(f"verifying with {task.simulations * len(task.requirements)} simulations")
+        stage(f"verifying with {simulations * len(task.requirements)} simulations")
         sampled = tuple(
             sample_probability(
                 campaign,
@@ -218,15 +218,16 @@ def find_design(
                 classifier,
                 iteration,
                 one.outcome,
-                task.simulations,
-                asked(candidate, number),
+                simulations,
+                asked(candidate, number + 1),
             )
             for one in task.requirements
         )
-        look = Look(candidate, sampled, task.of_interval)
+        look = Look(candidate, sampled, confidence)
         looks.append(look)
         estimates = np.array([estimate.probability for estimate in look.estimates])
-        half = np.array([estimate.high for estimate in look.estimates]) - estimates
+        if number + 1 < len(LOOKS):
+            half = _half_widths_of_next(task, look, number)
         correction = np.clip(estimates / np.maximum(candidate.model, _LEAST), 0.25, 4.0)
         if look.meets(task.targets):
             break
@@ -235,6 +236,14 @@ def find_design(
     status: Status = "verified" if looks[-1].meets(task.targets) else "not verified"
     stage("computing what other confidences would cost")
     return Designed(task, tuple(looks), status, _costs(task, model, looks[-1]))
+
+
+def _half_widths_of_next(task: DesignTask, look: Look, number: int) -> Array:
+    """Expected half widths of the intervals of the look after `number`, (r,)."""
+    next_confidence = task.of_interval(number + 1)
+    ratio = math.sqrt(task.simulations_of(number) / task.simulations_of(number + 1))
+    estimates = [sampled.estimate(next_confidence) for sampled in look.sampled]
+    return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
 
 
 def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:

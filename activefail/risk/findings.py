@@ -11,6 +11,7 @@ from activefail.findings.probability import rounded_up
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design import Designed
 from activefail.risk.required import RequiredChart
+from activefail.risk.task import LOOKS
 from activefail.shares import percent
 from activefail.visible import or_worse, visible
 
@@ -86,8 +87,8 @@ class DesignFindings:
             "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
         )
         sentences.append(
-            f"Free variables stay within the campaign's ranges. The {self.designed.last.confidence:.0%} interval of a "
-            f"look leaves the result of at most {task.looks} looks {task.confidence:.0%} confidence."
+            "Free variables stay within the campaign's ranges. The looks share the probability of a false result, "
+            f"{100.0 * (1.0 - task.confidence):.3g} %, so their intervals have a higher confidence than the result."
         )
         sentences.append(
             "The design is the smallest beyond which the classifier's probability stays below its aim. A smaller one "
@@ -139,6 +140,7 @@ class DesignFindings:
                 {
                     "values": dict(look.candidate.values),
                     "classifier_probability": look.candidate.model.tolist(),
+                    "confidence": look.confidence,
                     "estimates": [_estimate_json(estimate) for estimate in look.estimates],
                 }
                 for look in designed.looks
@@ -172,16 +174,17 @@ class DesignFindings:
                 (
                     "verified" if designed.status == "verified" else "estimate",
                     f"P({visible(or_worse(one.outcome, outcomes))}) = {estimate.probability:.3g}, interval "
-                    f"{estimate.low:.3g} to {rounded_up(estimate.high)}, target {one.target:g}; classifier {model:.3g}",
+                    f"{estimate.low:.3g} to {rounded_up(estimate.high)} ({100.0 * designed.last.confidence:g} %), "
+                    f"target {one.target:g}; classifier {model:.3g}",
                 )
             )
         failed = sum(estimate.unanswered for look in designed.looks for estimate in look.estimates)
         lines.append(
             (
                 "from",
-                f"{designed.simulations} fresh simulations in {len(designed.looks)} of at most {task.looks} looks"
+                f"{designed.simulations} fresh simulations in {len(designed.looks)} of at most {len(LOOKS)} looks"
                 + (f", {failed} of them numerical failures" if failed else "")
-                + f"; {task.confidence:.0%} confidence for the result",
+                + f"; {100.0 * task.confidence:g} % confidence for the result",
             )
         )
         if task.cost_text != task.free[0]:
@@ -191,7 +194,7 @@ class DesignFindings:
         if designed.costs:
             first = task.free[0]
             shown = ", ".join(
-                f"{confidence:.0%} {'out of range' if math.isnan(value) else f'{value:.4g}'}"
+                f"{100.0 * confidence:g} % {'out of range' if math.isnan(value) else f'{value:.4g}'}"
                 for confidence, value in designed.costs.items()
             )
             lines.append(("confidence", f"{first} for a single look at another confidence, about: {shown}"))

@@ -37,8 +37,7 @@ def search_design(
     free: Sequence[str] = (),
     cost: str = "",
     confidence: float = 0.95,
-    simulations: int = 250,
-    looks: int = 2,
+    simulations: int = 500,
     with_chart: bool = False,
     stage: Callable[[str], None] = lambda _: None,
 ) -> DesignFindings:
@@ -49,7 +48,7 @@ def search_design(
     """
     requirements = read_targets(target, campaign.simulator.outcomes, campaign.settings.acquisition.main_boundary)
     hazard, question = _asked(campaign, source, fixed)
-    task = design_task(campaign, question, requirements, free, cost, confidence, simulations, looks)
+    task = design_task(campaign, question, requirements, free, cost, confidence, simulations)
     found = find_design(campaign, store, executor, classifier, iteration, task, stage)
     chart = _chart(campaign, classifier, found, stage) if with_chart else None
     return DesignFindings(

@@ -79,9 +79,9 @@ def test_a_design_meets_its_target_and_is_hardly_larger_than_the_smallest_that_d
 ) -> None:
     found = run.design(target, folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
     assert found.status == "verified"
-    assert needed(target) < found.values["capacity"] < 1.08 * needed(target)
+    assert needed(target) < found.values["capacity"] < 1.12 * needed(target)
     assert found.last.estimates[0].high <= target
-    assert found.simulations == 250 * len(found.looks)
+    assert found.simulations == (350, 500)[len(found.looks) - 1]
 
 
 def test_the_same_search_reads_its_simulations_again(run: Run, folder: Path) -> None:
@@ -107,12 +107,21 @@ def test_each_outcome_may_have_a_target_and_the_hardest_decides(run: Run, folder
     assert found.status == "verified"
     assert needed(0.1, share=0.6) < found.values["capacity"] < 1.1 * needed(0.1, share=0.6)
     assert [estimate.high <= 0.1 for estimate in found.last.estimates] == [True, True]
-    assert found.simulations == 500 * len(found.looks)
+    assert found.simulations == (700, 1000)[len(found.looks) - 1]
 
 
 def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -> None:
     (folder / "strong.toml").write_text(QUESTION.replace(str(MEDIAN), "4.5"))
-    options = ("--question", folder / "strong.toml", "--fixed", folder / "fixed.toml", "--free", "capacity")
+    options = (
+        "--code",
+        folder,
+        "--question",
+        folder / "strong.toml",
+        "--fixed",
+        folder / "fixed.toml",
+        "--free",
+        "capacity",
+    )
     result = activefail("design", folder / "run", "--target", "0.01", *options)
     assert result.code == 3
     assert "Out of reach" in result.out
@@ -121,21 +130,37 @@ def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -
 
 
 def test_a_result_that_simulations_do_not_confirm_is_not_called_verified(folder: Path) -> None:
-    # Fifty simulations cannot show 0.2 %.
-    options = ("--question", folder / "site.toml", "--fixed", folder / "fixed.toml", "--free", "capacity")
-    result = activefail("design", folder / "run", "--target", "0.002", "--simulations", 50, "--looks", 1, *options)
-    shown = json.loads(
-        activefail(
-            "design", folder / "run", "--target", "0.002", "--simulations", 50, "--looks", 1, *options, "--json"
-        ).out
+    # Fifty simulations can hardly show 1 %.
+    options = (
+        "--code",
+        folder,
+        "--question",
+        folder / "site.toml",
+        "--fixed",
+        folder / "fixed.toml",
+        "--free",
+        "capacity",
     )
-    assert (result.code == 3) == (shown["high"] > 0.002)
+    result = activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options)
+    shown = json.loads(
+        activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options, "--json").out
+    )
+    assert (result.code == 3) == (shown["high"] > 0.01)
     assert ("Not verified" in result.out) == (shown["status"] == "not verified")
 
 
 def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "made" / "here"
-    options = ("--question", folder / "site.toml", "--fixed", folder / "fixed.toml", "--free", "capacity")
+    options = (
+        "--code",
+        folder,
+        "--question",
+        folder / "site.toml",
+        "--fixed",
+        folder / "fixed.toml",
+        "--free",
+        "capacity",
+    )
     result = activefail("design", folder / "run", "--target", "II", *options, "--out", out)
     assert result.code == 0, result.err
     assert sorted(path.name for path in out.iterdir()) == ["design.html", "design.json", "design.toml"]
@@ -145,10 +170,20 @@ def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder:
     page = (out / "design.html").read_text()
     assert "The design meets its target" in page
     again = activefail(
-        "probability", folder / "run", "--question", folder / "site.toml", "--fixed", out / "design.toml", "--json"
+        "probability",
+        folder / "run",
+        "--code",
+        folder,
+        "--question",
+        folder / "site.toml",
+        "--fixed",
+        out / "design.toml",
+        "--json",
     )
     assert again.code == 0, again.err
-    assert json.loads(again.out)["outcomes"]["failure"]["probability"] == pytest.approx(0.09, abs=0.03)
+    assert json.loads(again.out)["outcomes"]["failure"]["probability"] == pytest.approx(
+        numbers["probability"], abs=0.02
+    )
 
 
 def test_a_chart_gives_the_required_value_for_each_target(run: Run, folder: Path) -> None:
@@ -201,7 +236,6 @@ def task_on(low: float, high: float, target: float) -> DesignTask:
         (Requirement("failure", target),),
         0.95,
         100,
-        2,
     )
 
 
