@@ -6,6 +6,7 @@ from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
 from activefail.cli.probability import probability
 from activefail.cli.report import report
+from activefail.cli.sensitivity import sensitivity
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 
@@ -23,6 +24,7 @@ for _command in (
     predict,
     verify,
     probability,
+    sensitivity,
     export,
     compare,
     report,
