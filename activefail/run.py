@@ -735,7 +735,6 @@ class Run:
         outcome: str | None = None,
         samples: int | None = None,
         confidence: float = 0.95,
-        stage: Callable[[str], None] = lambda _: None,
         begin: "Begin" = lambda _: lambda _: None,
     ) -> "Sensitivity":
         """What moves the probability of an outcome: Sobol' indices, and one variable at a time (docs/sensitivity.md).
@@ -750,7 +749,6 @@ class Run:
             outcome: its name; that of the (main) target boundary if None.
             samples: points of the sample, a power of two; by default as many as two minutes allow for a bearing.
             confidence: of the intervals.
-            stage: called when training begins.
             begin: called with the number of evaluations; returns a callback for finished ones.
 
         Raises:
@@ -773,11 +771,9 @@ class Run:
         if hazard is None:
             asked = question if isinstance(question, Question) else self.asked(question, fixed)
         else:
-            hazard, values = (
-                hazard if isinstance(hazard, Hazard) else read_hazard(Path(hazard)),
-                self.fixed_values(fixed),
-            )
-        latent = self.learn(stage).classifier.latent(outcome)
+            hazard = hazard if isinstance(hazard, Hazard) else read_hazard(Path(hazard))
+            values = self.fixed_values(fixed)
+        latent = self.classifier.latent(outcome)
         standardised = standardised_latent(latent, self.features)
         with one_thread():
             if hazard is None:

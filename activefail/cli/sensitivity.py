@@ -29,7 +29,7 @@ def sensitivity(
     hazard: Annotated[
         Path | None,
         typer.Option(
-            help="Hazard file (docs/design.md): what moves the probability of a design, with the pulses integrated out.",
+            help="Hazard file (docs/design.md): what moves the probability of a design; pulses are integrated out.",
             show_default=False,
         ),
     ] = None,
@@ -56,7 +56,7 @@ def sensitivity(
     out: Annotated[Path | None, typer.Option(help="Folder for a page with pictures.", show_default=False)] = None,
     code: Code = None,
 ) -> None:
-    """Show what moves a probability: Sobol' indices, and one variable at a time; by the classifier, without simulations."""
+    """Show what moves a probability, by the classifier alone: Sobol' indices, and one variable at a time."""
     check_output("--out", out)
     if as_json and csv == STANDARD:
         raise InputError("--json: cannot be combined with `--csv -`: both would be standard output.")
@@ -64,7 +64,7 @@ def sensitivity(
 
     with opened_run(folder, code=code) as opened:
         with progress_bar("evaluating") as begin:
-            found = opened.sensitivity(hazard, question, fixed, outcome, samples, confidence, show_stage, begin)
+            found = opened.sensitivity(hazard, question, fixed, outcome, samples, confidence, begin)
         summary, campaign = opened.summary, opened.campaign
     show_unseen(summary)
     if out is not None:

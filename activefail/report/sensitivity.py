@@ -158,7 +158,8 @@ def write_csv(sensitivity: Sensitivity, target: Target) -> None:
     Raises:
         InputError: if the file cannot be written.
     """
-    indices, moves = ({one.name: one for one in found} for found in (sensitivity.indices, sensitivity.moves))
+    indices = {index.name: index for index in sensitivity.indices}
+    moves = {move.name: move for move in sensitivity.moves}
     with writing(target, _COLUMNS) as write:
         for name in dict.fromkeys([*indices, *moves, *sensitivity.units]):
             cells: dict[str, object] = {"variable": name, "unit": sensitivity.units[name]}
@@ -194,9 +195,8 @@ def write_sensitivity(sensitivity: Sensitivity, campaign: Campaign, out: Path) -
     if sensitivity.moves:
         name = plain(or_worse(sensitivity.outcome, outcomes))
         figures[MOVES] = plot_moves(sensitivity.moves, sensitivity.probability, name, quantities)
-        at_own = (
-            f"At the variables' own values the probability is {percent(sensitivity.probability)}, without an interval."
-        )
+        share = percent(sensitivity.probability)
+        at_own = f"At the variables' own values the probability is {share}, without an interval."
         lines += ["## One variable at a time", "", at_own, "", *_markdown(move_rows(sensitivity)), ""]
         lines += [f"![One variable at a time]({MOVES}.svg)", ""]
     if sensitivity.indices:

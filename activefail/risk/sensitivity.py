@@ -156,8 +156,8 @@ def question_sensitivity(
     if correlated := [pair for pair in space.correlation if pair[2] != 0.0]:
         one, other, rho = correlated[0]
         raise InputError(
-            f"question: {one} and {other} have the correlation {rho:g}, and variances of correlated variables cannot be "
-            "divided among them. Ask a question with `correlation = []`, or give one of them a value with `--fixed`."
+            f"question: {one} and {other} have the correlation {rho:g}, and the variance cannot be divided among "
+            "correlated variables. Ask a question with `correlation = []`, or give one of them a value with `--fixed`."
         )
     require_salib()
     samples = default_samples(space.dimension) if samples is None else samples
@@ -228,7 +228,7 @@ def hazard_sensitivity(
     probability = _probability(standardised, begin(evaluations))
 
     def moved(name: str, value: float) -> float:
-        return _mean_over_pulses(probability, question, (name,), np.array([[value]]), many, many_weight)[0]
+        return float(_mean_over_pulses(probability, question, (name,), np.array([[value]]), many, many_weight)[0])
 
     at_base = moved(design[0].name, base[design[0].name])
     moves = []
@@ -251,16 +251,16 @@ def hazard_sensitivity(
         )
         outside = _share_outside(campaign.space, question, names, space.sobol(256, np.random.default_rng(0)), X, weight)
         notes.append(
-            f"The indices divide the variance of the classifier's probability of {outcome} given the design: the pulses "
-            f"are integrated out, with {pulses} fixed pulses. The variables of the design are independent and have the "
-            "campaign's distributions."
+            f"The indices divide the variance of the classifier's probability of {outcome} given the design: the "
+            f"pulses are integrated out, by {pulses} fixed ones. The variables of the design are independent and have "
+            "the campaign's distributions."
         )
     else:
         notes.append("All variables of the design have values, so there are no Sobol' indices.")
     notes.append(
-        f"One variable at a time moves to its {100 * LOW:g} % and {100 * HIGH:g} % quantiles in the campaign. The other "
-        "variables have the given values, or else their medians. These probabilities are the classifier's and have no "
-        "interval; `activefail probability` simulates one."
+        f"One variable at a time moves to its {100 * LOW:g} % and {100 * HIGH:g} % quantiles in the campaign. The "
+        "other variables have the given values, or else their medians. These probabilities are the classifier's and "
+        "have no interval; `activefail probability` simulates one."
     )
     return Sensitivity(
         outcome=outcome,
@@ -289,16 +289,16 @@ def _notes_on_indices(found: Decomposition, samples: int) -> list[str]:
     if not found.indices:
         return ["The classifier's probability does not change with these variables, so there are no Sobol' indices."]
     notes = [
-        "The indices are those of the classifier's function. Their intervals cover the sampling of the indices alone, not "
-        "the classifier's error. The sum of the first indices is at most 1; a total index counts a variable with all its "
-        "interactions."
+        "The indices are those of the classifier's function. Their intervals cover the sampling of the indices alone, "
+        "not the classifier's error. The first indices add up to at most 1; a total index counts a variable with all "
+        "its interactions."
     ]
     estimates = [estimate for index in found.indices for estimate in (index.first, index.total)]
     widest = max(estimate.high - estimate.low for estimate in estimates)
     if widest > WIDE:
         notes.append(
-            f"The widest interval has the width {widest:.2f}: {samples} samples are too few. Four times as many, "
-            f"`--samples {4 * samples}`, halve it."
+            f"The widest interval has the width {widest:.2f}: {samples} samples are too few. `--samples "
+            f"{4 * samples}` about halves it."
         )
     if any(not 0.0 <= estimate.value <= 1.0 for estimate in estimates):
         notes.append("An estimate below 0 or above 1 is shown as it is; it is a sampling error.")
@@ -310,13 +310,14 @@ def _notes_on_rareness(found: Decomposition, samples: int) -> list[str]:
     if not found.indices or found.rarer >= _FEW:
         return []
     return [
-        f"Only about {found.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the boundary. The indices "
-        "and their intervals are unreliable: take more samples, or a question under which the outcome is less rare."
+        f"Only about {found.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the boundary. The "
+        "indices and their intervals are unreliable: take more samples, or a question under which the outcome is less "
+        "rare."
     ]
 
 
 def length_scales(latent: Latent | MarginLatent, features: FeatureMap) -> dict[str, float]:
-    """Length scales of a boundary's latent by feature, in standard deviations of the feature over the campaign's space."""
+    """Length scales of a boundary's latent by feature, in standard deviations of the feature over the design space."""
     scales = np.exp(latent.trained.hyperparameters.log_lengthscale.numpy())
     return dict(zip(features.names, scales.tolist(), strict=True))
 
@@ -326,15 +327,15 @@ def with_classifier(
 ) -> Sensitivity:
     """The sensitivity with the length scales and p-values that stand beside the indices."""
     notes = sensitivity.notes
-    if length_scales:
+    if length_scales and sensitivity.indices:
         notes += (
             "A length scale is in standard deviations of the feature over the campaign's space: short where the "
             "classifier changes quickly. It has no interval.",
         )
-    if p_values:
+    if p_values and sensitivity.indices:
         notes += (
-            "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It finds "
-            "monotone effects: a large one does not show that a variable does not matter.",
+            "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
+            "finds monotone effects: a large one does not show that a variable does not matter.",
         )
     return replace(sensitivity, length_scales=length_scales, p_values=p_values, notes=notes)
 

@@ -89,8 +89,8 @@ def decomposed(function: Function, names: Sequence[str], samples: int, confidenc
 
     Two samples A and B of a scrambled Sobol' sequence, and d samples that have one column of B and the others of A. The
     estimators are those of [SaltelliEtAl2010, table 2, (b) and (f)]: V(E(y | xⱼ)) from mean y_B (y_ABj − y_A), and
-    E(V(y | all but xⱼ)) from mean (y_A − y_ABj)²/2. The interval is ± the normal quantile times the standard deviation of
-    a bootstrap over the points, which treats them as independent.
+    E(V(y | all but xⱼ)) from mean (y_A − y_ABj)²/2. The interval is ± the normal quantile times the standard deviation
+    of a bootstrap over the points, which treats them as independent.
 
     Args:
         function: evaluated at `samples` · (d + 2) points.
