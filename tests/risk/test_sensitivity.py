@@ -235,8 +235,8 @@ def test_the_default_number_of_samples_is_an_affordable_power_of_two() -> None:
     for variables, points in ((9, 1), (7, 128), (3, 128), (1, 1), (30, 4096)):
         samples = default_samples(variables, points)
         assert samples & (samples - 1) == 0
-        assert samples * (variables + 2) * points <= 330_000 or samples == 64
-    assert default_samples(7, 128) == 256
+        assert samples * (variables + 2) * points <= 600_000 or samples == 64
+    assert default_samples(7, 128) == 512
 
 
 def test_p_values_are_those_of_the_initial_design_and_need_both_sides(campaign: Campaign) -> None:
