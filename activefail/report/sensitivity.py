@@ -93,7 +93,12 @@ def about(sensitivity: Sensitivity) -> list[tuple[str, str]]:
     sampled = f"{sensitivity.samples} samples, " if sensitivity.samples else ""
     lines.append(("from", f"{sampled}{sensitivity.evaluations} evaluations of the classifier, no simulation"))
     share = percent(sensitivity.outside)
-    lines.append(("outside", f"{share} of the sampled designs lie outside the campaign's space, where it extrapolates"))
+    lines.append(
+        (
+            "outside",
+            f"{share} of the sampled designs lie outside the campaign's space, where the classifier extrapolates",
+        )
+    )
     return lines
 
 

@@ -15,7 +15,7 @@ LEAST_SAMPLES = 16
 RESAMPLES = 200
 """Resamples of the bootstrap."""
 
-_SEED = 1
+SEED = 1
 """Of the sample and the bootstrap. SALib takes 0 for no seed."""
 
 
@@ -84,7 +84,9 @@ def check_samples(samples: int) -> None:
         raise InputError(f"samples: must be a power of two of at least {LEAST_SAMPLES}, got {samples}.")
 
 
-def decomposed(function: Function, names: Sequence[str], samples: int, confidence: float) -> Decomposition:
+def decomposed(
+    function: Function, names: Sequence[str], samples: int, confidence: float, seed: int = SEED
+) -> Decomposition:
     """The Sobol' indices of a function of independent variables, uniform on the unit cube.
 
     Two samples A and B of a scrambled Sobol' sequence, and d samples that have one column of B and the others of A. The
@@ -97,6 +99,7 @@ def decomposed(function: Function, names: Sequence[str], samples: int, confidenc
         names: of the d variables.
         samples: points of A; a power of two.
         confidence: of the intervals.
+        seed: of the sample and the bootstrap; positive.
 
     Raises:
         InputError: if SALib is not installed, or the number of samples is invalid.
@@ -105,7 +108,7 @@ def decomposed(function: Function, names: Sequence[str], samples: int, confidenc
     check_samples(samples)
     d = len(names)
     problem = {"num_vars": d, "names": list(names), "bounds": [[0.0, 1.0]] * d}
-    U = sampling.sample(problem, samples, calc_second_order=False, seed=np.random.default_rng(_SEED))
+    U = sampling.sample(problem, samples, calc_second_order=False, seed=np.random.default_rng(seed))
     y = function(U)
     # A and B alone are a sample of the cube.
     plain = np.concatenate([y[:: d + 2], y[d + 1 :: d + 2]])
@@ -114,7 +117,7 @@ def decomposed(function: Function, names: Sequence[str], samples: int, confidenc
     if np.ptp(plain) <= 1e-9:
         return Decomposition(mean, sd, rarer, ())
     found = analysis.analyze(
-        problem, y, calc_second_order=False, num_resamples=RESAMPLES, conf_level=confidence, seed=_SEED
+        problem, y, calc_second_order=False, num_resamples=RESAMPLES, conf_level=confidence, seed=seed
     )
 
     def estimate(kind: str, column: int) -> Estimate:

@@ -111,6 +111,21 @@ def test_the_same_sample_and_bootstrap_give_the_same_numbers() -> None:
     assert decomposed(ishigami, "xyz", 64, 0.9) == decomposed(ishigami, "xyz", 64, 0.9)
 
 
+def test_the_intervals_cover_the_known_indices_of_most_samples() -> None:
+    known = np.array([[0.3139, 0.5576], [0.4424, 0.4424], [0.0, 0.2437]])
+    covered = [
+        [
+            [contains(index.first, first), contains(index.total, total)]
+            for index, (first, total) in zip(found, known, strict=True)
+        ]
+        for found in (decomposed(ishigami, "xyz", 256, 0.95, seed).indices for seed in range(1, 41))
+    ]
+    shares = np.mean(covered, axis=0)
+    assert shares.mean() >= 0.95
+    # Of 40 samples with 95 % coverage, fewer than 32 cover with a probability of 10⁻⁴.
+    assert shares.min() >= 0.8
+
+
 def test_a_higher_confidence_and_fewer_samples_widen_the_interval() -> None:
     def width(samples: int, confidence: float) -> float:
         first = decomposed(ishigami, "xyz", samples, confidence).indices[0].first
