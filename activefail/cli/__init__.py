@@ -7,6 +7,7 @@ from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
 from activefail.cli.probability import probability
 from activefail.cli.report import report
+from activefail.cli.sensitivity import sensitivity
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 
@@ -25,6 +26,7 @@ for _command in (
     verify,
     probability,
     design,
+    sensitivity,
     export,
     compare,
     report,
