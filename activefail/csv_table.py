@@ -189,8 +189,7 @@ def _opened(source: Source) -> Iterator[IO[str]]:
         with source.open(encoding="utf-8-sig", newline="") as file:
             yield file
         return
-    if source.seekable():
-        source.seek(0)
+    source.seek(0)
     text = io.TextIOWrapper(source, encoding="utf-8-sig", newline="")
     try:
         yield text

@@ -395,7 +395,7 @@ class Run:
         return new
 
     def _warner(self, results: "ResultTable") -> Callable[[], None]:
-        """Warns of likely mistakes in a table; called before the commit, because Python may raise warnings as errors."""
+        """Warns of likely mistakes in a table; called before the commit, because warnings may be raised as errors."""
 
         def warn() -> None:
             for text in results.warnings(self.campaign):

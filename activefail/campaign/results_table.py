@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
-from activefail.csv_table import Source, name_of, read_cells
+from activefail.csv_table import Source, name_of, read_cells, rereadable
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError
 from activefail.simulators.returned import read_answer
@@ -47,9 +47,10 @@ class Table:
         """The table in a CSV file or stream.
 
         Raises:
-            InputError: as `read_cells` does.
+            InputError: as `rereadable` and `read_cells` do.
         """
-        columns, rows, ends = read_cells(source)
+        with rereadable(source) as kept:
+            columns, rows, ends = read_cells(kept)
         name = name_of(source)
         places = [f"{name}: row {row + 1} (line {end})" for row, end in enumerate(ends)]
         return cls(f"{name}: ", columns, [list(row) for row in rows], places)
