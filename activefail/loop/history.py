@@ -107,7 +107,7 @@ class History:
 
     @property
     def first_learnable(self) -> int:
-        """First iteration that a classifier can learn from, which gave an outcome; 0 if none did."""
+        """The first iteration with an outcome, at which learning begins; 0 if there is none."""
         return int(self.iteration[self.answered].min()) if self.answered.any() else 0
 
     @property
