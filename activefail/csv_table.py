@@ -3,7 +3,9 @@
 import csv
 import io
 import math
+import re
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +20,9 @@ from activefail.files import replacing, target_of
 from activefail.space import Array
 
 ROWS_AT_ONCE = 2048
+
+_LONGEST_HEADER = 1_000_000
+"""Most characters that are read in search of a header."""
 
 Source = Path | IO[bytes]
 """Where a table comes from: a file, or a stream such as standard input."""
@@ -75,10 +80,8 @@ class DesignTable:
         with _reading(source) as lines:
             header = _header(path, next(lines, None), f" with the columns {', '.join(names)}")
             missing = [name for name in names if name not in header]
-            for separator in (";", "\t"):
-                if missing and len(header) == 1 and separator in header[0]:
-                    raise InputError(f"{path}: columns must be separated by commas, not by {separator!r}.")
             if missing:
+                _check_commas(path, header)
                 raise InputError(
                     f"{path}: column {missing[0]!r}: required, but missing; the required columns are {','.join(names)}."
                 )
@@ -141,7 +144,7 @@ def rereadable(source: Source) -> Iterator[Source]:
     if isinstance(source, Path):
         yield source
         return
-    with tempfile.TemporaryFile() as copy:
+    with tempfile.TemporaryFile(buffering=0) as file, _Copy(file, name_of(source)) as copy:
         try:
             shutil.copyfileobj(source, copy)
             copy.flush()
@@ -151,9 +154,28 @@ def rereadable(source: Source) -> Iterator[Source]:
         yield copy
 
 
+class _Copy(io.BufferedRandom):
+    """A temporary copy of a stream.
+
+    Attributes:
+        title: the name of the stream in messages.
+    """
+
+    def __init__(self, file: io.FileIO, title: str) -> None:
+        super().__init__(file)
+        self.title = title
+
+
 def name_of(source: Source) -> str:
     """A table's source in messages."""
-    return str(source) if isinstance(source, Path) else "standard input"
+    if isinstance(source, Path):
+        return str(source)
+    if isinstance(source, _Copy):
+        return source.title
+    if source is getattr(sys.stdin, "buffer", None):
+        return "standard input"
+    name = getattr(source, "name", None)  # the number of a pipe says nothing
+    return name if isinstance(name, str) else "the table"
 
 
 @contextmanager
@@ -183,7 +205,7 @@ def _reading(source: Source) -> Iterator[Any]:
             lines = csv.reader(file, strict=True)
             yield lines
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}.") from None
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: must be UTF-8 text: {error.reason} at byte {error.start}.") from None
     except csv.Error as error:
@@ -241,9 +263,7 @@ def read_cells(source: Source) -> tuple[tuple[str, ...], list[list[str]], list[i
     path = name_of(source)
     with _reading(source) as lines:
         header = _header(path, next(lines, None), "")
-        for separator in (";", "\t"):
-            if len(header) == 1 and separator in header[0]:
-                raise InputError(f"{path}: columns must be separated by commas, not by {separator!r}.")
+        _check_commas(path, header)
         for cells in filter(None, lines):
             if len(cells) != len(header):
                 place = f"{path}: row {len(rows) + 1} (line {lines.line_num})"
@@ -251,6 +271,32 @@ def read_cells(source: Source) -> tuple[tuple[str, ...], list[list[str]], list[i
             rows.append(cells)
             ends.append(lines.line_num)
     return header, rows, ends
+
+
+def likely_header(path: Path) -> list[str]:
+    """The names of the columns of a file that need not be a valid table, whatever separates them.
+
+    Raises:
+        InputError: if the file cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            # Of UTF-16, the zeros are left.
+            line = file.readline(_LONGEST_HEADER).replace("\0", "")
+            return [name.strip(' "\n') for name in re.split("[,;\t]", line)]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
+
+
+def _check_commas(path: str, header: Sequence[str]) -> None:
+    """Check that a header is not one column because of another separator.
+
+    Raises:
+        InputError: naming the separator.
+    """
+    for separator in (";", "\t"):
+        if len(header) == 1 and separator in header[0]:
+            raise InputError(f"{path}: columns must be separated by commas, not by {separator!r}.")
 
 
 def _header(path: object, cells: list[str] | None, required: str) -> tuple[str, ...]:

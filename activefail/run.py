@@ -2,14 +2,15 @@
 
 import io
 import json
+import os
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from html import escape
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex, cast
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from activefail.surrogate.threads import one_thread
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -310,27 +311,45 @@ class Run:
             InputError: naming row, column, rule and value.
             StoreError: if the run is not open for writing, or the results cannot be recorded.
         """
-        from activefail.campaign.results_table import ResultTable
-        from activefail.loop.asking import RowError, tell
+        from activefail.loop.asking import tell
 
         given = _table(table)
         if not given.rows:
             return 0
-        told = ResultTable.told(self.campaign, given)
         with self._turn:
-            handed_out = self.handed_out
-            ids = np.concatenate([handed_out.asked.id, handed_out.ids])
-            designs = handed_out.history.designs.reshape(-1, self.space.dimension)
-            told.check_designs(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
-            try:
-                new = tell(self.campaign, self.store, told.ids, told.results, handed_out)
-            except RowError as error:
-                raise InputError(f"{told.table.places[told.rows[error.row]]}: {error}.") from None
+            told, handed_out = self._told(given)
+            warn = self._warner(told)
+            with _rows_named(told):
+                new = tell(self.campaign, self.store, told.ids, told.results, handed_out, warn)
             self._learned = None
-        self._warn(told)
         return new
 
-    def drop(self, ids: "Iterable[int] | int") -> int:
+    def is_told(self, table: Any) -> bool:
+        """Whether a table holds no result that `tell` would record.
+
+        Args:
+            table: as for `tell`.
+
+        Raises:
+            InputError: as `tell` does.
+        """
+        from activefail.loop.asking import new_results
+
+        told, handed_out = self._told(_table(table))
+        with _rows_named(told):
+            return not new_results(self.campaign, self.store, told.ids, told.results, handed_out)
+
+    def _told(self, table: "Table") -> "tuple[ResultTable, HandedOut]":
+        """The results in a table, with designs as they were handed out, and the designs of the record."""
+        from activefail.campaign.results_table import ResultTable
+
+        told, handed_out = ResultTable.told(self.campaign, table), self.handed_out
+        ids = np.concatenate([handed_out.asked.id, handed_out.ids])
+        designs = handed_out.history.designs.reshape(-1, self.space.dimension)
+        told.check_designs(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
+        return told, handed_out
+
+    def drop(self, ids: Iterable[int] | int) -> int:
         """Give up designs in flight: they get no result and are not proposed again.
 
         Args:
@@ -345,6 +364,8 @@ class Run:
         """
         from activefail.loop.asking import drop
 
+        if isinstance(ids, Iterable) and not isinstance(ids, str | bytes | np.ndarray):
+            ids = list(ids)
         numbers = np.atleast_1d(np.asarray(ids, dtype=object)).tolist()
         for number in numbers:
             check_whole("ids", number, 0)
@@ -370,25 +391,28 @@ class Run:
             StoreError: if the run is not open for writing, or they cannot be recorded.
         """
         from activefail.campaign.results_table import ResultTable
-        from activefail.loop.asking import RowError, add
+        from activefail.loop.asking import add
 
         given = _table(table)
         if not given.rows:
             return 0
         added = ResultTable.added(self.campaign, given)
         with self._turn:
-            try:
-                new = add(self.campaign, self.store, added.designs, added.results)
-            except RowError as error:
-                raise InputError(f"{added.table.places[added.rows[error.row]]}: {error}.") from None
+            warn = self._warner(added)
+            with _rows_named(added):
+                new = add(self.campaign, self.store, added.designs, added.results, warn)
             self._learned = None
-        self._warn(added)
         return new
 
-    def _warn(self, results: "ResultTable") -> None:
-        for text in results.warnings(self.campaign):
-            # Attributed to the caller of `tell` or `add`.
-            warnings.warn(text, stacklevel=3)
+    def _warner(self, results: "ResultTable") -> Callable[[], None]:
+        """Warns of likely mistakes in a table; called before the commit, because warnings may be raised as errors."""
+
+        def warn() -> None:
+            for text in results.warnings(self.campaign):
+                # Attributed to the caller of `Run.tell` or `Run.add`, which call a function that calls this.
+                warnings.warn(text, stacklevel=4)
+
+        return warn
 
     # ------------------------------------------------------------------------------------------- actions
 
@@ -564,7 +588,7 @@ class Run:
         from activefail.findings.choices import choices_in_words
 
         history = self.history
-        if not self.has_initial_design or not self.learns_from_margins:
+        if not self._is_past_initial_design or not self.learns_from_margins:
             return []
         return choices_in_words(self.campaign, history, self.classifier) if len(history.training) else []
 
@@ -580,8 +604,8 @@ class Run:
         """Predictions of the classifier.
 
         Args:
-            X: designs in the variables' units: an (n, d) array in the order of `space`, a DataFrame, or a list of
-                dictionaries.
+            X: designs in the variables' units: an (n, d) array or a list of rows in the order of `space`; or a
+                DataFrame, a dictionary of columns, or a list of dictionaries, read by their names.
 
         Returns:
             One row for each design, in the given order and with the index of a DataFrame: the variables, the
@@ -645,21 +669,22 @@ class Run:
         """
         from activefail.findings.tables import predict_table
 
+        source, target = _source("source", source), _target("target", target)
         classifier = self.classifier if after is None else self.classifier_after(after)
         with one_thread():
-            return predict_table(self.campaign, classifier, _file(source), _file(target), begin)
+            return predict_table(self.campaign, classifier, source, target, begin)
 
     def export_table(self, target: "Target | str") -> int:
         """Write every simulation as a row of a CSV table, a file or a text stream; returns their number."""
         from activefail.findings.tables import export_table
 
-        return export_table(self.campaign, self.store, _file(target))
+        return export_table(self.campaign, self.store, _target("target", target))
 
     def export_parquet(self, target: Path | str) -> int:
         """Write every simulation as a row of a Parquet file; returns their number (needs pyarrow)."""
         from activefail.findings.parquet import export_parquet
 
-        return export_parquet(self.campaign, self.store, Path(target))
+        return export_parquet(self.campaign, self.store, _path("target", target))
 
     def verify(
         self, simulations: int = 200, confidence: float = 0.9, executor: "Executor | None" = None
@@ -902,7 +927,15 @@ class Run:
 
     @property
     def has_initial_design(self) -> bool:
-        """Whether every design of the initial design was simulated or dropped."""
+        """Whether every design of the initial design was simulated or dropped.
+
+        Given simulations of the same designs are no sample of the design space: they may have been chosen.
+        """
+        return bool(self.history.initial.any()) and self._is_past_initial_design
+
+    @property
+    def _is_past_initial_design(self) -> bool:
+        """Whether later designs are those that the criterion chooses."""
         handed_out = self.handed_out
         waiting = (handed_out.in_flight.origin == INITIAL).any()
         return bool(len(handed_out.history) and not waiting and not len(handed_out.initial_left(self.campaign)))
@@ -954,7 +987,7 @@ class Run:
         with one_thread():
             return failure_findings(self.campaign, self.store, learned, stage)
 
-    def report(self, target: Path | None = None, stage: Callable[[str], None] = lambda _: None) -> "Evidence":
+    def report(self, target: Path | str | None = None, stage: Callable[[str], None] = lambda _: None) -> "Evidence":
         """Write the campaign's results to one HTML file; returns the evidence of its accuracy.
 
         Args:
@@ -971,7 +1004,7 @@ class Run:
         with one_thread():
             evidence = evidence_of(self.folder, self.campaign, self.store, self.classifier, stage)
             page = render(self.findings, evidence, self.store, stage, failure)
-        target = target or self.folder / REPORT
+        target = self.folder / REPORT if target is None else _path("target", target)
         with writing_to(target):
             write_report(page, target)
         return evidence
@@ -1010,17 +1043,68 @@ class Run:
 
 
 def _file(file: Any) -> Any:
-    """The path that a string names; anything else is returned unchanged."""
-    return Path(file) if isinstance(file, str) else file
+    """The path that a string or another library's path names; anything else is returned unchanged."""
+    return Path(os.fsdecode(file)) if isinstance(file, str | os.PathLike) else file
+
+
+def _path(name: str, file: Any) -> Path:
+    """A file in an argument.
+
+    Raises:
+        InputError: if it is no path.
+    """
+    if not isinstance(file := _file(file), Path):
+        raise InputError(f"{name}: must be a path, got {type(file).__name__}.")
+    return file
+
+
+def _source(name: str, source: Any) -> "Source":
+    """A table to read in an argument: a file, or a binary stream.
+
+    Raises:
+        InputError: if it is something else.
+    """
+    source = _file(source)
+    if isinstance(source, io.TextIOBase):
+        raise InputError(f"{name}: must be a file that was opened in binary mode, or its path.")
+    if not isinstance(source, Path) and not hasattr(source, "read"):
+        raise InputError(f"{name}: must be a path or a binary stream, got {type(source).__name__}.")
+    return cast("Source", source)
+
+
+def _target(name: str, target: Any) -> "Target":
+    """A table to write in an argument: a file, or a text stream.
+
+    Raises:
+        InputError: if it is something else.
+    """
+    target = _file(target)
+    is_binary = isinstance(target, io.RawIOBase | io.BufferedIOBase)
+    if not isinstance(target, Path) and (is_binary or not hasattr(target, "write")):
+        raise InputError(f"{name}: must be a path or a text stream, got {type(target).__name__}.")
+    return cast("Target", target)
 
 
 def _table(table: Any) -> "Table":
     from activefail.campaign.results_table import Table
 
-    table = _file(table)
-    if isinstance(table, io.TextIOBase):
-        raise InputError("table: must be a file that was opened in binary mode, or its path.")
-    return Table.of_csv(table) if isinstance(table, Path) or hasattr(table, "read") else Table.of_python(table)
+    is_file = isinstance(table, str | os.PathLike) or hasattr(table, "read")
+    return Table.of_csv(_source("table", table)) if is_file else Table.of_python(table)
+
+
+@contextmanager
+def _rows_named(results: "ResultTable") -> Iterator[None]:
+    """Name the row of the user's table in the error of a result that cannot be recorded.
+
+    Raises:
+        InputError: in place of a RowError.
+    """
+    from activefail.loop.asking import RowError
+
+    try:
+        yield
+    except RowError as error:
+        raise InputError(f"{results.table.places[results.rows[error.row]]}: {error}.") from None
 
 
 def check_whole(name: str, number: SupportsIndex, least: int) -> None:

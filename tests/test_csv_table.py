@@ -264,6 +264,8 @@ def test_what_is_no_regular_file_is_neither_read_nor_replaced(tmp_path: Path) ->
 class Pipe(io.BytesIO):
     """A stream that can be read only once."""
 
+    name: str | int = 0
+
     def seek(self, offset: int, whence: int = 0, /) -> int:
         raise io.UnsupportedOperation("seek")
 
@@ -277,10 +279,16 @@ def test_a_stream_is_read_once_and_gives_the_table_of_the_file(table: Callable[[
         assert rows(of_stream) == rows(of_stream) == rows(of_file)
 
 
-def test_a_bad_stream_is_refused_as_standard_input() -> None:
-    with rereadable(Pipe(b"a,b\n1,2\n3,2\n")) as kept, pytest.raises(InputError) as refused:
+@pytest.mark.parametrize("name", ["standard input", "b.csv", "the table"])
+def test_a_bad_stream_is_refused_by_its_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = Pipe(b"a,b\n1,2\n3,2\n")
+    if name == "standard input":
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(stream))
+    elif name == "b.csv":
+        name = stream.name = str(tmp_path / name)
+    with rereadable(stream) as kept, pytest.raises(InputError) as refused:
         DesignTable.checked(kept, NAMES, (), ordered)
-    assert str(refused.value) == "standard input: row 2 (line 3), column b: `a <= b` must hold, got 2."
+    assert str(refused.value) == f"{name}: row 2 (line 3), column b: `a <= b` must hold, got 2."
 
 
 def test_a_stream_that_cannot_be_kept_is_named_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,7 +297,7 @@ def test_a_stream_that_cannot_be_kept_is_named_with_the_reason(monkeypatch: pyte
             raise OSError(5, "Input/output error")
 
     with (
-        pytest.raises(InputError, match=r"standard input: cannot be copied to .+: Input/output error\."),
+        pytest.raises(InputError, match=r"the table: cannot be copied to .+: Input/output error\."),
         rereadable(Broken()),
     ):
         pass

@@ -1,10 +1,12 @@
 """Simulations done elsewhere, through the Python interface and the commands, wrong inputs included."""
 
 import csv
+import io
 import os
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from decimal import Decimal
@@ -164,6 +166,16 @@ def test_predictions_have_a_row_for_each_design_in_the_given_order(folder: Path)
         pd.testing.assert_frame_equal(run.predict(named), predicted)
         pd.testing.assert_frame_equal(run.predict(pd.DataFrame(named)), predicted)
         assert len(run.predict(np.empty((0, 2)))) == 0
+        swapped = pd.DataFrame(named)[["strength", "load"]]
+        predicted_by_name = [
+            list(swapped.itertuples(index=False)),
+            [row for _, row in swapped.iterrows()],
+            swapped.to_dict("list"),
+        ]
+        for table in predicted_by_name:
+            np.testing.assert_array_equal(run.predict(table), predicted)
+        for rows in (X.tolist(), list(map(tuple, X)), list(X)):
+            pd.testing.assert_frame_equal(run.predict(rows), predicted)
 
 
 @pytest.mark.parametrize(
@@ -175,6 +187,8 @@ def test_predictions_have_a_row_for_each_design_in_the_given_order(folder: Path)
         ([{"load": 1.0}], "column 'strength': required, but missing"),
         ([{"load": 1.0, "strength": "much"}], "row 0, column strength: must be a number, got 'much'"),
         (3.0, "table: must be a DataFrame, a dictionary of columns, or a list of dictionaries"),
+        ([pd.Series({"load": 1.0, "strength": 2.0}), [1.0, 2.0]], "table: must be a DataFrame"),
+        ([[1.0, 2.0], pd.Series({"load": 1.0, "strength": 2.0})], "column 'load': required, but missing"),
     ],
 )
 def test_wrong_designs_to_predict_are_refused(folder: Path, X: Any, message: str) -> None:
@@ -484,6 +498,74 @@ def test_ids_to_drop_may_be_an_array_and_nothing_else_odd(folder: Path) -> None:
         assert run.drop(run.in_flight["id"].to_numpy()) == 2
 
 
+@pytest.mark.parametrize("kind", [set, tuple, iter, dict.fromkeys, lambda ids: dict.fromkeys(ids).keys(), pd.Series])
+def test_ids_to_drop_may_come_as_any_iterable(folder: Path, kind: Callable[[list[int]], Any]) -> None:
+    with af.open_run(folder, write=True) as run:
+        assert run.drop(kind([8, 9])) == 2
+
+
+@pytest.mark.parametrize("table", [None, 3.0, pd.Series({"id": 8, "g": 1.0}), iter([]), b"id,g"])
+def test_what_is_no_table_is_refused_by_its_type(folder: Path, table: Any) -> None:
+    message = f"table: must be a DataFrame, .*, got {type(table).__name__}"
+    with af.open_run(folder, write=True) as run:
+        for record in (run.tell, run.add):
+            with pytest.raises(InputError, match=message):
+                record(table)
+
+
+@pytest.mark.parametrize("command", ["tell", "add"])
+def test_results_come_through_a_pipe(folder: Path, command: str) -> None:
+    def piped(text: str) -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, "-m", "activefail.cli", command, str(folder), "--csv", "-"]
+        return subprocess.run(words, input=text, capture_output=True, text=True, check=False)
+
+    bad = piped("id,load,strength,g\n8,2.0,3.0,wide\n")
+    assert (bad.returncode, bad.stdout) == (2, "")
+    assert "standard input: row 1 (line 2), column g: must be a number, got 'wide'" in bad.stderr
+    said = piped("id,g\n8,1.5\n" if command == "tell" else "load,strength,g\n2.0,3.0,-1.0\n")
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.startswith("1 new result" if command == "tell" else "1 simulation added")
+
+
+def test_simulations_that_were_given_are_no_initial_design_to_verify(tmp_path: Path) -> None:
+    settings = {
+        "simulator": {"python": "plate:run"},
+        "space": {"x": {"low": 0.0, "high": 1.0}, "y": {"low": 0.0, "high": 1.0}},
+        "sampling": {"initial": 10, "budget": 20, "batch": 5},
+    }
+    (tmp_path / "plate.py").write_text("def run(d):\n    return 'failure' if d['x'] + d['y'] > 1.3 else 'safe'\n")
+    with af.create_run(tmp_path / "earlier", settings, code=tmp_path) as earlier:
+        earlier.take(10, progress=False, workers=1)
+        export = earlier.simulations
+    with af.create_run(tmp_path / "run", settings, code=tmp_path) as run:
+        assert run.add(export) == 10
+        assert not run.has_initial_design
+        with pytest.raises(InputError, match="has not finished its initial design"):
+            run.verify(10)
+        assert run.take(progress=False, workers=1).progress.done == 20
+
+
+def test_faults_are_quoted_and_cured_although_a_design_is_in_flight(tmp_path: Path) -> None:
+    (tmp_path / "plate.py").write_text(
+        "from pathlib import Path\ndef run(d):\n    if Path(__file__).with_name('bad').exists():\n"
+        "        raise ValueError('no licence')\n    return 'failure' if d['x'] > 0.5 else 'safe'\n"
+    )
+    (tmp_path / "plate.toml").write_text(
+        'simulator = { python = "plate:run" }\nsampling = { initial = 6, budget = 12, batch = 2 }\n'
+        "[space]\nx = { low = 0, high = 1 }\ny = { low = 0, high = 1 }\n"
+    )
+    (bad := tmp_path / "bad").touch()
+    with af.create_run(tmp_path / "run", tmp_path / "plate.toml") as run:
+        run.ask(1)
+        with pytest.raises(af.SimulationError, match=r"None of the 5 simulations .*first .*failed: .*no licence"):
+            run.take(progress=False, workers=1)
+        bad.unlink()
+        run.tell([{"id": 0, "outcome": "safe"}])
+        assert len(run.ask(1)) == 1
+        assert run.take(progress=False, workers=1).progress.done == 11
+        assert run.classifier.outcomes == ("safe", "failure")
+
+
 def test_a_table_is_read_from_a_path_or_a_binary_file(folder: Path, tmp_path: Path) -> None:
     with af.open_run(folder, write=True) as run:
         path = written(tmp_path / "answers.csv", [{"id": 8, "g": 1.0}])
@@ -492,6 +574,9 @@ def test_a_table_is_read_from_a_path_or_a_binary_file(folder: Path, tmp_path: Pa
         assert run.tell(str(path)) == 1
         with path.open("rb") as binary:
             assert run.tell(binary) == 0
+        written(path, [{"id": 8, "g": "wide"}])
+        with path.open("rb") as binary, pytest.raises(InputError, match=f"^{path}: row 1 .line 2., column g"):
+            run.tell(binary)
 
 
 def test_threads_that_ask_at_once_get_different_designs(folder: Path) -> None:
@@ -584,7 +669,7 @@ def test_a_report_of_given_simulations_alone_is_written(lab: Path, tmp_path: Pat
     assert "given" in (tmp_path / "report.html").read_text()
 
 
-# --- what a newcomer stumbled over -------------------------------------------------------------------------------
+# --- messages and warnings ---------------------------------------------------------------------------------------
 
 
 def test_predictions_keep_the_index_so_that_they_join_their_designs(folder: Path) -> None:
@@ -604,26 +689,125 @@ def test_a_misspelt_column_a_missing_margin_and_a_contradiction_are_warned_of(fo
             run.tell([{"id": 8, "g": 1.0, "outcom": "safe"}])
         with pytest.warns(UserWarning, match=r"row 0: g -0\.5 contradicts the outcome safe"):
             run.tell([{"id": 9, "g": -0.5, "outcome": "safe"}])
-    path = written(tmp_path / "old.csv", [{"load": 2.0, "strength": 8.0, "outcome": "safe"}])
+    path = written(tmp_path / "old.csv", [{"ids": 1, "load": 2.0, "strength": 8.0, "outcome": "safe", "caus": ""}])
     said = activefail("add", folder, "--csv", path)
     assert (said.code, said.out) == (0, "1 simulation added\n")
-    assert said.err.startswith(
-        f"warning: {path}: row 1 (line 2): g is missing. A boundary is learned from a margin only"
+    # `add` ignores the id, so it does not miss it.
+    first, second = said.err.splitlines()
+    assert first == f"warning: {path}: column 'caus' is ignored; 'cause' is missing."
+    assert second.startswith(f"warning: {path}: row 1 (line 2): g is missing. A boundary is learned from a margin only")
+
+
+def test_warnings_that_are_errors_come_before_anything_is_recorded(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning, match="contradicts the outcome"):
+            run.tell([{"id": 9, "g": -0.5, "outcome": "safe"}])
+        with pytest.raises(UserWarning, match="contradicts the outcome"):
+            run.add([{"load": 2.0, "strength": 8.0, "g": -0.5, "outcome": "safe"}])
+        assert (len(run.history), run.in_flight["id"].tolist()) == (8, [8, 9])
+
+
+def test_warnings_are_attributed_to_the_line_that_tells(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        with pytest.warns(UserWarning, match="contradicts") as told:
+            run.tell([{"id": 9, "g": -0.5, "outcome": "safe"}])
+        with pytest.warns(UserWarning, match="contradicts") as added:
+            run.add([{"load": 2.0, "strength": 8.0, "g": -0.5, "outcome": "safe"}])
+    assert [told[0].filename, added[0].filename] == [__file__] * 2
+
+
+FILLED_IN = {
+    "a table": "id,load,strength,span,outcome\n8,,,,\n9,{9},3.0,safe\n",
+    "semicolons": "id;load;strength;span;g\n8;1,0;2,0;3,0;1,5\n",
+    "a short row": "id,load,g\n8,1.0,1.5\n9\n",
+    "Latin-1": "id,note,g\n8,Brücke,1.5\n",
+    "Unicode text": "id\tnote\tg\n8\tgut\t1.5\n",
+    "an unknown id": "id,g\n77,1.5\n",
+    "another result": "id,g\n0,-77.0\n",
+    "another design": "id,load,outcome\n0,4.99,safe\n",
+    "simulations to add": "load,strength,g\n2.0,3.0,-1.0\n",
+    "a word": "id,g\n8,wide\n",
+}
+
+
+@pytest.mark.parametrize("kind", FILLED_IN)
+@pytest.mark.parametrize("option", ["--n=1", "--in-flight"])
+def test_a_table_with_results_that_are_not_recorded_is_not_replaced(
+    folder: Path, tmp_path: Path, kind: str, option: str
+) -> None:
+    with af.open_run(folder) as run:
+        design = run.in_flight.set_index("id").loc[9]
+    text = FILLED_IN[kind].replace("{9}", f"{design['load']!r},{design['strength']!r}")
+    (todo := tmp_path / "todo.csv").write_bytes(
+        before := text.encode({"Latin-1": "latin-1", "Unicode text": "utf-16"}.get(kind, "utf-8"))
     )
-
-
-def test_a_table_with_results_in_it_is_not_replaced(folder: Path, tmp_path: Path) -> None:
-    todo = written(tmp_path / "todo.csv", [{"id": 8, "load": 1.0, "strength": 2.0, "span": 3.0, "outcome": "safe"}])
-    refused(activefail("ask", folder, "--csv", todo), f"--csv: {todo} holds results (outcome)")
+    column = "outcome" if "outcome" in text else "g"
+    said = activefail("ask", folder, option, "--csv", todo)
+    refused(said, f"--csv: {todo} holds results that are not recorded ({column}): `tell` them first")
+    assert todo.read_bytes() == before
     with af.open_run(folder) as run:
         assert run.in_flight["id"].tolist() == [8, 9]
 
 
-def test_tables_may_be_named_by_a_text(folder: Path, tmp_path: Path) -> None:
+def test_ask_fill_in_and_tell_go_on_in_one_table(folder: Path, tmp_path: Path) -> None:
+    todo = tmp_path / "todo.csv"
+    assert activefail("ask", folder, "--in-flight", "--csv", todo).code == 0
+    for ids in ([10], [11]):
+        rows = table(todo)
+        written(todo, [row | {"g": "", "outcome": ""} for row in rows])
+        # A template that nobody has filled in yet.
+        assert activefail("ask", folder, "--in-flight", "--csv", todo).code == 0
+        rows = table(todo)
+        written(todo, [row | {"g": 0.5} for row in rows])
+        assert activefail("tell", folder, "--csv", todo).code == 0
+        assert activefail("ask", folder, "--csv", todo).code == 0
+        assert [int(row["id"]) for row in table(todo)] == ids
+
+
+def test_a_file_named_as_standard_output_does_not_matter(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "-").write_text("id,g\n8,1.5\n")
+    said = activefail("ask", folder, "--csv", "-")
+    assert (said.code, said.out[:3]) == (0, "id,")
+    assert (tmp_path / "-").read_text() == "id,g\n8,1.5\n"
+
+
+def test_paths_may_be_strings_or_those_of_another_library(folder: Path, tmp_path: Path) -> None:
+    class Other:
+        def __init__(self, path: Path) -> None:
+            self.path = path
+
+        def __fspath__(self) -> str:
+            return str(self.path)
+
+    with af.open_run(folder, write=True) as run:
+        for kind in (str, Other):
+            assert run.export_table(kind(tmp_path / "all.csv")) == 8
+            assert len(table(tmp_path / "all.csv")) == 8
+            assert run.predict_table(kind(tmp_path / "all.csv"), kind(tmp_path / "predicted.csv")) == 0
+            assert "p_failure" in table(tmp_path / "predicted.csv")[7]
+            assert run.export_parquet(kind(tmp_path / "all.parquet")) == 8
+            assert len(pd.read_parquet(tmp_path / "all.parquet")) == 8
+            (tmp_path / "all.csv").unlink()
+        assert run.tell(Other(written(tmp_path / "answers.csv", [{"id": 8, "g": 1.0}]))) == 1
+        assert repr(run) == f"Run({str(folder)!r}: 9 of 16 simulations)"
+
+
+def test_what_is_neither_a_path_nor_a_stream_is_refused_by_its_type(folder: Path, tmp_path: Path) -> None:
     with af.open_run(folder) as run:
-        assert run.export_table(str(tmp_path / "all.csv")) == 8
-        assert run.predict_table(str(tmp_path / "all.csv"), str(tmp_path / "predicted.csv")) == 0
-        assert repr(run) == f"Run({str(folder)!r}: 8 of 16 simulations)"
+        with pytest.raises(InputError, match="target: must be a path or a text stream, got int"):
+            run.export_table(5)
+        with pytest.raises(InputError, match="target: must be a path or a text stream, got BytesIO"):
+            run.export_table(io.BytesIO())
+        with pytest.raises(InputError, match="target: must be a path, got int"):
+            run.export_parquet(5)
+        with pytest.raises(InputError, match="source: must be a file that was opened in binary mode, or its path"):
+            run.predict_table(io.StringIO("load,strength\n"), tmp_path / "out.csv")
+        with pytest.raises(InputError, match="source: must be a path or a binary stream, got NoneType"):
+            run.predict_table(None, tmp_path / "out.csv")
 
 
 def test_semicolons_are_named_as_such(folder: Path, tmp_path: Path) -> None:
@@ -644,7 +828,7 @@ def test_status_names_tell_wherever_designs_are_in_flight(tmp_path: Path) -> Non
     said = activefail("status", folder).out
     assert f"continue   activefail resume {folder}\n           activefail tell {folder} --csv answers.csv\n" in said
     said = activefail("resume", folder, "--workers", "1").out
-    assert "in flight  ids 0, 1 count towards the budget; `activefail tell` or `activefail drop` them" in said
+    assert "in flight  2 designs, ids 0, 1; included in the budget (`activefail tell` or `activefail drop`)" in said
     assert f"continue   activefail tell {folder} --csv answers.csv\n" in activefail("status", folder).out
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
-from activefail.csv_table import Source, name_of, read_cells
+from activefail.csv_table import Source, name_of, read_cells, rereadable
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError
 from activefail.simulators.returned import read_answer
@@ -47,9 +47,10 @@ class Table:
         """The table in a CSV file or stream.
 
         Raises:
-            InputError: as `read_cells` does.
+            InputError: as `rereadable` and `read_cells` do.
         """
-        columns, rows, ends = read_cells(source)
+        with rereadable(source) as kept:
+            columns, rows, ends = read_cells(kept)
         name = name_of(source)
         places = [f"{name}: row {row + 1} (line {end})" for row, end in enumerate(ends)]
         return cls(f"{name}: ", columns, [list(row) for row in rows], places)
@@ -63,14 +64,17 @@ class Table:
         """
         import pandas as pd
 
+        rule = "table: must be a DataFrame, a dictionary of columns, or a list of dictionaries"
+        # To pandas, None is a table without rows.
+        is_table = isinstance(table, pd.DataFrame | Mapping | Sequence | np.ndarray)
+        if not is_table or isinstance(table, str | bytes):
+            raise InputError(f"{rule}, got {type(table).__name__}.")
         if isinstance(table, Mapping) and not any(_is_column(value) for value in table.values()):
             table = [table]
         try:
             frame = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"table: must be a DataFrame, a dictionary of columns, or a list of dictionaries: {error}."
-            ) from None
+        except (TypeError, ValueError, AttributeError) as error:  # the last where kinds of rows are mixed
+            raise InputError(f"{rule}: {error}.") from None
         columns = tuple(map(str, frame.columns))
         for name in columns:
             if columns.count(name) > 1:
@@ -212,14 +216,16 @@ class ResultTable:
         return cls(table, tuple(rows), none, designs, _results(campaign, table, rows))
 
     def warnings(self, campaign: Campaign) -> list[str]:
-        """What a user has probably not meant: columns that are ignored for their spelling, margins that are missing."""
+        """Likely mistakes: misspelt columns, and margins that are missing or contradict the outcome."""
         simulator, names = campaign.simulator, self.table.columns
         known = [_ID, _OUTCOME, _CAUSE, _SECONDS, *simulator.margins, *campaign.space.names, *campaign.space.fixed]
         texts = []
         for name in names:
-            close = difflib.get_close_matches(name, [one for one in known if one not in names], 1, 0.75)
+            # `tell` requires the id, and `add` ignores it.
+            missing = [one for one in known if one not in (*names, _ID)]
+            close = difflib.get_close_matches(name, missing, 1, 0.75)
             if name not in known and close:
-                texts.append(f"column {name!r} is ignored; {close[0]!r} is missing.")
+                texts.append(f"{self.table.name}column {name!r} is ignored; {close[0]!r} is missing.")
         if not (levels := _levels(campaign)) or campaign.settings.classifier.learns == "outcomes":
             return texts
         name, worst = simulator.margins[0], len(simulator.outcomes) - 1

@@ -123,9 +123,8 @@ def _take(
     if taken.stop_rule:
         print(f"stop rule  {visible(taken.stop_rule)}")
     show_unseen(run.summary)
-    if flight := run.summary.in_flight:
-        ids = ", ".join(map(str, flight))
-        print(f"in flight  ids {ids} count towards the budget; `activefail tell` or `activefail drop` them")
+    if flight := run.summary.flight_in_words:
+        print(f"in flight  {flight}; included in the budget (`activefail tell` or `activefail drop`)")
     print(f"results    {visible(str(run.folder))}")
 
 

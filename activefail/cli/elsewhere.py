@@ -27,6 +27,8 @@ from activefail.visible import visible
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from activefail.run import Run
+
 Designs = Annotated[int, typer.Option("--n", help="Number of designs.", min=1, max=100_000)]
 
 
@@ -70,7 +72,8 @@ def ask(
         opened_run(folder, write=not in_flight, code=code, simulates=False) as opened,
     ):
         space = opened.space
-        _check_replaceable(csv, ["outcome", "cause", *opened.campaign.simulator.margins])
+        if csv != STANDARD:
+            _check_replaceable(csv, opened)
         with suppress(_NothingError), writing(target, ["id", *space.names, *space.fixed]) as write:
             # The table first: if it cannot be written, no design is handed out.
             table = opened.in_flight if in_flight else opened.ask(n, beyond=beyond, ignore_stop=ignore_stop)
@@ -88,24 +91,29 @@ def ask(
             print(f"no designs{'' if csv == STANDARD else ', so no table was written'}{_WAITING if waiting else ''}")
 
 
-def _check_replaceable(path: Path, columns: list[str]) -> None:
-    """Check that a table to be replaced has none of the columns of results: somebody may have filled them in.
+def _check_replaceable(path: Path, run: "Run") -> None:
+    """Check that no results are lost with a table that will be replaced: somebody may have filled it in.
 
     Raises:
-        InputError: naming the columns.
+        InputError: if `tell` would record results of it, or refuses it and it has a column of results.
     """
-    from activefail.csv_table import read_cells
+    from activefail.csv_table import likely_header
 
     if path.is_dir():
         raise InputError(f"--csv: {path} is a folder.")
     if not path.is_file():
         return
     try:
-        others = [name for name in read_cells(path)[0] if name in columns]
+        if run.is_told(path):
+            return
     except InputError:
-        return  # not a table of designs: replaced, as every output is
-    if others:
-        raise InputError(f"--csv: {path} holds results ({', '.join(others)}): `tell` them first, or name another file.")
+        pass
+    # What `tell` refuses may be a table of designs alone, or another file, which is replaced like every output.
+    if held := sorted({"outcome", *run.campaign.simulator.margins} & set(likely_header(path))):
+        raise InputError(
+            f"--csv: {path} holds results that are not recorded ({', '.join(held)}): `tell` them first, or name "
+            "another file."
+        )
 
 
 class _NothingError(Exception):

@@ -1,6 +1,7 @@
 """Tables of the Python interface as pandas DataFrames: simulations, designs in flight, predictions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from numbers import Number
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,7 +57,11 @@ def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array, in
 
 
 def designs_of(campaign: Campaign, X: Any) -> Array:
-    """Designs, (n, d), from an array in the space's order, a DataFrame, or a list of dictionaries.
+    """Designs, (n, d), from an array or a list of rows in the space's order, or from a table with names.
+
+    Args:
+        campaign: the campaign.
+        X: the array or rows; or a DataFrame, a dictionary of columns, or a list of dictionaries, whose names decide.
 
     Raises:
         InputError: if a variable is missing, a value is not a finite number, or the shape is wrong.
@@ -64,7 +69,7 @@ def designs_of(campaign: Campaign, X: Any) -> Array:
     from activefail.campaign.results_table import Table
 
     space = campaign.space
-    if isinstance(X, Sequence) and not isinstance(X, str) and X and not isinstance(X[0], Mapping):
+    if isinstance(X, Sequence) and not isinstance(X, str) and X and all(map(_is_plain, X)):
         try:
             X = np.array(X, dtype=np.float64)
         except (TypeError, ValueError):
@@ -84,3 +89,8 @@ def designs_of(campaign: Campaign, X: Any) -> Array:
             raise InputError(f"X: row {row}, column {space.names[column]}: must be finite, got {designs[row, column]}.")
         return designs
     return Table.of_python(X).designs(space)
+
+
+def _is_plain(row: object) -> bool:
+    """Whether a row has no names, so that its order decides; a Series and a named tuple have names."""
+    return isinstance(row, np.ndarray | Number | str) or (isinstance(row, list | tuple) and not hasattr(row, "_fields"))

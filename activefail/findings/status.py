@@ -143,7 +143,7 @@ class Status:
     def _asking(self) -> list[tuple[str, str]]:
         """How to continue a campaign whose simulations are made elsewhere."""
         settings, folder, flight = self.summary.settings, quoted(self.folder), self.summary.in_flight
-        lines = [text for _, text in self._telling]
+        lines = self._telling
         if self.summary.done + len(flight) < settings.budget:
             ignoring = " --ignore-stop" if self._rule_is_met else ""
             lines.append(f"activefail ask {folder} --n {settings.batch} --csv todo.csv{ignoring}")
@@ -156,7 +156,7 @@ class Status:
         if settings.is_elsewhere:
             return self._asking
         if self.summary.done + len(self.summary.in_flight) >= settings.budget:
-            return self._telling
+            return [("continue", text) for text in self._telling]
         known = known_code(self.folder) if settings.custom_code else None
         if settings.custom_code and known is None:
             # Not a command that could be pasted: nobody has named the folder yet.
@@ -172,13 +172,13 @@ class Status:
             lines.append(("", "the code in that folder has changed since the campaign last ran with it"))
         if is_verified(self.folder, self.summary):
             lines.append(("", f"{ignoring}, if the stop rule ended the campaign"))
-        return [*lines, *(("", text) for _, text in self._telling)]
+        return [*lines, *(("", text) for text in self._telling)]
 
     @property
-    def _telling(self) -> list[tuple[str, str]]:
+    def _telling(self) -> list[str]:
         """The command for designs in flight; empty without any."""
         command = f"activefail tell {quoted(self.folder)} --csv answers.csv"
-        return [("continue", command)] if self.summary.in_flight else []
+        return [command] if self.summary.in_flight else []
 
 
 def read_estimates(folder: Path, digest: str, outcomes: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -194,7 +194,7 @@ class Summary:
                 (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))
                 for title, counts in self._origins
             ),
-            *([("in flight", self._in_flight)] if self.in_flight else []),
+            *([("in flight", self.flight_in_words)] if self.in_flight else []),
         ]
 
     @property
@@ -203,7 +203,10 @@ class Summary:
         return [("initial", self.initial), ("chosen", self.chosen), *given, ("all", self.counts)]
 
     @property
-    def _in_flight(self) -> str:
+    def flight_in_words(self) -> str:
+        """The designs in flight, with their first ids; empty without any."""
+        if not self.in_flight:
+            return ""
         shown = ", ".join(map(str, self.in_flight[:_IDS_SHOWN])) + (", ..." if len(self.in_flight) > _IDS_SHOWN else "")
         return f"1 design, id {shown}" if len(self.in_flight) == 1 else f"{len(self.in_flight)} designs, ids {shown}"
 

@@ -117,6 +117,7 @@ def tell(
     ids: NDArray[np.int64],
     results: Results,
     handed_out: HandedOut | None = None,
+    before_commit: Callable[[], None] = lambda: None,
 ) -> int:
     """Record the results of designs that were handed out; they are durable once this returns.
 
@@ -126,6 +127,7 @@ def tell(
         ids: (n,) of the designs. They may be any of those in flight, in any order.
         results: of the n designs.
         handed_out: the designs of the store, if the caller has them already.
+        before_commit: called once the results are checked; nothing is recorded if it raises.
 
     Returns:
         Number of new results. A result that was told before is not counted.
@@ -135,6 +137,36 @@ def tell(
         StoreError: if the results cannot be recorded.
     """
     handed = handed_out or HandedOut.of(store)
+    new = new_results(campaign, store, ids, results, handed)
+    before_commit()
+    if not new:
+        return 0
+    place = {number: k for k, number in enumerate(handed.asked.id.tolist())}
+    numbers = sorted(new)
+    told = handed.asked[np.array([place[number] for number in numbers])]
+    store.commit(
+        Batch(
+            handed.next_iteration(campaign),
+            told.designs,
+            told.origin,
+            results[np.array([new[number] for number in numbers])],
+        )
+    )
+    return len(new)
+
+
+def new_results(
+    campaign: Campaign, store: Store, ids: NDArray[np.int64], results: Results, handed: HandedOut
+) -> dict[int, int]:
+    """The rows of the results that are not recorded yet, by the ids of their designs.
+
+    Args:
+        campaign, store, ids, results: as for `tell`.
+        handed: the designs of the store.
+
+    Raises:
+        InputError: as `tell` does.
+    """
     before = _rows(store)
     place = {number: k for k, number in enumerate(handed.asked.id.tolist())}
     recorded = {number: row for row, number in enumerate(handed.ids.tolist())}
@@ -154,20 +186,7 @@ def tell(
             raise RowError(row, f"id {number} has the result {earlier} in an earlier row", campaign, answer)
         else:
             new.setdefault(number, row)
-    if not new:
-        return 0
-    numbers = sorted(new)
-    places = [place[number] for number in numbers]
-    told = handed.asked[np.array(places)]
-    store.commit(
-        Batch(
-            handed.next_iteration(campaign),
-            told.designs,
-            told.origin,
-            results[np.array([new[number] for number in numbers])],
-        )
-    )
-    return len(new)
+    return new
 
 
 class RowError(InputError):
@@ -211,7 +230,9 @@ def drop(store: Store, ids: NDArray[np.int64]) -> int:
     return number
 
 
-def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
+def add(
+    campaign: Campaign, store: Store, X: Array, results: Results, before_commit: Callable[[], None] = lambda: None
+) -> int:
     """Record simulations that were not asked for; they are durable once this returns.
 
     The classifier learns from them. They are not part of the initial design, and do not count towards the budget.
@@ -221,6 +242,7 @@ def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
         store: its record, open for writing.
         X: (n, d) designs.
         results: of the n designs.
+        before_commit: as for `tell`.
 
     Returns:
         Number of new simulations. One that is recorded already with this result is not counted.
@@ -252,6 +274,7 @@ def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
             continue
         if not _is_same(before, answer):
             raise RowError(row, f"the same design has the result {_shown(campaign, before)} {where}", campaign, answer)
+    before_commit()
     if not new:
         return 0
     rows = np.array(list(new.values()))
@@ -267,8 +290,8 @@ def _rows(store: Store) -> Callable[[int], Results]:
 
     def result(row: int) -> Results:
         place = bisect.bisect_right(ends, row)
-        last = row - ends[place] + len(batches[place]) + 1
-        return batches[place].results[last - 1 : last]
+        start = row - (ends[place] - len(batches[place]))
+        return batches[place].results[start : start + 1]
 
     return result
 

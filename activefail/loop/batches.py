@@ -103,8 +103,9 @@ def _run_in_batches(task: Task) -> bool:
         designs, initial = np.split(initial, [min(batch, left)])
         _simulate_and_record(task, iteration, INITIAL, designs)
 
-    task.check(standing(campaign, store.batches, budget))
+    task.check(progress := standing(campaign, store.batches, budget))
     if not History.of(store.batches).answered.any():
+        task.check_simulator(progress)
         raise InputError(_NOTHING_KNOWN)
     observer.stage("learning")
     learned = current(campaign, store, write=True)
@@ -140,12 +141,12 @@ _CHECK_IN_FLIGHT = (
 )
 
 _NO_OTHERS = (
-    "The criterion finds no design that was not handed out before: `activefail tell` or `activefail add` results first."
+    "All proposals were handed out before. `activefail tell` results in flight, or `activefail add` other simulations."
 )
 
 _NOTHING_KNOWN = (
-    "The whole initial design is in flight or was dropped, so there is nothing to learn from yet: `activefail tell` "
-    "results first."
+    "The whole initial design is in flight or was dropped, so there is nothing to learn from yet. `activefail tell` "
+    "results in flight, or `activefail add` other simulations."
 )
 
 

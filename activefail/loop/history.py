@@ -106,6 +106,11 @@ class History:
         return int(np.argmax(answered)) if answered.any() else len(answered)
 
     @property
+    def first_learnable(self) -> int:
+        """The first iteration with an outcome, at which learning begins; 0 if there is none."""
+        return int(self.iteration[self.answered].min()) if self.answered.any() else 0
+
+    @property
     def last_iteration(self) -> int:
         """Iteration of the last batch; 0 for an empty record."""
         return int(self.iteration[-1]) if len(self) else 0

@@ -81,10 +81,12 @@ class HandedOut:
             # Nothing can be learned from a dropped hypercube either.
             dropped = int((self.asked.origin[self.asked.dropped == 1] == INITIAL).sum())
             sets = 1 + (self.history.leading_failures + dropped) // size
-        known = {*bits_of(self.asked.designs), *bits_of(self.history.designs)}
+        given = self.history.origin == GIVEN
+        begun = {*bits_of(self.asked.designs), *bits_of(self.history.designs[~given])}
         # A hypercube that was begun is finished.
-        while not known.isdisjoint(bits_of(initial_designs(campaign, sets + 1)[-size:])):
+        while not begun.isdisjoint(bits_of(initial_designs(campaign, sets + 1)[-size:])):
             sets += 1
+        known = begun.union(bits_of(self.history.designs[given]))
         initial = initial_designs(campaign, sets)
         return initial[[bits not in known for bits in bits_of(initial)]]
 
@@ -104,5 +106,8 @@ class HandedOut:
 
     def _loop_completed_initial(self, campaign: Campaign, by_loop: NDArray[np.bool_]) -> bool:
         """Whether the loop completed the initial design, and so learned from iteration 0; not if `ask` completed it."""
+        last = int(np.flatnonzero(by_loop)[-1])
+        if not self.history.answered[: last + 1].any():
+            return False  # nothing to learn from
         asked_last = int(self.asked.id[self.asked.origin == INITIAL].max(initial=-1))
         return int(self.ids[by_loop].max()) > asked_last and not len(self.initial_left(campaign))

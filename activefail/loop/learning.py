@@ -154,7 +154,7 @@ def current(campaign: Campaign, store: Store, write: bool, memory: Memory | None
         iteration, learned = memory.iteration, memory.learned
     elif (saved := restore(campaign, store, last, lambda _, state: check_looks(campaign, state))) is not None:
         iteration, learned = saved[0], Learned(saved[2], looks_from_state(saved[1]))
-    for later in range(iteration + 1, last + 1):
+    for later in range(max(iteration + 1, history.first_learnable), last + 1):
         learned = Learned.after(campaign, history, later, learned)
         if write:
             store.write_state(later, learned.state)
@@ -173,7 +173,7 @@ def classifier_after(campaign: Campaign, batches: Sequence[Batch]) -> Classifier
     """
     history = History.of(batches)
     classifier = None
-    for iteration in range(history.last_iteration + 1):
+    for iteration in range(history.first_learnable, history.last_iteration + 1):
         classifier = learn(campaign, history, iteration, classifier)
     assert classifier is not None
     return classifier

@@ -65,6 +65,20 @@ class Task:
         done, failures = progress.done - self.ignored_failures, progress.numerical_failures - self.ignored_failures
         _check_numerical_failures(done, failures, self.failure_limit, self.observer.faults, self.resume_command)
 
+    def check_simulator(self, progress: Progress) -> None:
+        """Check that a simulation gave an outcome, if any of an initial design was made that is partly in flight.
+
+        Raises:
+            SimulationError: if none did.
+        """
+        if progress.done and not progress.counts.any():
+            raise SimulationError(
+                f"None of the {progress.done} simulations gave an outcome, and the rest of the initial design is in "
+                "flight or was dropped. They are recorded. Fix the simulator; then `activefail tell` the results in "
+                f"flight, or `activefail drop` them and `{self.resume_command}`."
+                + first_fault_text(self.observer.faults)
+            )
+
     def judged(
         self, progress: Progress, classifier: Classifier, verify_now: bool, looks: Looks | None = None
     ) -> Progress:

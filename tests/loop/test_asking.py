@@ -5,22 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign.stub import CENTRE, disc
+from campaign.stub import CENTRE, Disc, disc
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder
+from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
-from activefail.errors import InputError
+from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ThreadExecutor
+from activefail.loop import choosing
 from activefail.loop.asking import RowError, add, ask, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.in_flight import HandedOut
-from activefail.loop.learning import Memory, current
+from activefail.loop.initial import initial_designs
+from activefail.loop.learning import Memory, classifier_after, current
 from activefail.record.asked import Asked
-from activefail.record.batch import GIVEN, INITIAL, columns_of
+from activefail.record.batch import GIVEN, INITIAL, Batch, columns_of
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.record.store import Store
@@ -297,6 +300,53 @@ def test_the_loop_simulates_what_is_left_of_an_initial_design_and_waits_for_a_fi
         take(campaign, empty)
 
 
+@pytest.mark.parametrize("given", [False, True])
+def test_a_design_in_flight_while_all_others_fail_leaves_a_campaign_that_can_learn(given: bool) -> None:
+    store = MemoryStore(disc().schema)
+    flight = ask(disc(), store, 1, BUDGET).designs
+    with pytest.raises(
+        SimulationError, match=r"None of the 11 simulations gave an outcome, and the rest .*`activefail"
+    ):
+        take(disc(Disc(blind=np.inf)), store)
+    campaign = disc()
+    with pytest.raises(SimulationError, match="None of the 11 simulations"):  # nothing is simulated with it in flight
+        take(campaign, store)
+    if given:
+        X = campaign.space.from_unit(np.array([[0.1, 0.2]]))
+        add(campaign, store, X, campaign.simulator.run(X))
+    tell(campaign, store, flight.id, campaign.simulator.run(flight.designs))
+    assert set(HandedOut.of(store).history.iteration.tolist()) == {0}
+    assert len(ask(campaign, store, 2, BUDGET).designs) == 2
+    take(campaign, store)
+    history = HandedOut.of(store).history
+    assert (history.asked_for, history.last_iteration) == (BUDGET - 2, 4)
+
+
+def test_a_record_whose_first_iteration_has_no_outcome_is_learned_from_the_next() -> None:
+    # Earlier versions began an iteration after an initial design in which everything failed.
+    campaign = disc(initial=6)
+    store = MemoryStore(campaign.schema)
+    X = campaign.space.latin_hypercube(18, np.random.default_rng(4))
+    failed = results(*[NUMERICAL_FAILURE] * 6, margin=np.nan)
+    for iteration, rows_of in enumerate((slice(0, 6), slice(6, 12), slice(12, 18))):
+        answers = failed if iteration == 0 else campaign.simulator.run(X[rows_of])
+        store.commit(Batch(iteration, X[rows_of], np.full(6, INITIAL, dtype=np.int8), answers))
+    learned = current(campaign, store, write=True).classifier
+    assert len(learned.latents[0].features) == 12
+    again = classifier_after(campaign, store.batches)
+    np.testing.assert_array_equal(again.probabilities(X), learned.probabilities(X))
+    assert len(ask(campaign, store, 2, BUDGET).designs) == 2
+
+
+def test_a_given_design_of_a_later_hypercube_does_not_begin_it() -> None:
+    campaign, store = disc(), MemoryStore(disc().schema)
+    X = initial_designs(campaign, 2)[-1:]
+    add(campaign, store, X, campaign.simulator.run(X))
+    assert len(HandedOut.of(store).initial_left(campaign)) == INITIAL_SIZE
+    take(campaign, store)
+    assert HandedOut.of(store).history.initial.sum() == INITIAL_SIZE
+
+
 def test_an_initial_design_in_which_everything_failed_is_followed_by_another() -> None:
     campaign, store = disc(), MemoryStore(disc().schema)
     first = ask(campaign, store, INITIAL_SIZE, BUDGET).designs
@@ -537,7 +587,14 @@ def test_a_reader_keeps_the_list_that_it_opened(tmp_path: Path) -> None:
             assert (handed.in_flight.id.tolist(), handed.ids.tolist()) == ([0, 1, 2], [])
 
 
-def test_a_dropped_design_does_not_block_the_campaign() -> None:
+def test_a_dropped_design_does_not_block_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    streams: list[tuple[str | int, ...]] = []
+
+    def noted(seed: int, *names: str | int) -> np.random.Generator:
+        streams.append(names)
+        return stream(seed, *names)
+
+    monkeypatch.setattr(choosing, "stream", noted)
     # The search for failure, of which nothing is known, ends in the same corner whatever its random numbers are.
     text = """
         seed = 1
@@ -558,6 +615,9 @@ def test_a_dropped_design_does_not_block_the_campaign() -> None:
         drop(store, designs.id)
     asked = HandedOut.of(store).asked
     assert len(np.unique(asked.designs, axis=0)) == len(asked) == 10
+    # An attempt never draws the random numbers of another, for whatever number of designs.
+    assert len(set(streams)) == len(streams)
+    assert len(streams) > 4
 
 
 def test_a_hypercube_that_was_begun_is_finished_whatever_became_of_the_one_before() -> None:
