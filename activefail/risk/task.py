@@ -38,7 +38,7 @@ class LookPlan(NamedTuple):
     safety: float
 
 
-LOOKS = (LookPlan(0.7, 0.8, 1.3), LookPlan(0.3, 0.2, 1.8))
+LOOKS = (LookPlan(0.6, 0.8, 1.5), LookPlan(0.4, 0.2, 1.4))
 """The looks. Of plans with two looks that verify 98 % of all designs, about the one with the smallest designs."""
 
 _LEAST_TARGET = 1e-3

@@ -81,7 +81,7 @@ def test_a_design_meets_its_target_and_is_hardly_larger_than_the_smallest_that_d
     assert found.status == "verified"
     assert needed(target) < found.values["capacity"] < 1.12 * needed(target)
     assert found.last.estimates[0].high <= target
-    assert found.simulations == (350, 500)[len(found.looks) - 1]
+    assert found.simulations == (300, 500)[len(found.looks) - 1]
 
 
 def test_the_same_search_reads_its_simulations_again(run: Run, folder: Path) -> None:
@@ -107,7 +107,7 @@ def test_each_outcome_may_have_a_target_and_the_hardest_decides(run: Run, folder
     assert found.status == "verified"
     assert needed(0.1, share=0.6) < found.values["capacity"] < 1.1 * needed(0.1, share=0.6)
     assert [estimate.high <= 0.1 for estimate in found.last.estimates] == [True, True]
-    assert found.simulations == (700, 1000)[len(found.looks) - 1]
+    assert found.simulations == (600, 1000)[len(found.looks) - 1]
 
 
 def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -> None:
