@@ -686,7 +686,7 @@ class Run:
             confidence: of the interval.
             outcome: its name; that of the (main) target boundary if None.
             question: other distributions of the variables: a question file (docs/probability.md), a hazard file
-                (docs/design.md), or what `asked` returns; the campaign's question if None.
+                (docs/hazard.md), or what `asked` returns; the campaign's question if None.
             executor: as for `take`.
             fixed: values of variables, which are then certain: by name, or a TOML file.
 

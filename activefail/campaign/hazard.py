@@ -28,6 +28,9 @@ Bound = Literal["lower", "upper", "nominal"]
 _NODES = 8
 """Values of each row's peak ground velocity that stand for added uncertainty."""
 
+_LEAST = 0.001
+"""Least dispersion of the peak ground velocity that is not taken as none."""
+
 _FARTHEST = 10.0
 """Largest |ln| of the ratio of a conditional median period to the median period."""
 
@@ -128,7 +131,7 @@ class Hazard:
             period_dispersion *= math.sqrt(1.0 - rho * rho)
             rho = 0.0
         periods = _lognormal(PERIOD, median_period, period_dispersion, "s")
-        if dispersion == 0.0:
+        if dispersion < _LEAST:
             return DesignSpace((periods,)), {PGV: median}
         sizes = _lognormal(PGV, median, dispersion, "m/s")
         # Files state the correlation of the logarithms, which is the copula's coefficient.
@@ -219,6 +222,28 @@ def hazard_of(values: dict[str, Any], path: Path) -> Hazard:
     return Hazard(title, settings, period.median_s / divisor, period.dispersion)
 
 
+def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]) -> None:
+    """Check that a hazard says something about a campaign's variables.
+
+    Args:
+        hazard: the hazard.
+        space: of the campaign.
+        fixed: values of variables that are certain.
+
+    Raises:
+        InputError: if the campaign has no pulse, `fixed` gives one, or a property bound refers to no variable.
+    """
+    check_pulse(space, "hazard")
+    check_names(fixed, space)
+    for name in (PERIOD, AMPLITUDE):
+        if name in fixed:
+            raise InputError(f"{name}: is uncertain under a hazard, so it cannot have a value, got {fixed[name]:g}.")
+    for name in hazard.factors:
+        if name not in space.names:
+            has = f"fixes {name} for all designs" if name in space.fixed else f"has no variable {name}"
+            raise InputError(f"properties.{name}_{hazard.bound}: cannot be applied, because the campaign {has}.")
+
+
 def hazard_question(
     hazard: Hazard,
     settings: CampaignSettings,
@@ -235,19 +260,11 @@ def hazard_question(
         pgv: the peak ground velocity [m/s], if it is given.
 
     Raises:
-        InputError: if the campaign has no pulse, `fixed` gives one, or a property bound refers to no variable.
+        InputError: as `check_applies` does, or if the pulses are rows and another variable has no value.
     """
-    check_pulse(space, "hazard")
-    check_names(fixed, space)
-    for name in (PERIOD, AMPLITUDE):
-        if name in fixed:
-            raise InputError(f"{name}: is uncertain under a hazard, so it cannot have a value, got {fixed[name]:g}.")
+    check_applies(hazard, space, fixed)
     pulses, certain = hazard.pulses(pgv)
     factors = hazard.factors
-    for name in factors:
-        if name not in space.names:
-            has = f"fixes {name} for all designs" if name in space.fixed else f"has no variable {name}"
-            raise InputError(f"properties.{name}_{hazard.bound}: cannot be applied, because the campaign {has}.")
     if isinstance(pulses, WeightedRows):
         open_ones = [name for name in space.names if name not in {PERIOD, AMPLITUDE, *fixed}]
         if open_ones:

@@ -115,7 +115,7 @@ class VelocitySection(Section):
 
 
 class PropertiesSection(Section):
-    """Bounds on what the bearing will be (property modification factors).
+    """Bounds on what the bearing will be: property modification factors [ASCE2017, 17.2.8].
 
     Attributes:
         mu_lower, mu_upper: factors on the friction coefficient.
@@ -140,7 +140,7 @@ class RecordFactorSection(Section):
 
 
 class UncertaintySection(Section):
-    """Dispersions of the capacity that the pulses do not show [FEMAP695]."""
+    """Dispersions of the capacity that the pulses do not show [FEMA2009]."""
 
     design_requirements: float = Field(0.0, ge=0.0, le=1.0)
     test_data: float = Field(0.0, ge=0.0, le=1.0)
