@@ -8,7 +8,7 @@ from typing import Any
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue
 from activefail.campaign.known_code import code_for, remember_code
-from activefail.campaign.opening import create_folder, opened, read_campaign
+from activefail.campaign.on_disk import create_folder, opened, read_campaign
 from activefail.campaign.settings import CampaignSettings, checked
 from activefail.errors import InputError
 from activefail.record.layout import SETTINGS

@@ -29,7 +29,7 @@ from activefail.surrogate.threads import one_thread
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from activefail.record.batch import Batch
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
+    from activefail.risk.findings import DesignFindings
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
     from activefail.verification.error import ErrorEstimate
@@ -207,13 +208,17 @@ class Run:
         """Check a budget that replaces the campaign's; None is valid.
 
         Raises:
-            InputError: if it is no whole number, below 2 or below the number of recorded simulations.
+            InputError: if it is no whole number, below 2 or below the number of recorded simulations that count
+                towards it.
         """
         if budget is None:
             return
         check_whole("budget", budget, 2)
         if budget < (done := self.history.asked_for):
-            raise InputError(f"budget: must be at least {done}, the number of recorded simulations, got {budget}.")
+            raise InputError(
+                f"budget: must be at least {done}, the number of recorded simulations that count towards it, got "
+                f"{budget}."
+            )
 
     @property
     def handed_out(self) -> "HandedOut":
@@ -254,7 +259,7 @@ class Run:
     def ask(self, n: int = 1, *, beyond: bool = False, ignore_stop: bool = False) -> "DataFrame":
         """Hand out designs to be simulated elsewhere; they are in flight, and durable, once this returns.
 
-        Nobody gets one of them again, also not after a crash; `in_flight` lists them. The proposals are those of
+        None of them is handed out again, not even after a crash; `in_flight` lists them. The proposals are those of
         `take`: the initial design first, then what the criterion chooses, given the designs in flight.
 
         Args:
@@ -349,8 +354,8 @@ class Run:
     def add(self, table: Any) -> int:
         """Record simulations that were not asked for, such as last year's; they are durable once this returns.
 
-        The classifier learns from them. They are no part of the initial design, which is a sample of the design space,
-        and do not count towards the budget. A simulation that is recorded already is ignored.
+        The classifier learns from them. They are not part of the initial design, which is a sample of the design
+        space, and do not count towards the budget. A simulation that is recorded already is ignored.
 
         Args:
             table: as for `tell`, with all variables in place of `id`.
@@ -539,10 +544,15 @@ class Run:
     def _first(self, simulations: int) -> "tuple[Batch, ...]":
         check_whole("after", simulations, 1)
         history = self.history
-        if not history.leading_failures < simulations <= len(history):
-            least = f"{history.leading_failures + 1}, the first with an outcome," if history.answered.any() else "1"
+        if not history.answered.any():
             raise InputError(
-                f"after: must be from {least} to {len(history)}, the number of recorded simulations, got {simulations}."
+                f"after: none of the {len(history)} recorded simulations has an outcome, so there is nothing to learn "
+                f"from; got {simulations}."
+            )
+        if not history.leading_failures < simulations <= len(history):
+            raise InputError(
+                f"after: must be from {history.leading_failures + 1}, the first with an outcome, to {len(history)}, "
+                f"the number of recorded simulations, got {simulations}."
             )
         return first_simulations(self.store.batches, simulations)
 
@@ -724,6 +734,61 @@ class Run:
         if self._write and question is None and fixed is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
+
+    def design(
+        self,
+        target: "float | str",
+        question: "Question | Path | str | None" = None,
+        fixed: "Mapping[str, float] | Path | str | None" = None,
+        free: "Sequence[str]" = (),
+        cost: str = "",
+        confidence: float = 0.95,
+        simulations: int = 500,
+        chart: bool = False,
+        stage: Callable[[str], None] = lambda _: None,
+        executor: "Executor | None" = None,
+    ) -> "DesignFindings":
+        """Find the smallest, or cheapest, design whose probabilities meet their targets, and verify it.
+
+        Args:
+            target: largest acceptable probability of the (main) target boundary's outcome, or a worse one; a risk
+                category; or several, such as "failure=0.05,impact=0.3".
+            question: as for `probability`: a hazard file, a question file, or what `asked` returns.
+            fixed: values of variables: by name, or a TOML file.
+            free: names of the variables that may change, within the campaign's ranges; D_tot by default. The first one
+                is made as small as the targets allow while the others are held.
+            cost: expression of the variables to make small; the first free variable by default.
+            confidence: one-sided, that the targets are met.
+            simulations: most fresh simulations for each target, outside the budget.
+            chart: whether to compute the chart of required values.
+            stage: called with each stage of the work.
+            executor: as for `take`.
+
+        Raises:
+            InputError: if an argument is invalid, or the initial design is not finished.
+        """
+        from activefail.risk.search import search_design
+
+        check_whole("simulations", simulations, 10)
+        self._check_initial_design("design")
+        values, classifier = self.fixed_values(fixed), self.classifier
+        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
+            return search_design(
+                self.campaign,
+                self.store,
+                pool,
+                classifier,
+                self.history.last_iteration,
+                str(target),
+                question,
+                values,
+                free,
+                cost,
+                confidence,
+                simulations,
+                chart,
+                stage,
+            )
 
     def asked(
         self, question: Path | str | None = None, fixed: "Mapping[str, float] | Path | str | None" = None

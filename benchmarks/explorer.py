@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.findings.results import findings_of
 from activefail.loop.learning import current_classifier

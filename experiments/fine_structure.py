@@ -42,7 +42,7 @@ def percent(flags, rows=slice(None)):
 
 def wrong_designs(folder, X, failed):
     """Whether the classifier of a run folder puts a design on the wrong side of the failure boundary, (n,) bool."""
-    from activefail.campaign.opening import open_campaign
+    from activefail.campaign.on_disk import open_campaign
     from activefail.loop.learning import current_classifier
 
     with open_campaign(Path(folder), write=False) as (campaign, store):

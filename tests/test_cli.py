@@ -23,7 +23,7 @@ from patience import PATIENCE, until
 from activefail import __version__
 from activefail.bearing import TABLE_1, simulate
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.settings import read_settings
 from activefail.cli import app
 from activefail.execution.local import ThreadExecutor
@@ -408,7 +408,7 @@ def test_a_budget_too_small_to_resume_to_is_refused(folder: Path, budget: str) -
 
 def test_a_budget_below_what_is_done_is_refused(folder: Path) -> None:
     before = record(folder)
-    rule = "budget: must be at least 30, the number of recorded simulations, got 29"
+    rule = "budget: must be at least 30, the number of recorded simulations that count towards it, got 29"
     refused(activefail("resume", folder, "--budget", "29"), rule)
     assert activefail("resume", folder, "--budget", "30").code == 0
     assert record(folder) == before

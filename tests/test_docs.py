@@ -101,7 +101,7 @@ def test_the_python_of_the_guide_runs(tmp_path):
     (source,) = re.findall(r"^```python\n(.*?)^```", section(GUIDE, "## From Python"), re.MULTILINE | re.DOTALL)
     done = subprocess.run([sys.executable, "-c", source], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "the campaign's budget is 16 simulations, with 0 in flight\n{'safe'" in done.stdout
+    assert "the campaign's budget of 16 simulations allows no more (in flight: 0)\n{'safe'" in done.stdout
     assert float(done.stdout.split("misclassified")[1]) < 0.1
 
 

@@ -95,7 +95,7 @@ def test_the_bearing_asked_for_and_told_from_a_script_has_the_bits_of_run(
     with af.create_run(str(tmp_path / "run"), str(file)) as run:
         while len(designs := run.ask(4)):
             assert run.tell(simulated(designs)) == len(designs)
-        assert run.ask(1).attrs["reason"] == "the campaign's budget is 16 simulations, with 0 in flight"
+        assert run.ask(1).attrs["reason"] == "the campaign's budget of 16 simulations allows no more (in flight: 0)"
     assert record(tmp_path / "run") == whole
 
 
@@ -240,11 +240,11 @@ def test_rows_without_a_result_are_not_told_yet(lab: Path, tmp_path: Path) -> No
 # --- wrong inputs ------------------------------------------------------------------------------------------------
 
 WRONG = [
-    ({"id": 99, "g": 1.0}, "id 99 is unknown: no design was handed out under it"),
-    ({"id": 0, "g": 1.0}, "id 0 has the result"),
+    ({"id": 99, "g": 1.0}, "id 99 is unknown: no design was handed out with this id"),
+    ({"id": 0, "g": 1.0}, "id 0 already has the result"),
     ({"id": "eight", "g": 1.0}, "column id: must be a whole number, got 'eight'"),
     ({"id": 8.5, "g": 1.0}, "column id: must be a whole number, got"),
-    ({"id": "", "g": 1.0}, "column id: must be a whole number, got 'an empty cell'"),
+    ({"id": "", "g": 1.0}, "column id: must be a whole number, got an empty cell."),
     ({"id": 8, "g": "1_0"}, "column g: must be a number, got '1_0'"),
     ({"id": 8, "g": "wide"}, "column g: must be a number, got 'wide'"),
     ({"id": 8, "g": "1e400"}, "column g: must fit a float64, at most 1.8e308 in size, got '1e400'"),
@@ -254,6 +254,7 @@ WRONG = [
     ({"id": 8, "g": 1.0, "seconds": -1}, "column seconds: `0 <= seconds < inf` must hold, got -1.0"),
     ({"id": 8, "g": 1.0, "load": 1.0}, "column load: must be "),
     ({"id": 8, "g": 1.0, "span": 4.0}, "column span: must be 3.0, its fixed value, got"),
+    ({"id": 8, "g": 1.0, "load": ""}, "column load: must be a finite number, got an empty cell."),
     ({"id": 8, "g": 1.0, "load": "nan"}, "column load: must be a finite number, got"),
     ({"id": 8, "force": 2.0}, "column 'outcome' or 'g': required, but missing; the columns are id,force"),
     ({"g": 1.0}, "column 'id': required, but missing"),
@@ -278,8 +279,16 @@ def test_a_wrong_row_is_refused_with_its_place_and_nothing_of_the_table_is_recor
         assert (len(run.history), run.in_flight["id"].tolist()) == (before, [8, 9])
     path = written(tmp_path / "wrong.csv", rows)
     said = activefail("tell", folder, "--csv", path)
-    refused(said, message.replace(", got 'an empty", ", got 'an empty"), str(path))
+    refused(said, message, str(path))
     assert "required" in message or f"{path}: row 2 (line 3)" in said.err
+
+
+def test_without_any_outcome_no_number_of_simulations_can_be_learned_from(lab: Path) -> None:
+    with af.create_run(lab.with_name("run"), lab) as run:
+        run.tell(run.ask(2)[["id"]].assign(outcome="numerical_failure"))
+        for number in (1, 2, 5):
+            with pytest.raises(InputError, match=f"after: none of the 2 recorded simulations has an .*; got {number}"):
+                run.classifier_after(number)
 
 
 def test_a_result_that_was_told_before_is_nothing(folder: Path) -> None:
@@ -292,7 +301,9 @@ def test_a_result_that_was_told_before_is_nothing(folder: Path) -> None:
 def test_a_design_changed_in_its_last_digits_is_the_same_and_by_more_is_another(folder: Path) -> None:
     with af.open_run(folder, write=True) as run:
         design = run.in_flight.iloc[0].to_dict()
-        with pytest.raises(InputError, match=r"must be .*, as handed out with id 8; `add` records another design, got"):
+        with pytest.raises(
+            InputError, match=r"must be .*, as handed out with id 8 \(use `add` for another design\), got"
+        ):
             run.tell(design | {"g": 1.0, "load": design["load"] + 4e-8})
         assert run.tell(design | {"g": 1.0, "load": design["load"] + 4e-11}) == 1
         assert run.simulations["load"].iloc[-1] == design["load"]
@@ -323,7 +334,9 @@ def test_dropping_names_what_is_wrong(folder: Path) -> None:
         assert run.drop(8) == 0
         with pytest.raises(InputError, match=r"ids: must be a whole number, got 8\.5"):
             run.drop([8.5])
-        with pytest.raises(InputError, match="row 0: id 8 was dropped; `add` records its result"):
+        with pytest.raises(
+            InputError, match=r"row 0: id 8 was dropped \(use `add` to record its result\); this row has"
+        ):
             run.tell({"id": 8, "g": 1.0})
 
 
@@ -369,7 +382,9 @@ def test_status_lists_the_designs_in_flight_and_the_command_that_continues(folde
 def test_fewer_designs_than_asked_for_come_with_the_reason(folder: Path, tmp_path: Path) -> None:
     said = activefail("ask", folder, "--n", "10", "--csv", tmp_path / "todo.csv")
     assert said.code == 0
-    assert said.err == "6 instead of 10 designs: the campaign's budget is 16 simulations, with 2 in flight\n"
+    assert (
+        said.err == "6 designs instead of 10: the campaign's budget of 16 simulations allows no more (in flight: 2)\n"
+    )
     beyond = activefail("ask", folder, "--n", "3", "--beyond", "--csv", tmp_path / "todo.csv")
     assert (beyond.err, len(table(tmp_path / "todo.csv"))) == ("", 3)
 
@@ -377,7 +392,7 @@ def test_fewer_designs_than_asked_for_come_with_the_reason(folder: Path, tmp_pat
 @pytest.mark.parametrize("command", ["run", "resume", "verify", "probability", "compare"])
 def test_commands_that_simulate_refuse_a_campaign_elsewhere(folder: Path, lab: Path, command: str) -> None:
     words = ["run", lab, "--out", lab.with_name("other")] if command == "run" else [command, folder]
-    refused(activefail(*words), "simulator.elsewhere: activefail cannot make these simulations", "activefail ask")
+    refused(activefail(*words), "simulator.elsewhere: activefail cannot run these simulations", "activefail ask")
     assert not lab.with_name("other").exists()
 
 
@@ -517,8 +532,8 @@ def test_a_list_that_the_last_batch_does_not_know_is_refused(folder: Path, lab: 
             twin.ask(4)
         shutil.copy(lab.with_name("twin") / "asked.h5", path)
     said = activefail("ask", folder, "--csv", lab.with_name("todo.csv"))
-    refused(said, f"{path} is not the list that the last batch knows", code=1)
-    refused(activefail("export", folder, "--csv", lab.with_name("all.csv")), f"{path} is not the list", code=1)
+    refused(said, f"{path} does not match the last batch", code=1)
+    refused(activefail("export", folder, "--csv", lab.with_name("all.csv")), f"{path} does not match", code=1)
 
 
 def test_a_list_with_designs_outside_the_space_is_refused(folder: Path, lab: Path) -> None:
@@ -644,7 +659,7 @@ def test_status_reports_a_list_that_is_gone(folder: Path) -> None:
     with af.open_run(folder, write=True) as run:
         run.tell(answered(run.in_flight))
     (folder / "asked.h5").unlink()
-    refused(activefail("status", folder), f"{folder / 'asked.h5'} is not the list that the last batch knows", code=1)
+    refused(activefail("status", folder), f"{folder / 'asked.h5'} does not match the last batch", code=1)
 
 
 def test_a_design_on_a_computed_bound_is_accepted_although_its_last_digits_differ(folder: Path) -> None:

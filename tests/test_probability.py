@@ -145,7 +145,10 @@ def test_status_says_what_was_learned_from_and_the_probability(ended: Path, tmp_
     result = activefail("status", tmp_path / "run")
     assert result.code == 0, result.err
     assert "learner    regression of the margin g on design features" in result.out
-    assert "learned    failure from the margin g (mean log probability of a left-out side:" in result.out
+    assert (
+        "learned    failure from the margin g (mean log probability of the true side of a left-out design:"
+        in result.out
+    )
     assert "stop rule  met" in result.out
     assert "--ignore-stop" in result.out
     assert "estimate   probability 0.00" in result.out

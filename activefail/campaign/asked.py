@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from activefail.acquisition.population import integration_points
-from activefail.campaign.hazard import hazard_of, hazard_question, is_hazard
+from activefail.campaign.hazard import hazard_of, hazard_question, is_of_hazard
 from activefail.campaign.question import Question, question_with
 from activefail.campaign.settings import CampaignSettings, parse_toml, read_text
 from activefail.errors import InputError
@@ -28,7 +28,7 @@ def read_asked(path: Path, settings: CampaignSettings, space: DesignSpace, fixed
         InputError: naming the file, the key, the rule and the value.
     """
     values = parse_toml(read_text(path), str(path))
-    if not is_hazard(values):
+    if not is_of_hazard(values):
         return question_with(values, path, settings, space, fixed)
     hazard = hazard_of(values, path)
     try:

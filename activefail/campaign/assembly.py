@@ -130,18 +130,18 @@ class Campaign:
 
     @property
     def is_elsewhere(self) -> bool:
-        """Whether simulations are made elsewhere, so that activefail cannot make any."""
+        """Whether simulations are done elsewhere, so that activefail cannot run any."""
         return isinstance(self.settings.simulator, sections.ElsewhereSettings)
 
     def check_simulates(self) -> None:
-        """Check that activefail can make the campaign's simulations.
+        """Check that activefail can run the campaign's simulations.
 
         Raises:
-            InputError: if they are made elsewhere.
+            InputError: if they are done elsewhere.
         """
         if self.is_elsewhere:
             raise InputError(
-                "simulator.elsewhere: activefail cannot make these simulations. `activefail create` makes the run "
+                "simulator.elsewhere: activefail cannot run these simulations. `activefail create` creates the run "
                 "folder, `activefail ask` hands designs out, and `activefail tell` records their results; commands "
                 "that need fresh simulations (verify, probability, compare) need a simulator that activefail can call."
             )

@@ -183,8 +183,17 @@ def _lognormal(name: str, median: float, dispersion: float, unit: str) -> Parame
     return Parameter(name, low, high, unit, "lognormal", mean, sd)
 
 
-def is_hazard(values: Mapping[str, Any]) -> bool:
-    """Whether the values of a file are those of a hazard file rather than of a question file."""
+def is_hazard(path: Path) -> bool:
+    """Whether a file is a hazard file, by its keys, and not a question file.
+
+    Raises:
+        InputError: if the file is not TOML.
+    """
+    return is_of_hazard(parse_toml(read_text(path), str(path)))
+
+
+def is_of_hazard(values: Mapping[str, Any]) -> bool:
+    """Whether values are those of a hazard file, by their keys, and not of a question file."""
     return "space" not in values and not values.keys().isdisjoint(HazardSettings.model_fields.keys() - {"description"})
 
 

@@ -129,8 +129,7 @@ class Table:
         """
         number = self.number(row, name)
         if not math.isfinite(number):
-            value = self.cell(row, name)
-            raise self.broken(row, name, "must be a finite number", "an empty cell" if value is None else value)
+            raise self.broken(row, name, "must be a finite number", self.cell(row, name))
         return number
 
     def designs(self, space: DesignSpace) -> Array:
@@ -144,8 +143,9 @@ class Table:
         return np.array(columns, dtype=np.float64).T.reshape(len(self.rows), space.dimension)
 
     def broken(self, row: int, column: str, rule: str, value: object) -> InputError:
-        """The error of a cell that breaks a rule."""
-        return InputError(f"{self.places[row]}, column {column}: {rule}, got {value!r}.")
+        """The error of a cell that breaks a rule; the value is None if the cell is empty."""
+        shown = "an empty cell" if value is None else repr(value)
+        return InputError(f"{self.places[row]}, column {column}: {rule}, got {shown}.")
 
 
 def _is_column(value: object) -> bool:
@@ -228,7 +228,7 @@ class ResultTable:
         if lacking.any():
             texts.append(
                 f"{self._place(lacking)}: {name} is missing. A boundary is learned from a margin only if all "
-                f"simulations short of {simulator.outcomes[worst]} have it."
+                f"simulations less severe than {simulator.outcomes[worst]} have it."
             )
         wrong = (sum((margin <= level).astype(np.int64) for level in levels) != outcome) & ~np.isnan(margin)
         wrong &= outcome >= 0
@@ -263,7 +263,7 @@ class ResultTable:
                 campaign.space.parameters, told, designs[place[number]].tolist(), strict=True
             ):
                 if abs(value - asked) > _SAME_DESIGN * (parameter.high - parameter.low):  # false for NaN
-                    rule = f"must be {asked!r}, as handed out with id {number}; `add` records another design"
+                    rule = f"must be {asked!r}, as handed out with id {number} (use `add` for another design)"
                     raise self.table.broken(row, parameter.name, rule, value)
 
 
@@ -289,7 +289,7 @@ def _levels(campaign: Campaign) -> tuple[float, ...]:
 def _whole(table: Table, row: int) -> int:
     value = table.cell(row, _ID)
     if value is None:
-        raise table.broken(row, _ID, "must be a whole number", "an empty cell")
+        raise table.broken(row, _ID, "must be a whole number", None)
     # pandas writes 7.0 where a column has gaps.
     if isinstance(value, str) and re.fullmatch(r"[0-9]{1,15}(\.0*)?", value):
         return int(float(value))
@@ -348,7 +348,7 @@ def _result(campaign: Campaign, table: Table, row: int) -> Results:
     answer: object = {"outcome": name, "margins": values}
     if name is None:
         if not (levels := _levels(campaign)):
-            raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", "an empty cell")
+            raise table.broken(row, _OUTCOME, f"must be one of {', '.join(outcomes)}", None)
         answer = values[margins[0]]
     elif not isinstance(name, str) or name not in outcomes:
         raise table.broken(row, _OUTCOME, f"must be one of {', '.join((*outcomes, 'numerical_failure'))}", name)

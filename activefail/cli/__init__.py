@@ -2,6 +2,7 @@
 
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
 from activefail.cli.campaigns import export, predict, resume, run, status, verify
+from activefail.cli.design import design
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
 from activefail.cli.hazard import hazard
@@ -25,6 +26,7 @@ for _command in (
     verify,
     probability,
     hazard,
+    design,
     export,
     compare,
     report,

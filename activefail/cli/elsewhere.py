@@ -81,7 +81,7 @@ def ask(
         show_warnings(opened.store.new_warnings())
         waiting = opened.counts["in_flight"] - (0 if in_flight else len(table))
         if reason := table.attrs.get("reason", ""):
-            print(f"{len(table)} instead of {n} designs: {visible(reason)}", file=sys.stderr)
+            print(f"{_counted(len(table), 'design')} instead of {n}: {visible(reason)}", file=sys.stderr)
         if len(table):
             print(f"{_numbers(table)} written to {name_of(csv)}")
         else:

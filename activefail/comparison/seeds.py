@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.opening import create_folder, open_campaign
+from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
 from activefail.comparison.measures import NEIGHBOURS, FreshSet, displaced, measures

@@ -23,8 +23,8 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
     if not margin and not compared:
         return ""
     evidence = (
-        f" (mean log probability of a left-out side: {margin_score:.3f} from the margin, {outcome_score:.3f} from "
-        "outcomes)"
+        f" (mean log probability of the true side of a left-out design: {margin_score:.3f} from the margin, "
+        f"{outcome_score:.3f} from outcomes)"
     )
     source = f"the margin {visible(margin)}" if margin else "the outcomes"
     return f"{visible(words(outcome))} from {source}{evidence if compared else ''}"

@@ -210,7 +210,7 @@ def read_status(folder: Path) -> Status:
     """
     if (summary := read_summary(folder)) is not None:
         return Status(folder, summary)
-    from activefail.campaign.opening import open_campaign
+    from activefail.campaign.on_disk import open_campaign
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
         warnings = store.new_warnings()

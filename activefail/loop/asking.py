@@ -46,8 +46,8 @@ def check_batches(campaign: Campaign) -> None:
     """
     if campaign.settings.sampling.asynchronous:
         raise InputError(
-            "sampling.asynchronous: applies to simulations that activefail starts itself. `ask` learns from every "
-            "result that was told, also without this setting."
+            "sampling.asynchronous: `ask` and `add` work only on campaigns in batches. Leave this setting out: `ask` "
+            "learns from every result told so far, whatever their order."
         )
 
 
@@ -80,7 +80,7 @@ def ask(
     room = None if budget is None else max(0, budget - handed.history.asked_for - len(flight))
     if room is not None and room < n:
         n = room
-        reason = f"the campaign's budget is {budget} simulations, with {len(flight)} in flight"
+        reason = f"the campaign's budget of {budget} simulations allows no more (in flight: {len(flight)})"
         if n == 0:
             return Proposed(none, reason)
     left = handed.initial_left(campaign)
@@ -144,11 +144,11 @@ def tell(
         if number in recorded:
             known = before(recorded[number])
             if not _is_same(known, answer):
-                raise RowError(row, f"id {number} has the result {_shown(campaign, known)} already", campaign, answer)
+                raise RowError(row, f"id {number} already has the result {_shown(campaign, known)}", campaign, answer)
         elif number not in place:
-            raise RowError(row, f"id {number} is unknown: no design was handed out under it", campaign, answer)
+            raise RowError(row, f"id {number} is unknown: no design was handed out with this id", campaign, answer)
         elif handed.asked.dropped[place[number]]:
-            raise RowError(row, f"id {number} was dropped; `add` records its result", campaign, answer)
+            raise RowError(row, f"id {number} was dropped (use `add` to record its result)", campaign, answer)
         elif number in new and not _is_same(results[new[number] : new[number] + 1], answer):
             earlier = _shown(campaign, results[new[number] : new[number] + 1])
             raise RowError(row, f"id {number} has the result {earlier} in an earlier row", campaign, answer)
@@ -178,7 +178,7 @@ class RowError(InputError):
     """
 
     def __init__(self, row: int, reason: str, campaign: Campaign, answer: Results) -> None:
-        super().__init__(f"{reason}, got {_shown(campaign, answer)}")
+        super().__init__(f"{reason}; this row has {_shown(campaign, answer)}")
         self.row = row
 
 
@@ -214,7 +214,7 @@ def drop(store: Store, ids: NDArray[np.int64]) -> int:
 def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
     """Record simulations that were not asked for; they are durable once this returns.
 
-    The classifier learns from them. They are no part of the initial design, and do not count towards the budget.
+    The classifier learns from them. They are not part of the initial design, and do not count towards the budget.
 
     Args:
         campaign: the campaign.
@@ -240,9 +240,8 @@ def add(campaign: Campaign, store: Store, X: Array, results: Results) -> int:
         design, answer = X[row].tobytes(), results[row : row + 1]
         if design in in_flight:
             number = in_flight[design]
-            raise RowError(
-                row, f"the design is in flight with id {number}; `tell` records its result", campaign, answer
-            )
+            reason = f"the design is in flight with id {number} (use `tell` to record its result)"
+            raise RowError(row, reason, campaign, answer)
         if design in recorded:
             before = known(recorded[design])
             where = f"as id {ids[recorded[design]]}"

@@ -85,9 +85,14 @@ class Task:
 
 def _check_numerical_failures(done: int, failures: int, limit: float, faults: list[str], resume_command: str) -> None:
     if done >= _LEAST_FOR_RATE and failures > limit * done:
+        # Failures before the first outcome are forgiven when the campaign resumes.
+        advice = (
+            f". Fix the simulator, then `{resume_command}` continues."
+            if failures == done
+            else f"; `{resume_command} --numerical-failures SHARE` allows more."
+        )
         raise SimulationError(
             f"{failures} of {done} simulations failed numerically, more than the share of "
             f"{limit:g} that limits.numerical_failures allows. They are recorded; the campaign stops here. "
-            f"`activefail export` shows their causes; `{resume_command} --numerical-failures SHARE` allows more."
-            + first_fault_text(faults)
+            f"`activefail export` shows their causes{advice}" + first_fault_text(faults)
         )

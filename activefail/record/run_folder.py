@@ -391,8 +391,8 @@ class FolderStore:
             raise StoreError(f"Cannot write to {self.folder}: {error.strerror or error}.") from error
         self._refusal = (
             f"{self.folder} was moved, removed or replaced while this process was writing to it: its {LOCK} is not the "
-            f"file that this process opened. Nothing more is written. Committed batches are in the folder at its new "
-            "place; resume it there."
+            f"file that this process opened. Nothing more is written. If the folder was moved, resume it at its new "
+            "place; its committed batches are intact."
         )
         raise _MovedError(self._refusal)
 
@@ -559,8 +559,8 @@ class FolderStore:
         count = known.partition(" ")[0]
         if known and not (re.fullmatch("[0-9]{1,9}", count) and asked.digest_of(int(count)) == known):
             return StoreError(
-                f"{path} is not the list that the last batch knows: it was removed, or replaced by an earlier or "
-                "another one. Restore it from a copy; without it designs in flight would be handed out again."
+                f"{path} does not match the last batch: it was removed, or replaced by an older or a different list. "
+                "Restore it from a copy; without it, designs in flight would be handed out again."
             )
         return asked
 

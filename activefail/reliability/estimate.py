@@ -46,6 +46,14 @@ _INTEGRATION, _ROUNDS, _ACCURACY = 50_000, 20, 0.01
 that ends the integration."""
 
 
+_SEQUENCES, _SEQUENCE, _COMMON_ACCURACY = 8, 1024, 0.02
+"""Randomised Sobol' sequences and their length, for an outcome that is not rare, and the relative standard error of
+their mean above which it is."""
+
+_IMAGINED = 32
+"""Imagined sets of outcomes that predict the width of an interval."""
+
+
 class Integral(NamedTuple):
     """The share of the design measure that a classifier puts beyond a boundary.
 
@@ -167,26 +175,55 @@ def plan_estimate(
 ) -> Plan:
     """Plan m fresh simulations that correct a classifier's failure probability, `integral`."""
     drawn = population(space, _RADIAL, None, rng)
-    is_exact = isinstance(space, WeightedRows)
-    z = standardised(drawn.X)
+    return _planned(drawn.X, drawn.weight, standardised(drawn.X), integral, m, rng, isinstance(space, WeightedRows))
+
+
+def plan_common(standardised: Standardised, space: DesignSpace, m: int, rng: np.random.Generator) -> Plan | None:
+    """Plan m fresh simulations as `plan_estimate` does, with fewer predictions; None if the outcome is too rare.
+
+    The same randomised Sobol' sequences integrate the classifier's probability and hold the designs to simulate.
+    """
+    X = np.concatenate([space.sobol(_SEQUENCE, rng) for _ in range(_SEQUENCES)])
+    z = standardised(X)
+    means = (z > 0.0).reshape(_SEQUENCES, _SEQUENCE).mean(axis=1)
+    integral = Integral(float(means.mean()), float(means.std(ddof=1) / np.sqrt(_SEQUENCES)))
+    if not integral.probability or integral.standard_error > _COMMON_ACCURACY * integral.probability:
+        return None
+    return _planned(X, np.ones(len(X)), z, integral, m, rng, is_exact=False)
+
+
+def _planned(
+    X: Array, weight: Array, z: Array, integral: Integral, m: int, rng: np.random.Generator, is_exact: bool
+) -> Plan:
+    """The plan with m designs of a weighted sample, or of an exact distribution.
+
+    Args:
+        X: (n, k) the sample.
+        weight: (n,) density of the design measure over that of the sample.
+        z: (n,) the latent's mean/sd.
+        integral: the classifier's probability.
+        m: number of simulations.
+        rng: draws them.
+        is_exact: whether the rows are the distribution itself, by their weights.
+    """
     side = ndtr(z / _WIDER)
-    parts = drawn.weight * doubt(z / _WIDER)
-    # Without regard to doubt: a radial population is drawn as it comes, weighted rows by their weights.
-    shares = drawn.weight / drawn.weight.sum() if is_exact else np.full(len(parts), 1.0 / len(parts))
+    parts = weight * doubt(z / _WIDER)
+    # Without regard to doubt: a sample is drawn as it comes, weighted rows by their weights.
+    shares = weight / weight.sum() if is_exact else np.full(len(parts), 1.0 / len(parts))
     if parts.sum() > 0.0:
         shares = (1.0 - _UNIFORM) * parts / parts.sum() + _UNIFORM * shares
     # A row without weight is never drawn.
-    ratio = np.divide(drawn.weight, len(parts) * shares, out=np.zeros(len(parts)), where=shares > 0.0)
+    ratio = np.divide(weight, len(parts) * shares, out=np.zeros(len(parts)), where=shares > 0.0)
     in_doubt = np.minimum(side, 1.0 - side)
 
     def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
         # The simulations are drawn from a population, which itself is a sample, unless it is the distribution.
-        population_variance = 0.0 if is_exact else float(np.sum((drawn.weight**2 * in_doubt)[rows])) / len(parts) ** 2
+        population_variance = 0.0 if is_exact else float(np.sum((weight**2 * in_doubt)[rows])) / len(parts) ** 2
         return Doubt(float(np.sum((shares * ratio**2 * in_doubt)[rows])), population_variance)
 
     rows = rng.choice(len(parts), m, p=shares / shares.sum())
     return Plan(
-        designs=drawn.X[rows],
+        designs=X[rows],
         ratio=ratio[rows],
         predicted=z[rows] > 0.0,
         standardised=z[rows],
@@ -195,6 +232,16 @@ def plan_estimate(
         missed=doubt_of(z <= 0.0),
         false=doubt_of(z > 0.0),
     )
+
+
+def expected_half_width(plan: Plan, confidence: float, rng: np.random.Generator) -> float:
+    """Expected distance from the estimate to its upper bound, if the classifier's own probabilities are right."""
+    likely = ndtr(plan.standardised)
+    widths = []
+    for _ in range(_IMAGINED):
+        middle, _, high = _interval(plan, rng.random(len(likely)) < likely, confidence)
+        widths.append(high - middle)
+    return float(np.mean(widths))
 
 
 def estimated(

@@ -313,7 +313,8 @@ def _space(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def _environment() -> Environment:
+def page_environment() -> Environment:
+    """The environment of the pages' templates."""
     environment = Environment(
         loader=PackageLoader("activefail.report", "."),
         autoescape=True,
@@ -403,7 +404,7 @@ def render(
     }
     stage("simulating the gallery")
     numbers["gallery"] = _gallery(findings)
-    return _environment().get_template("report.html.j2").render(numbers)
+    return page_environment().get_template("report.html.j2").render(numbers)
 
 
 def write_report(page: str, path: Path) -> None:

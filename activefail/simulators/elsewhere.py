@@ -1,4 +1,4 @@
-"""Simulations that activefail does not make itself."""
+"""Simulations that activefail does not run itself."""
 
 from dataclasses import dataclass
 
@@ -27,4 +27,4 @@ class ElsewhereSimulator:
         Raises:
             InputError: always.
         """
-        raise InputError("simulator.elsewhere: these simulations are not made by activefail.")
+        raise InputError("simulator.elsewhere: activefail does not run these simulations.")

@@ -93,7 +93,8 @@ def _loaded(
     function, digest = load_function(reference, code, SIMULATOR_KEY, folder)
     if source and digest != source:
         raise InputError(
-            f"{SIMULATOR_KEY}: a worker process found other code than the campaign started with, in the module of "
-            f"{reference} or in one that it imports. Restore the files there, or stop and resume the campaign."
+            f"{SIMULATOR_KEY}: a worker process found different code from that at the start of the campaign, in the "
+            f"module of {reference} or in one that it imports. Restore the files there, or stop and resume the "
+            "campaign."
         )
     return function

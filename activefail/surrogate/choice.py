@@ -57,7 +57,7 @@ def usable(margin: Array, beyond: NDArray[np.bool_]) -> str:
     """
     short = margin[~beyond]
     if np.isnan(short).any():
-        return f"it is undefined in {int(np.isnan(short).sum())} simulations that did not fail"
+        return f"it is undefined in {int(np.isnan(short).sum())} simulations on the safe side of the boundary"
     if np.isinf(margin).any():
         return f"it is infinite in {int(np.isinf(margin).sum())} simulations"
     contradictions = int((short <= 0.0).sum() + (margin[beyond] > 0.0).sum())

@@ -1,5 +1,7 @@
 """Estimate the probability beyond a boundary from fresh simulations, which are kept in the run folder."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,16 +15,69 @@ from activefail.reliability.estimate import (
     ProbabilityEstimate,
     estimated,
     integrated,
+    plan_common,
     plan_estimate,
     standardised_latent,
 )
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
 
 _DRAWS = 10_000
 """More than the number of independent samples that anything draws at one iteration."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """Fresh simulations that estimate a probability.
+
+    Attributes:
+        plan: of the simulations.
+        beyond: (m,) whether each ended beyond the boundary.
+        answered: (m,) whether each gave an outcome.
+    """
+
+    plan: Plan
+    beyond: NDArray[np.bool_]
+    answered: NDArray[np.bool_]
+
+    def estimate(self, confidence: float) -> ProbabilityEstimate:
+        """The probability with an interval of this confidence."""
+        return estimated(self.plan, self.beyond, self.answered, confidence)
+
+
+def sample_probability(
+    campaign: Campaign,
+    store: Store,
+    executor: Executor,
+    classifier: Classifier,
+    iteration: int,
+    outcome: str,
+    simulations: int,
+    question: Question,
+) -> Sampled:
+    """Simulate fresh designs for the probability of an outcome or a more severe one.
+
+    Args:
+        campaign: the campaign.
+        store: holds the fresh simulations.
+        executor: runs those that are not stored yet.
+        classifier: of the iteration.
+        iteration: the last one of the record.
+        outcome: its name.
+        simulations: number of fresh simulations; at least 2.
+        question: the distribution of the variables.
+
+    Raises:
+        SimulationError: if none of the simulations gives an outcome.
+    """
+    severity = campaign.simulator.outcomes.index(outcome)
+    plan = planned(campaign, classifier, iteration, outcome, simulations, question)
+    name = name_of_estimate(severity, iteration, simulations, question.digest)
+    outcomes = simulated_outcomes(campaign, store, executor, name, question.designs(plan.designs))
+    assert outcomes is not None  # no stop was requested
+    return _sampled(plan, outcomes, severity)
 
 
 def estimate_probability(
@@ -52,12 +107,8 @@ def estimate_probability(
     Raises:
         SimulationError: if none of the simulations gives an outcome.
     """
-    severity = campaign.simulator.outcomes.index(outcome)
-    plan = _planned(campaign, classifier, iteration, outcome, simulations, question)
-    name = name_of_estimate(severity, iteration, simulations, question.digest)
-    outcomes = simulated_outcomes(campaign, store, executor, name, question.designs(plan.designs))
-    assert outcomes is not None  # no stop was requested
-    return _estimated(plan, outcomes, severity, confidence)
+    sampled = sample_probability(campaign, store, executor, classifier, iteration, outcome, simulations, question)
+    return sampled.estimate(confidence)
 
 
 def stored_estimate(
@@ -78,17 +129,18 @@ def stored_estimate(
     """
     severity = campaign.simulator.outcomes.index(outcome)
     for simulations in estimate_sizes(store, severity, iteration, question.digest):
-        plan = _planned(campaign, classifier, iteration, outcome, simulations, question)
+        plan = planned(campaign, classifier, iteration, outcome, simulations, question)
         name = name_of_estimate(severity, iteration, simulations, question.digest)
         outcomes = stored_outcomes(store, name, question.designs(plan.designs))
         if outcomes is not None:
-            return _estimated(plan, outcomes, severity, confidence)
+            return _sampled(plan, outcomes, severity).estimate(confidence)
     return None
 
 
-def _planned(
+def planned(
     campaign: Campaign, classifier: Classifier, iteration: int, outcome: str, simulations: int, question: Question
 ) -> Plan:
+    """The fresh simulations that estimate a probability under a question."""
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
         rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
@@ -97,9 +149,13 @@ def _planned(
     def standardised(X: Array) -> Array:
         return of_designs(question.designs(X))
 
+    if question.draw and isinstance(question.space, DesignSpace):
+        plan = plan_common(standardised, question.space, simulations, rng)
+        if plan is not None:
+            return plan
     integral = integrated(standardised, question.space, rng)
     return plan_estimate(standardised, question.space, integral, simulations, rng)
 
 
-def _estimated(plan: Plan, outcomes: NDArray[np.int8], severity: int, confidence: float) -> ProbabilityEstimate:
-    return estimated(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE, confidence)
+def _sampled(plan: Plan, outcomes: NDArray[np.int8], severity: int) -> Sampled:
+    return Sampled(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE)

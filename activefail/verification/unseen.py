@@ -35,10 +35,11 @@ def unseen_warning(unseen: Sequence[str], simulations: int, initial: int, unansw
         return ""
     names = " or ".join(unseen)
     bound = percent(largest_unseen_share(initial, CONFIDENCE, unanswered))
-    hidden = f" and {unanswered} numerical failures" if unanswered else ""
+    hidden = f" and {unanswered} numerical failure{'' if unanswered == 1 else 's'}" if unanswered else ""
     subject = "Its probability" if len(unseen) == 1 else "The probability of each"
     return (
         f"None of the campaign's {simulations} simulations ended in {names}. {subject} over the design space may be "
         f"as large as {bound} ({100 * CONFIDENCE:g} % confidence, from {initial} initial designs without "
-        f"it{hidden}). The classifier cannot know where {names} begins."
+        f"{'it' if len(unseen) == 1 else 'them'}{hidden}). From outcomes alone, no classifier can know where {names} "
+        "begins."
     )

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from activefail.bearing import TABLE_1, Model, Tolerance
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.opening import read_campaign
+from activefail.campaign.on_disk import read_campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings, read_settings
 from activefail.errors import InputError
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from activefail.bearing import simulate
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.settings import CampaignSettings
 from activefail.comparison.seeds import (
     STATIC,

@@ -8,7 +8,7 @@ import pytest
 from patience import until
 from report.test_report import ran, settings
 
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.explorer.answers import Answers
 from activefail.explorer.server import ExplorerServer
 from activefail.findings.results import Findings, findings_of

@@ -13,7 +13,7 @@ from report.test_report import other, ran, settings
 from typer.testing import CliRunner
 
 from activefail.bearing import Bearing, Pulse, simulate_one
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.cli.app import app
 from activefail.errors import InputError
 from activefail.explorer import answers as explorer_answers

@@ -22,7 +22,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.errors import InputError, StoreError
 from activefail.loop.learning import restore
 from activefail.parameter import Parameter

@@ -261,9 +261,7 @@ def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name
                 changed[change]()
         # Not even if the folder comes back.
         for later in ("commit", "state", "set", "text"):
-            with pytest.raises(
-                StoreError, match=r"Committed batches are in the folder at its new place; resume it there"
-            ):
+            with pytest.raises(StoreError, match=r"resume it at its new place; its committed batches are intact"):
                 changed[later]()
         assert tree(tmp_path) == before
     for left in (folder, elsewhere):

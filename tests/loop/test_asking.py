@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.opening import create_folder
+from activefail.campaign.on_disk import create_folder
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
@@ -171,7 +171,7 @@ def test_the_budget_counts_designs_in_flight_and_says_so() -> None:
     store = take(campaign, budget=BUDGET - 3)
     proposed = ask(campaign, store, 5, BUDGET)
     assert len(proposed.designs) == 3
-    assert "the campaign's budget is 28 simulations" in proposed.reason
+    assert "the campaign's budget of 28 simulations" in proposed.reason
     assert len(ask(campaign, store, 5, BUDGET).designs) == 0
     assert len(ask(campaign, store, 5, None).designs) == 5
 
@@ -188,7 +188,7 @@ def test_dropped_designs_are_neither_proposed_again_nor_counted() -> None:
         campaign.space.to_unit(later.designs)[:, None] - campaign.space.to_unit(first.designs)[None, :2], axis=2
     )
     assert gaps.min() > 0.01
-    with pytest.raises(RowError, match="id 12 was dropped; `add` records its result, got safe"):
+    with pytest.raises(RowError, match=r"id 12 was dropped \(use `add` to record its result\); this row has safe"):
         tell(campaign, store, first.id[:1], results(0))
 
 
@@ -202,7 +202,9 @@ def test_a_result_that_is_told_twice_is_recorded_once_and_another_one_is_refused
     designs = ask(campaign, store, 2, BUDGET).designs
     assert tell(campaign, store, designs.id, results(0, 1)) == 2
     assert tell(campaign, store, designs.id, results(0, 1)) == 0
-    with pytest.raises(RowError, match=r"id 1 has the result broken, distance 0\.5 already, got safe, distance 0\.5"):
+    with pytest.raises(
+        RowError, match=r"id 1 already has the result broken, distance 0\.5; this row has safe, distance 0\.5"
+    ):
         tell(campaign, store, designs.id, results(0, 0))
     assert len(HandedOut.of(store).history) == 2
 
@@ -213,7 +215,9 @@ def test_a_table_of_results_is_recorded_whole_or_not_at_all() -> None:
     with pytest.raises(RowError, match="id 7 is unknown") as caught:
         tell(campaign, store, np.array([0, 7]), results(0, 1))
     assert caught.value.row == 1
-    with pytest.raises(RowError, match=r"id 0 has the result safe, distance 0\.5 in an earlier row, got broken"):
+    with pytest.raises(
+        RowError, match=r"id 0 has the result safe, distance 0\.5 in an earlier row; this row has broken"
+    ):
         tell(campaign, store, np.array([0, 0]), results(0, 1))
     assert store.batches == ()
     assert tell(campaign, store, np.array([0, 0]), results(0, 0)) == 1
@@ -236,10 +240,14 @@ def test_added_simulations_are_learned_from_and_are_no_part_of_the_initial_desig
 def test_an_added_design_in_flight_or_with_another_result_is_refused() -> None:
     campaign, store = disc(), MemoryStore(disc().schema)
     designs = ask(campaign, store, 2, BUDGET).designs
-    with pytest.raises(RowError, match="the design is in flight with id 0; `tell` records its result"):
+    with pytest.raises(
+        RowError, match=r"the design is in flight with id 0 \(use `tell` to record its result\); this row has"
+    ):
         add(campaign, store, designs.designs[:1], results(0))
     tell(campaign, store, designs.id, results(0, 1))
-    with pytest.raises(RowError, match=r"the same design has the result safe, distance 0\.5 as id 0, got broken"):
+    with pytest.raises(
+        RowError, match=r"the same design has the result safe, distance 0\.5 as id 0; this row has broken"
+    ):
         add(campaign, store, designs.designs[:1], results(1))
     assert add(campaign, store, designs.designs, results(0, 1)) == 0
 
@@ -301,7 +309,7 @@ def test_an_initial_design_in_which_everything_failed_is_followed_by_another() -
 def test_an_asynchronous_campaign_is_not_asked() -> None:
     campaign = disc(asynchronous=True, batch=2)
     store = MemoryStore(campaign.schema)
-    with pytest.raises(InputError, match=r"sampling\.asynchronous: applies to simulations that activefail starts"):
+    with pytest.raises(InputError, match=r"sampling\.asynchronous: `ask` and `add` work only on campaigns in batches"):
         ask(campaign, store, 1, BUDGET)
     with pytest.raises(InputError, match=r"sampling\.asynchronous"):
         add(campaign, store, np.zeros((1, 2)), results(0))

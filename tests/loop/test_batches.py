@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from patience import PATIENCE
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import parse_settings
 from activefail.errors import SimulationError

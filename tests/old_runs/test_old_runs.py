@@ -13,7 +13,7 @@ import pytest
 from commandline import activefail
 
 from activefail.bearing import TABLE_1, Bearing, Pulse, Tolerance, simulate, simulate_one
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 from activefail.campaign.provenance import provenance
 
 HERE = Path(__file__).parent

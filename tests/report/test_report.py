@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.opening import create_folder, open_campaign
+from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.settings import parse_settings
 from activefail.comparison.static import Recall, Score
 from activefail.csv_table import writing

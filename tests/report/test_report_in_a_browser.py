@@ -6,7 +6,7 @@ import pytest
 from report.browser import NO_BROWSER, browser, console_errors, photograph, printed, requested, screenshots
 from report.test_report import SCRIPT, made, ran, settings
 
-from activefail.campaign.opening import open_campaign
+from activefail.campaign.on_disk import open_campaign
 
 pytestmark = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
 

@@ -23,7 +23,7 @@ import pytest
 from commandline import activefail, record, refused, started, table, wait_for
 from patience import PATIENCE, Clock
 
-from activefail.campaign.opening import create_folder, read_campaign
+from activefail.campaign.on_disk import create_folder, read_campaign
 from activefail.campaign.sections import PythonSimulatorSettings
 from activefail.errors import InputError, place_of
 from activefail.execution.answering import answer
@@ -233,7 +233,9 @@ def test_a_worker_that_has_another_source_refuses_and_a_new_source_is_loaded_ane
     python(tmp_path, source=MODEL.replace("> 1.0", "> 0.1"))
     second = replace(first, source=first.load())
     assert answer(second, X).outcome.tolist() == [1, 1, 2]
-    with pytest.raises(InputError, match="other code than the campaign started with, in the module of model:run"):
+    with pytest.raises(
+        InputError, match="different code from that at the start of the campaign, in the module of model:run"
+    ):
         answer(replace(first, source="0" * 64), X)
 
 
@@ -340,7 +342,9 @@ def test_a_module_that_a_function_imports_is_part_of_its_source(tmp_path: Path, 
     assert second.source != first.source
     expected = {"damage": [1, 1, 2], "failure": [0, 2, 2], "extra": [1, 2]}[next(iter(changed))]
     assert answer(second, X[: len(expected)]).outcome.tolist() == expected
-    with pytest.raises(InputError, match="other code than the campaign started with, in the module of model:run"):
+    with pytest.raises(
+        InputError, match="different code from that at the start of the campaign, in the module of model:run"
+    ):
         answer(replace(first, source="0" * 64), X)
 
 
@@ -986,7 +990,8 @@ def test_a_function_that_always_raises_stops_the_campaign_with_what_it_raised(mi
     (mine / "mine.toml").write_text(TOML.replace("initial = 16", "initial = 22"))
     result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
     assert result.code == 1
-    assert f"`activefail resume {tmp_path / 'run'} --code {mine} --numerical-failures SHARE` allows more" in result.err
+    assert f"Fix the simulator, then `activefail resume {tmp_path / 'run'} --code {mine}` continues." in result.err
+    assert "--numerical-failures" not in result.err
     assert "KeyError: 'drifd'" in result.err
     assert "model.py:2" in result.err
 

@@ -40,7 +40,10 @@ def test_before_any_failure_a_usable_margin_is_chosen_without_a_comparison() -> 
     [
         (np.where(BEYOND, G, -G), "its sign contradicts the outcome of"),
         (-G, "its sign contradicts the outcome of 60 simulations; a margin must be at most its level"),
-        (np.where(BEYOND, -1.0, np.nan), "it is undefined in"),
+        (
+            np.where(BEYOND, -1.0, np.nan),
+            f"it is undefined in {(~BEYOND).sum()} simulations on the safe side of the boundary",
+        ),
         (np.where(G > 2.0, np.inf, G), "it is infinite in"),
         (np.where(BEYOND, -1.0, 1.0), "fewer than two different positive values"),
     ],

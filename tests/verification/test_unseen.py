@@ -114,6 +114,22 @@ def test_the_warning_gives_the_bound_that_follows_from_the_initial_design():
     assert "100 %" in unseen_warning(("failure",), 3, 0)
 
 
+@pytest.mark.parametrize(
+    ("unseen", "failures", "says"),
+    [
+        (
+            ("failure",),
+            0,
+            "initial designs without it). From outcomes alone, no classifier can know where failure begins.",
+        ),
+        (("failure",), 1, "without it and 1 numerical failure)"),
+        (("impact", "failure"), 2, "without them and 2 numerical failures)"),
+    ],
+)
+def test_the_warning_counts_outcomes_and_numerical_failures_in_the_right_number(unseen, failures, says):
+    assert says in unseen_warning(unseen, 40, 30, failures)
+
+
 @pytest.fixture(scope="module")
 def gentle(tmp_path_factory):
     """A campaign on bearings under pulses that move none of them to its rim, and what its commands say."""

@@ -1,4 +1,4 @@
-"""Open a campaign from its file or its run folder."""
+"""Campaigns on disk: read a campaign file; create and open a run folder, with its record."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

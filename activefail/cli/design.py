@@ -1,0 +1,90 @@
+"""The command `design`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage
+from activefail.errors import InputError
+from activefail.files import writing_to
+from activefail.record.layout import check_output
+from activefail.visible import visible
+
+OUT_OF_REACH = 3
+"""Exit code if no design was shown to meet its target."""
+
+
+def design(
+    folder: RunFolder,
+    target: Annotated[
+        str,
+        typer.Option(
+            help="Largest acceptable probability of failure, such as 0.10; a risk category, II, III or IV; or one for "
+            "each outcome, such as failure=0.05,impact=0.3.",
+            show_default=False,
+        ),
+    ],
+    hazard: Annotated[
+        Path | None, typer.Option(help="Hazard file of the site (docs/hazard.md).", show_default=False)
+    ] = None,
+    question: Annotated[
+        Path | None,
+        typer.Option(help="Question file instead of a hazard (docs/probability.md).", show_default=False),
+    ] = None,
+    fixed: Fixed = None,
+    free: Annotated[
+        str | None,
+        typer.Option(help="Variables that may change, such as D_tot,mu; D_tot by default.", show_default=False),
+    ] = None,
+    cost: Annotated[
+        str | None,
+        typer.Option(
+            help="Expression of the variables to make small; the first free variable by default.", show_default=False
+        ),
+    ] = None,
+    confidence: Annotated[float, typer.Option(help="Confidence that the target is met.", min=0.5, max=0.999)] = 0.95,
+    simulations: Annotated[
+        int, typer.Option(help="Most fresh simulations, for each target, outside the budget.", min=50, max=1_000_000)
+    ] = 500,
+    chart: Annotated[bool, typer.Option(help="Compute the chart of required values, with --out.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the page design.html, design.json, design.toml and pictures.", show_default=False
+        ),
+    ] = None,
+    code: Code = None,
+) -> None:
+    """Find the smallest design whose probability of failure meets a target, and verify it."""
+    if hazard is not None and question is not None:
+        raise InputError("--hazard: cannot be combined with --question.")
+    check_output("--out", out)
+    with opened_run(folder, write=True, code=code) as opened:
+        findings = opened.design(
+            target,
+            hazard or question,
+            fixed,
+            [name.strip() for name in free.split(",")] if free else (),
+            cost or "",
+            confidence,
+            simulations,
+            chart and out is not None,
+            show_stage,
+        )
+    if out is not None:
+        from activefail.report.design import write_design
+
+        with writing_to(out):
+            write_design(findings, out)
+    if as_json:
+        print(json.dumps(findings.as_json(), indent=2))
+    else:
+        for title, text in findings.lines():
+            print(f"{title:<10} {text}")
+        if out is not None:
+            print(f"results    {visible(str(out))}")
+    if findings.designed.status != "verified":
+        raise typer.Exit(OUT_OF_REACH)

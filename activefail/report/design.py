@@ -1,0 +1,84 @@
+"""The files of a design: a page, its numbers, the bearing as values of variables, and pictures."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from activefail import __version__
+from activefail.errors import InputError
+from activefail.figures.design import plot_required
+from activefail.figures.style import save_figure
+from activefail.files import make_folder, replacing, target_of
+from activefail.report.page import page_environment
+from activefail.report.picture import picture
+from activefail.risk.findings import DesignFindings
+
+PAGE, NUMBERS, VALUES, CHART = "design.html", "design.json", "design.toml", "required"
+"""Names of the files."""
+
+
+def write_design(findings: DesignFindings, folder: Path) -> None:
+    """Write a design's files into a folder, which is made if it is missing.
+
+    Raises:
+        InputError: if the folder is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: must be a folder, but is a file.")
+    make_folder(folder)
+    texts = {
+        PAGE: render_design(findings),
+        NUMBERS: json.dumps(findings.as_json(), indent=2) + "\n",
+        VALUES: values_text(findings),
+    }
+    for name, text in texts.items():
+        with replacing(target_of(folder / name)) as file:
+            file.write(text)
+    if findings.chart is not None:
+        figure = plot_required(findings)
+        for suffix in ("png", "svg"):
+            save_figure(figure, folder / f"{CHART}.{suffix}")
+
+
+def values_text(findings: DesignFindings) -> str:
+    """The design as TOML, for --fixed of other commands."""
+    units = {parameter.name: parameter.unit for parameter in findings.campaign.space.parameters}
+    lines = [f"# {findings.verdict}"]
+    for name, value in findings.bearing.items():
+        unit = f"  # {units[name]}" if units.get(name) else ""
+        lines.append(f"{name} = {value!r}{unit}")
+    return "\n".join(lines) + "\n"
+
+
+def render_design(findings: DesignFindings) -> str:
+    """The page."""
+    units = {parameter.name: parameter.unit for parameter in findings.campaign.space.parameters}
+    designed = findings.designed
+    looks: list[dict[str, Any]] = [
+        {
+            "values": ", ".join(f"{name} = {value:.4g}" for name, value in look.candidate.values.items()),
+            "model": ", ".join(f"{share:.3g}" for share in look.candidate.model.tolist()),
+            "confidence": f"{100.0 * look.confidence:g} %",
+            "estimates": look.estimates,
+        }
+        for look in designed.looks
+    ]
+    chart = None
+    if findings.chart is not None:
+        chart = picture(
+            plot_required(findings), "required", f"Required {findings.chart.name} against {findings.chart.across}"
+        )
+    return (
+        page_environment()
+        .get_template("design.html.j2")
+        .render(
+            version=__version__,
+            findings=findings,
+            designed=designed,
+            task=designed.task,
+            units=units,
+            looks=looks,
+            chart=chart,
+            lines=[line for line in findings.lines() if line[0] not in ("design", "note")],
+        )
+    )

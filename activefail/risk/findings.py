@@ -1,0 +1,241 @@
+"""What a search for a design found, in numbers and words."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from activefail.bearing.design import GRAVITY
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
+from activefail.findings.probability import rounded_up
+from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.risk.design import Designed
+from activefail.risk.required import RequiredChart
+from activefail.risk.task import LOOKS
+from activefail.shares import percent
+from activefail.visible import or_worse, visible
+
+BEARING_PERIOD = "T_b"
+"""Variable of a bearing that gives the stiffness of its lateral force."""
+
+
+@dataclass(frozen=True, eq=False)
+class DesignFindings:
+    """A design that meets its targets, or the nearest one.
+
+    Attributes:
+        campaign: the campaign.
+        designed: the result of the search.
+        hazard: the hazard of the question; None for another question.
+        extrapolated: share of the question outside the campaign's design space.
+        at_upper: classifier's probability of each target's outcome at the upper property bounds, without interval;
+            empty without such bounds.
+        chart: values that targets require; None if it was not asked for.
+    """
+
+    campaign: Campaign
+    designed: Designed
+    hazard: Hazard | None
+    extrapolated: float
+    at_upper: tuple[float, ...] = ()
+    chart: RequiredChart | None = None
+
+    @property
+    def bearing(self) -> dict[str, float]:
+        """The values of all variables that are certain, by name, in the campaign's order."""
+        fixed = self.designed.question.fixed
+        return {name: fixed[name] for name in self.campaign.space.names if name in fixed}
+
+    @property
+    def uncertain(self) -> list[str]:
+        """The uncertain variables."""
+        return list(self.designed.question.space.names)
+
+    @property
+    def lateral_force(self) -> float | None:
+        """Lateral force at the displacement capacity over the weight, at the upper bound of friction.
+
+        μ + D_tot (2π/T_b)²/g, the force of two equal dishes before a rim is touched. None if the campaign's design is
+        not a bearing.
+        """
+        known = {**self.campaign.space.fixed, **self.bearing}
+        if not {BEARING_PERIOD, FRICTION, CAPACITY} <= known.keys():
+            return None
+        factor = 1.0
+        if self.hazard is not None:
+            factor = self.hazard.at_bound("upper").factors.get(FRICTION, 1.0)
+        stiffness = (2.0 * math.pi / known[BEARING_PERIOD]) ** 2 / GRAVITY
+        return known[FRICTION] * factor + known[CAPACITY] * stiffness
+
+    @property
+    def assumptions(self) -> list[str]:
+        """What the result assumes, as sentences."""
+        task = self.designed.task
+        sentences = list(self.hazard.assumptions) if self.hazard else []
+        given = {name: task.question.fixed[name] for name in task.free if name in task.question.fixed}
+        for name, value in given.items():
+            sentences.append(f"{name} is free: its given value {value:g} was not used.")
+        kept = [name for name in self.uncertain if name in self.campaign.space.names]
+        if self.hazard is not None:
+            kept = [name for name in kept if name not in ("T_p", "A_p")]
+        if kept:
+            sentences.append(
+                f"{', '.join(kept)} have no value: they vary by the distributions of the question, or of the campaign."
+            )
+        sentences.append(
+            f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design space, "
+            "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
+        )
+        sentences.append(
+            "Free variables stay within the campaign's ranges. The looks share the probability of a false result, "
+            f"{100.0 * (1.0 - task.confidence):.3g} %, so their intervals have a higher confidence than the result."
+        )
+        sentences.append(
+            "The design is the smallest beyond which the classifier's probability stays below its aim. A smaller one "
+            "may meet the target too, because failure is not monotone."
+        )
+        if self.lateral_force is not None:
+            sentences.append("The model has rims that do not yield, plane motion, and no vertical ground motion.")
+        return sentences
+
+    @property
+    def verdict(self) -> str:
+        """How the search ended, in one sentence."""
+        designed = self.designed
+        match designed.status:
+            case "verified":
+                return "The design meets its target: the upper bound from fresh simulations lies below it."
+            case "not verified":
+                return (
+                    f"Not verified: {len(designed.looks)} looks did not show that the target is met. The last design "
+                    "is the nearest; more simulations may show it."
+                )
+            case _:
+                return (
+                    "Out of reach: no design within the ranges meets the target under the classifier. This one comes "
+                    "nearest."
+                )
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        designed = self.designed
+        task = designed.task
+        requirements = [
+            {"outcome": one.outcome, "target": one.target, **_estimate_json(estimate), "classifier_probability": model}
+            for one, estimate, model in zip(
+                task.requirements, designed.last.estimates, designed.last.candidate.model.tolist(), strict=True
+            )
+        ]
+        return {
+            "status": designed.status,
+            "bearing": self.bearing,
+            "free": {name: [task.low[name], task.high[name]] for name in task.free},
+            "cost": {"expression": task.cost_text, "value": task.cost(designed.values)},
+            **{key: requirements[0][key] for key in ("outcome", "target", "probability", "low", "high")},
+            "confidence": task.confidence,
+            "simulations": designed.simulations,
+            "requirements": requirements,
+            "confidence_of_interval": designed.last.confidence,
+            "looks": [
+                {
+                    "values": dict(look.candidate.values),
+                    "classifier_probability": look.candidate.model.tolist(),
+                    "confidence": look.confidence,
+                    "estimates": [_estimate_json(estimate) for estimate in look.estimates],
+                }
+                for look in designed.looks
+            ],
+            "at_limit_of_range": designed.at_limit,
+            "first_free_variable_by_confidence": {
+                f"{confidence:g}": None if math.isnan(value) else value for confidence, value in designed.costs.items()
+            },
+            "lateral_force_over_weight": self.lateral_force,
+            "classifier_probability_at_upper_bounds": list(self.at_upper) or None,
+            "uncertain": self.uncertain,
+            "question": designed.question.title,
+            "outside_design_space": self.extrapolated,
+            "assumptions": self.assumptions,
+            "chart": None if self.chart is None else _chart_json(self.chart),
+        }
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Titles and texts for a terminal."""
+        designed, units = self.designed, {p.name: p.unit for p in self.campaign.space.parameters}
+        task = designed.task
+        outcomes = self.campaign.simulator.outcomes
+        lines = [
+            ("design", ", ".join(_value(name, value, units.get(name, "")) for name, value in self.bearing.items()))
+        ]
+        lines.append(("result", self.verdict))
+        for one, estimate, model in zip(
+            task.requirements, designed.last.estimates, designed.last.candidate.model, strict=True
+        ):
+            lines.append(
+                (
+                    "verified" if designed.status == "verified" else "estimate",
+                    f"P({visible(or_worse(one.outcome, outcomes))}) = {estimate.probability:.3g}, interval "
+                    f"{estimate.low:.3g} to {rounded_up(estimate.high)} ({100.0 * designed.last.confidence:g} %), "
+                    f"target {one.target:g}; classifier {model:.3g}",
+                )
+            )
+        failed = sum(estimate.unanswered for look in designed.looks for estimate in look.estimates)
+        lines.append(
+            (
+                "from",
+                f"{designed.simulations} fresh simulations in {len(designed.looks)} of at most {len(LOOKS)} looks"
+                + (f", {failed} of them numerical failures" if failed else "")
+                + f"; {100.0 * task.confidence:g} % confidence for the result",
+            )
+        )
+        if task.cost_text != task.free[0]:
+            lines.append(("cost", f"{visible(task.cost_text)} = {task.cost(designed.values):.4g}"))
+        for name, side in designed.at_limit.items():
+            lines.append(("limit", f"{name} is at the {side} end of its range"))
+        if designed.costs:
+            first = task.free[0]
+            shown = ", ".join(
+                f"{100.0 * confidence:g} % {'out of range' if math.isnan(value) else f'{value:.4g}'}"
+                for confidence, value in designed.costs.items()
+            )
+            lines.append(("confidence", f"{first} for a single look at another confidence, about: {shown}"))
+        if (force := self.lateral_force) is not None:
+            upper = self.hazard is not None and FRICTION in self.hazard.at_bound("upper").factors
+            at = "at the upper bound of friction" if upper else "at the stated friction, no upper bound is given"
+            lines.append(("force", f"lateral force at D_tot over weight: {force:.3g}, {at} (formula, no interval)"))
+        for one, share in zip(task.requirements, self.at_upper, strict=False):
+            lines.append(
+                ("upper", f"P({visible(one.outcome)}) at the upper bounds: {share:.3g} (classifier, no interval)")
+            )
+        return lines + [("note", sentence) for sentence in self.assumptions]
+
+
+def _value(name: str, value: float, unit: str) -> str:
+    return visible(f"{name} = {value:.4g}{' ' + unit if unit else ''}")
+
+
+def _estimate_json(estimate: ProbabilityEstimate) -> dict[str, Any]:
+    return {
+        "probability": estimate.probability,
+        "low": estimate.low,
+        "high": estimate.high,
+        "simulations": estimate.simulations,
+        "numerical_failures": estimate.unanswered,
+        "contradictions": estimate.wrong,
+        "contradictions_where_sure": estimate.surprising,
+    }
+
+
+def _chart_json(chart: RequiredChart) -> dict[str, Any]:
+    return {
+        "required": chart.name,
+        "across": {"name": chart.across, "values": chart.x.tolist()},
+        "lines": {"name": chart.lines, "values": chart.values.tolist()},
+        "targets": chart.targets.tolist(),
+        "outcome": chart.outcome,
+        "values": [
+            [[None if math.isnan(value) else value for value in line] for line in lines]
+            for lines in chart.required.tolist()
+        ],
+        "interval": None,
+        "reason": "the classifier's values, without simulation",
+    }

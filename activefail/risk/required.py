@@ -1,0 +1,105 @@
+"""The value of one variable that a target requires, against two others, under the classifier."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.reliability.estimate import Standardised
+from activefail.risk.model import classifier_probability
+from activefail.risk.task import DesignTask
+from activefail.space import Array
+
+_POINTS = 256
+"""Points of an integral of the chart: its lines are read off by eye."""
+
+_ALONG = 11
+"""Values of the required variable."""
+
+
+@dataclass(frozen=True, eq=False)
+class RequiredChart:
+    """The smallest value of a variable that meets each target, without interval.
+
+    Attributes:
+        name: the required variable.
+        across: the variable of the axis.
+        lines: the variable of the lines.
+        x: (n,) values on the axis.
+        values: (m,) values of the lines.
+        targets: (t,) probabilities.
+        outcome: that has them.
+        required: (t, m, n) value of the required variable; NaN where none of its range meets the target.
+    """
+
+    name: str
+    across: str
+    lines: str
+    x: Array
+    values: Array
+    targets: Array
+    outcome: str
+    required: Array
+
+
+def required_chart(
+    task: DesignTask,
+    held: Mapping[str, float],
+    standardised: Standardised,
+    across: tuple[str, Array],
+    lines: tuple[str, Array],
+    targets: Array,
+    stage: Callable[[str], None] = lambda _: None,
+) -> RequiredChart:
+    """The chart of a task's first requirement.
+
+    Args:
+        task: the task; its first free variable is the required one.
+        held: values of its other free variables, unless the chart varies them.
+        standardised: the boundary's latent.
+        across: variable of the axis and its values.
+        lines: variable of the lines and its values.
+        targets: probabilities, (t,).
+        stage: called with each stage of the work.
+    """
+    name = task.free[0]
+    grid = np.linspace(task.low[name], task.high[name], _ALONG)
+    required = np.full((len(targets), len(lines[1]), len(across[1])), np.nan)
+    for m, value in enumerate(lines[1].tolist()):
+        stage(f"drawing the chart: {lines[0]} = {value:.3g}")
+        for n, x in enumerate(across[1].tolist()):
+            shown = {**held, across[0]: x, lines[0]: value}
+            P = np.array(
+                [
+                    classifier_probability(standardised, task.question.at({**shown, name: g}), _POINTS)
+                    for g in grid.tolist()
+                ]
+            )
+            towards_safety = slice(None) if P[-1] <= P[0] else slice(None, None, -1)
+            required[:, m, n] = [
+                least_value(grid[towards_safety], P[towards_safety], target) for target in targets.tolist()
+            ]
+    return RequiredChart(
+        name, across[0], lines[0], across[1], lines[1], targets, task.requirements[0].outcome, required
+    )
+
+
+def least_value(grid: Array, P: Array, target: float) -> float:
+    """The first value beyond which a probability stays at most at its target; NaN if there is none.
+
+    The probability is interpolated by its logarithm.
+
+    Args:
+        grid: (n,) values towards the safe side.
+        P: (n,) probabilities.
+        target: the probability.
+    """
+    above = np.flatnonzero(target < P)
+    if not len(above):
+        return float(grid[0])
+    last = int(above[-1])
+    if last == len(grid) - 1:
+        return float("nan")
+    logs = np.log(np.maximum(P[last : last + 2], 1e-12))
+    share = (logs[0] - np.log(target)) / (logs[0] - logs[1])
+    return float(grid[last] + share * (grid[last + 1] - grid[last]))

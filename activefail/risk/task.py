@@ -1,0 +1,206 @@
+"""What a design must meet: targets for probabilities of outcomes, variables that may change, and a cost."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
+from activefail.errors import InputError
+from activefail.expressions import parse_expression
+from activefail.space import Array
+from activefail.visible import visible
+
+RISK_CATEGORIES = {"II": 0.10, "III": 0.05, "IV": 0.025}
+"""Largest probabilities of collapse given the maximum considered earthquake, by risk category [ASCE7, table 1.3-2]."""
+
+DEFAULT_FREE = "D_tot"
+"""The variable of a bearing that is made as small as possible."""
+
+SIMULATIONS = 500
+"""Most fresh simulations for each target, by default."""
+
+
+class LookPlan(NamedTuple):
+    """One look of the verification.
+
+    Attributes:
+        simulations: share of all simulations.
+        error: share of the probability of a false result.
+        safety: distance of the aim from the target, in expected half widths of the interval.
+    """
+
+    simulations: float
+    error: float
+    safety: float
+
+
+LOOKS = (LookPlan(0.7, 0.8, 1.3), LookPlan(0.3, 0.2, 1.8))
+"""The looks. Of plans with two looks that verify 98 % of all designs, about the one with the smallest designs."""
+
+_LEAST_TARGET = 1e-3
+"""Least target: a smaller probability takes other points than those of a distribution's bulk."""
+
+
+class Requirement(NamedTuple):
+    """The probability that an outcome, or a more severe one, may have at most.
+
+    Attributes:
+        outcome: its name.
+        target: largest acceptable probability.
+    """
+
+    outcome: str
+    target: float
+
+
+@dataclass(frozen=True, eq=False)
+class DesignTask:
+    """What a design must meet, and what may change.
+
+    Attributes:
+        question: the distribution of the variables; free variables get a value.
+        low, high: range of each free variable. The first is the one that is made as small as the requirements allow
+            while the others are held.
+        cost: of the values of the free variables; smaller is better.
+        cost_text: the cost in words.
+        requirements: one for each outcome that has a target.
+        confidence: one-sided, that the probabilities meet their targets.
+        simulations: most fresh simulations for each requirement.
+    """
+
+    question: Question
+    low: Mapping[str, float]
+    high: Mapping[str, float]
+    cost: Callable[[Mapping[str, float]], float]
+    cost_text: str
+    requirements: tuple[Requirement, ...]
+    confidence: float
+    simulations: int
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the free variables."""
+        return tuple(self.low)
+
+    @property
+    def targets(self) -> Array:
+        """The largest acceptable probabilities, (r,)."""
+        return np.array([requirement.target for requirement in self.requirements])
+
+    def of_interval(self, look: int) -> float:
+        """Confidence of the two-sided interval of a look, from 0 on.
+
+        Its upper end alone may err, and all looks together as often as `confidence` allows.
+        """
+        return 1.0 - 2.0 * (1.0 - self.confidence) * LOOKS[look].error
+
+    def simulations_of(self, look: int) -> int:
+        """Fresh simulations of a look, from 0 on, for each requirement."""
+        return max(2, round(self.simulations * LOOKS[look].simulations))
+
+
+def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Requirement, ...]:
+    """The targets of a text: a probability, a risk category, or several such as `failure=0.1,impact=0.3`.
+
+    Args:
+        text: the targets.
+        outcomes: of the campaign, from least to most severe.
+        main: outcome of a target without a name.
+
+    Raises:
+        InputError: naming the rule and the value.
+    """
+    requirements: list[Requirement] = []
+    for part in text.split(","):
+        name, equals, number = part.rpartition("=")
+        outcome = name.strip() if equals else main
+        if outcome not in outcomes[1:]:
+            raise InputError(f"target: the outcome must be one of {', '.join(outcomes[1:])}, got {outcome!r}.")
+        if outcome in {requirement.outcome for requirement in requirements}:
+            raise InputError(f"target: {outcome} must have one target, got {text!r}.")
+        requirements.append(Requirement(outcome, _probability(number.strip())))
+    return tuple(requirements)
+
+
+def _probability(text: str) -> float:
+    if text in RISK_CATEGORIES:
+        return RISK_CATEGORIES[text]
+    try:
+        target = float(text)
+    except ValueError:
+        names = ", ".join(RISK_CATEGORIES)
+        raise InputError(f"target: must be a probability or a risk category ({names}), got {text!r}.") from None
+    if not _LEAST_TARGET <= target <= 0.9:
+        raise InputError(f"target: must be between {_LEAST_TARGET:g} and 0.9, got {text}.")
+    return target
+
+
+def design_task(
+    campaign: Campaign,
+    question: Question,
+    requirements: tuple[Requirement, ...],
+    free: Sequence[str] = (),
+    cost: str = "",
+    confidence: float = 0.95,
+    simulations: int = SIMULATIONS,
+) -> DesignTask:
+    """The task of a campaign.
+
+    Args:
+        campaign: the campaign; it gives the free variables their ranges.
+        question: the distribution of the variables.
+        requirements: the targets.
+        free: names of the variables that may change; D_tot if there are none.
+        cost: expression of the campaign's variables that is made small; the first free variable if empty.
+        confidence: that the targets are met.
+        simulations: most for each target.
+
+    Raises:
+        InputError: naming the argument, the rule and the value.
+    """
+    space = campaign.space
+    names = tuple(free) or ((DEFAULT_FREE,) if DEFAULT_FREE in space.names else ())
+    if not names:
+        raise InputError(f"free: name the variables that may change; the campaign has {', '.join(space.names)}.")
+    for name in names:
+        if name not in space.names:
+            raise InputError(f"free: {visible(name)!r} is not a variable; the variables are {', '.join(space.names)}.")
+        if names.count(name) > 1:
+            raise InputError(f"free: names {name!r} twice.")
+    if not 0.5 <= confidence < 1.0:
+        raise InputError(f"confidence: must be at least 0.5 and below 1, got {confidence}.")
+    if set(question.space.names) <= set(names):
+        raise InputError("question: fixes every variable, so nothing is uncertain and no outcome has a probability.")
+    ranges = dict(zip(space.names, zip(space.low.tolist(), space.high.tolist(), strict=True), strict=True))
+    low, high = {name: ranges[name][0] for name in names}, {name: ranges[name][1] for name in names}
+    price, text = _cost(cost, names, {**space.fixed, **question.fixed}, low, high)
+    return DesignTask(question, low, high, price, text, requirements, confidence, simulations)
+
+
+def _cost(
+    text: str, free: Sequence[str], fixed: Mapping[str, float], low: Mapping[str, float], high: Mapping[str, float]
+) -> tuple[Callable[[Mapping[str, float]], float], str]:
+    """The cost as a function of the free variables' values, and in words."""
+    if not text:
+        return (lambda values: values[free[0]]), free[0]
+    known = {name: value for name, value in fixed.items() if name not in free}
+    try:
+        expression = parse_expression(text, (*free, *known))
+    except ValueError as error:
+        raise InputError(visible(f"cost: {error}.")) from None
+
+    def cost(values: Mapping[str, float]) -> float:
+        quantities: dict[str, Any] = {**known, **values}
+        with np.errstate(all="ignore"):  # reported below
+            value = float(expression(quantities))
+        if not math.isfinite(value):
+            raise InputError(f"cost: must be finite, got {value} for {dict(values)}.")
+        return value
+
+    for side in (low, high):
+        cost(side)
+    return cost, text

@@ -1,0 +1,246 @@
+"""From a target failure probability to a bearing: how often designs meet their targets, and what the intervals cover.
+
+    python benchmarks/design.py                         everything: 20 bearings, two targets (about an hour)
+    python benchmarks/design.py --parts designs         searched designs against fresh pulses
+    python benchmarks/design.py --bearings 3 --seed 7   a quick look at other bearings
+
+A campaign of campaigns/bearing.toml is run first, or read from --campaign. The hazard is M 7, PGV 1 m/s. For each
+target, bearings are drawn from Table 1 until the classifier puts the required D_tot of --bearings of them inside its
+range. The parts are
+
+    intervals  estimates from 250 simulations of a bearing whose probability is near the target. They are drawn from
+               8,000 pulses, whose outcomes are all simulated, so that the true share is known exactly. "cover" is the
+               share of 95 % intervals that contain it, "x MC" and "x Sobol'" how many times more simulations Monte
+               Carlo (normal interval) and scrambled Sobol' points (t-interval over 8 randomisations of 32) need for an
+               interval of the same width
+    designs    `Run.design`: status, simulations, the probability by 20,000 fresh pulses, and D_tot over the smallest
+               one that meets the target by these pulses
+    curves     `Run.fragility` of each bearing of the first target against simulations of the same pulses: median and
+               dispersion of the fitted lognormal
+
+Each line of --out is one bearing; a repeated command continues where it stopped.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import t as student
+
+from activefail import create_run, open_run, simulate
+from activefail.bearing.pulse import amplitude_of
+from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.reliability.estimate import estimated, integrated, plan_estimate, standardised_latent
+from activefail.surrogate.threads import one_thread
+from activefail.weighted import WeightedRows
+
+TARGETS = (0.10, 0.025)
+POOL, TRUTH, SIMULATIONS, REPEATS = 8_000, 20_000, 250, 100
+HAZARD = {"magnitude": {"M": 7.0}, "pgv": {"median_m_s": 1.0, "dispersion": 0.25}}
+FREE, RANGE = "D_tot", (0.45, 0.85)
+FAILURE = 2
+
+
+class Study:
+    """A trained campaign, its hazard, and bearings near the targets."""
+
+    def __init__(self, folder, seed):
+        self.run = open_run(folder, write=True) if folder.exists() else create_run(folder, "campaigns/bearing.toml")
+        if self.run.history.asked_for < self.run.settings.sampling.budget:
+            self.run.take()
+        self.hazard = hazard_of(HAZARD, Path("hazard.toml"))
+        self.standardised = standardised_latent(self.run.classifier.latent("failure"), self.run.campaign.features)
+        self.rng = np.random.default_rng(seed)
+
+    def question(self, bearing):
+        return hazard_question(self.hazard, self.run.settings, self.run.space, bearing)
+
+    def on_range(self, bearing):
+        """The classifier's probabilities at the ends of the range of D_tot."""
+        question = self.question({**bearing, FREE: 0.65})
+        U = question.space.sobol(256, np.random.default_rng(0))
+        return [float(ndtr(self.standardised(question.at({FREE: value}).designs(U))).mean()) for value in RANGE]
+
+    def bearings(self, target, count):
+        """Bearings whose required D_tot lies within the range, without it."""
+        space, found = self.run.space, []
+        names = [name for name in space.names[:7] if name != FREE]
+        low, high = (dict(zip(space.names, side, strict=True)) for side in (space.low, space.high))
+        while len(found) < count:
+            bearing = {name: float(low[name] + (high[name] - low[name]) * self.rng.random()) for name in names}
+            worst, best = self.on_range(bearing)
+            if best < 0.85 * target < target < worst:
+                found.append(bearing)
+        return found
+
+    def required(self, bearing, target):
+        """D_tot at which the classifier's probability is the target."""
+        question = self.question({**bearing, FREE: 0.65})
+        U, grid = question.space.sobol(512, np.random.default_rng(0)), np.linspace(*RANGE, 9)
+        P = [ndtr(self.standardised(question.at({FREE: value}).designs(U))).mean() for value in grid]
+        last = max(k for k in range(9) if P[k] > target)
+        return float(np.interp(-np.log(target), -np.log(P[last : last + 2]), grid[last : last + 2]))
+
+    def failed(self, question, X):
+        return simulate(question.designs(X)).outcome == FAILURE
+
+    def draw(self, question, n, rng):
+        return question.space.from_unit(rng.random((n, question.space.dimension)))
+
+
+def intervals(study, bearing, target, number):
+    rng = np.random.default_rng([number, 1])
+    question = study.question({**bearing, FREE: study.required(bearing, target)})
+    X = study.draw(question, POOL, rng)
+    designs = question.designs(X)
+    z, failed = study.standardised(designs), study.failed(question, X)
+    rows = WeightedRows(("row",), np.arange(POOL, dtype=float)[:, None], np.ones(POOL))
+
+    def of_rows(numbers):
+        return z[numbers[:, 0].astype(int)]
+
+    P, half, covered, above = failed.mean(), [], [], []
+    for _ in range(REPEATS):
+        plan = plan_estimate(of_rows, rows, integrated(of_rows, rows, rng), SIMULATIONS, rng)
+        chosen = plan.designs[:, 0].astype(int)
+        estimate = estimated(plan, failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
+        half.append(0.5 * (estimate.high - estimate.low))
+        covered.append(estimate.low <= P <= estimate.high)
+        above.append(estimate.high >= P)
+    sobol = []
+    for _ in range(20):
+        means = [study.failed(question, question.space.sobol(32, rng)).mean() for _ in range(8)]
+        sobol.append(student.ppf(0.975, 7) * np.std(means, ddof=1) / np.sqrt(8.0))
+    width = np.mean(half)
+    return {
+        "P": P,
+        "wrong": float(((z > 0.0) != failed).mean()),
+        "cover": float(np.mean(covered)),
+        "upper": float(np.mean(above)),
+        "mc": float(1.96**2 * P * (1.0 - P) / SIMULATIONS / width**2),
+        "sobol": float(np.mean(np.square(sobol)) * 256 / SIMULATIONS / width**2),
+    }
+
+
+def designs(study, bearing, target, number):
+    found = study.run.design(target, study.question({**bearing, FREE: 0.65}), bearing).designed
+    value = found.values[FREE]
+    rng = np.random.default_rng([number, 2])
+    question = study.question({**bearing, FREE: value})
+    X = study.draw(question, TRUTH, rng)
+    P = float(study.failed(question, X).mean())
+    # The smallest D_tot that meets the target, by the same pulses: a line through log P at two other values.
+    grid, known = [value], [P]
+    for share in (0.97, 0.94, 0.90):
+        other = max(RANGE[0], share * value)
+        grid.append(other)
+        known.append(float(study.failed(question.at({FREE: other}), X).mean()))
+    slope, at = np.polyfit(grid, np.log(np.maximum(known, 1e-5)), 1)
+    needed = (np.log(target) - at) / slope
+    return {
+        "status": found.status,
+        "simulations": found.simulations,
+        "looks": len(found.looks),
+        "D_tot": value,
+        "P": P,
+        "meets": target >= P,
+        "oversize": value / needed - 1.0,
+    }
+
+
+def curves(study, bearing, target, number):
+    from activefail.risk.lognormal import fitted_lognormal
+
+    question = study.question({**bearing, FREE: study.required(bearing, target)})
+    del target
+    rng = np.random.default_rng([number, 3])
+    periods = study.draw(study.question({**bearing, FREE: 0.65}), 512, rng)[:, 0]
+    levels = np.exp(np.linspace(np.log(0.3), np.log(4.0), 24))
+    model, truth = [], []
+    for level in levels:
+        X = question.at({"PGV": float(level)}).designs(periods[:, None])
+        np.testing.assert_allclose(X[:, -1], amplitude_of(level, periods))
+        model.append(ndtr(study.standardised(X)).mean())
+        truth.append((simulate(X).outcome == FAILURE).mean())
+    ours, theirs = fitted_lognormal(levels, np.array(model)), fitted_lognormal(levels, np.array(truth))
+    return {
+        "median": float(ours.median / theirs.median - 1.0),
+        "dispersion": float(ours.dispersion / theirs.dispersion - 1.0),
+        "largest": float(np.max(np.abs(np.array(model) - truth))),
+        "misfit": float(ours.misfit),
+    }
+
+
+PARTS = {"intervals": intervals, "designs": designs, "curves": curves}
+
+
+def table(lines):
+    for part, shown in (("intervals", TARGETS), ("designs", TARGETS), ("curves", TARGETS[:1])):
+        for target in shown:
+            rows = [line for line in lines if line["part"] == part and line["target"] == target]
+            if not rows:
+                continue
+
+            def column(name, rows=rows):
+                return np.array([row[name] for row in rows], dtype=float)
+
+            head = f"{part:<9} P = {100 * target:g} %, {len(rows)} bearings:"
+            if part == "intervals":
+                cover = column("cover")
+                print(
+                    f"{head} cover {cover.mean():.3f}, worst {cover.min():.2f}; "
+                    f"upper bounds {column('upper').mean():.3f}; "
+                    f"x MC {np.median(column('mc')):.1f}; x Sobol' {np.median(column('sobol')):.1f} (medians); "
+                    f"misclassified {100 * np.median(column('wrong')):.1f} %"
+                )
+            elif part == "designs":
+                verified = [row for row in rows if row["status"] == "verified"]
+                print(
+                    f"{head} verified {len(verified)}, of these {sum(row['meets'] for row in verified)} meet the "
+                    f"target; all that meet it {int(column('meets').sum())}; over-size "
+                    f"{100 * np.median(column('oversize')):.1f} % ({100 * column('oversize').min():.1f} to "
+                    f"{100 * column('oversize').max():.1f}); simulations "
+                    f"{np.median(column('simulations')):.0f}, most {column('simulations').max():.0f}"
+                )
+            else:
+                median, beta = np.abs(column("median")), np.abs(column("dispersion"))
+                good = int(((median <= 0.015) & (beta <= 0.03)).sum())
+                print(
+                    f"{head} median within {100 * median.max():.1f} %, dispersion within {100 * beta.max():.1f} %, "
+                    f"{good} within 1.5 % and 3 %; a level off by at most {column('largest').max():.3f}; misfit of the "
+                    f"lognormal up to {column('misfit').max():.2f}"
+                )
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--campaign", type=Path, default=Path("runs/design-benchmark"))
+    parser.add_argument("--bearings", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--parts", default="intervals,designs,curves")
+    parser.add_argument("--out", type=Path, default=Path("runs/design-benchmark.jsonl"))
+    options = parser.parse_args()
+    lines = [json.loads(line) for line in options.out.read_text().splitlines()] if options.out.exists() else []
+    done = {(line["seed"], line["part"], line["target"], line["number"]) for line in lines}
+    study = Study(options.campaign, options.seed)
+    with one_thread():
+        for target in TARGETS:
+            for number, bearing in enumerate(study.bearings(target, options.bearings)):
+                for part in options.parts.split(","):
+                    key = (options.seed, part, target, number)
+                    if key in done or (part == "curves" and target != TARGETS[0]):
+                        continue
+                    result = PARTS[part](study, bearing, target, 1000 * options.seed + number)
+                    line = {"seed": options.seed, "part": part, "target": target, "number": number, **result}
+                    lines.append(line)
+                    options.out.parent.mkdir(parents=True, exist_ok=True)
+                    with options.out.open("a") as file:
+                        file.write(json.dumps(line, default=float) + "\n")
+                    print(json.dumps(line, default=float), flush=True)
+    table([line for line in lines if line["seed"] == options.seed])
+
+
+if __name__ == "__main__":
+    main()

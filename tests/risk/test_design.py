@@ -1,0 +1,299 @@
+"""Designs for a target probability: against closed forms, verified by simulations that did not choose them."""
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+from scipy.stats import norm
+
+from activefail.campaign.question import Question
+from activefail.errors import InputError
+from activefail.opening import open_run
+from activefail.reliability.estimate import expected_half_width, plan_common
+from activefail.risk.design import cheapest
+from activefail.risk.required import least_value
+from activefail.risk.task import DesignTask, Requirement, read_targets
+from activefail.run import Run
+from activefail.space import Array, DesignSpace
+
+CAMPAIGN = """
+simulator = { python = "tank:run", outcomes = ["safe", "damage", "failure"] }
+[space]
+capacity = { low = 0.5, high = 4.0, unit = "m" }
+friction = { low = 0.5, high = 1.5 }
+demand = { low = 0.1, high = 6.0, unit = "m", distribution = "log_uniform" }
+[sampling]
+initial = 80
+budget = 100
+batch = 10
+[classifier.features.expressions]
+ratio = "log(demand / (capacity * sqrt(friction)))"
+"""
+
+SIMULATOR = """
+def run(design):
+    demand = design["demand"] / design["friction"] ** 0.5
+    return "failure" if demand > design["capacity"] else "damage" if demand > 0.6 * design["capacity"] else "safe"
+"""
+
+MEDIAN, DISPERSION = 0.9, 0.4
+
+QUESTION = f"""
+description = "a site"
+[space]
+demand = {{ distribution = "lognormal", median = {MEDIAN}, dispersion = {DISPERSION} }}
+"""
+
+
+def needed(target: float, friction: float = 1.0, share: float = 1.0) -> float:
+    """The smallest capacity whose demand exceeds `share` of it with the target probability."""
+    return float(MEDIAN * math.exp(DISPERSION * norm.isf(target)) / math.sqrt(friction) / share)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("design")
+    (folder / "tank.py").write_text(SIMULATOR)
+    (folder / "tank.toml").write_text(CAMPAIGN)
+    (folder / "site.toml").write_text(QUESTION)
+    (folder / "fixed.toml").write_text("friction = 1.0\n")
+    result = activefail("run", folder / "tank.toml", "--out", folder / "run")
+    assert result.code == 0, result.err
+    return folder
+
+
+@pytest.fixture
+def run(folder: Path) -> Iterator[Run]:
+    with open_run(folder / "run", write=True, code=folder) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("target", [0.1, 0.025])
+def test_a_design_meets_its_target_and_is_hardly_larger_than_the_smallest_that_does(
+    run: Run, folder: Path, target: float
+) -> None:
+    found = run.design(target, folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
+    assert found.status == "verified"
+    assert needed(target) < found.values["capacity"] < 1.12 * needed(target)
+    assert found.last.estimates[0].high <= target
+    assert found.simulations == (350, 500)[len(found.looks) - 1]
+
+
+def test_the_same_search_reads_its_simulations_again(run: Run, folder: Path) -> None:
+    asked = (0.1, folder / "site.toml", {"friction": 1.0}, ["capacity"])
+    first = run.design(*asked).as_json()
+    stored = run.store.set_names()
+    assert run.design(*asked).as_json() == first
+    assert run.store.set_names() == stored
+
+
+def test_several_free_variables_are_searched_for_the_least_cost(run: Run, folder: Path) -> None:
+    # capacity √friction is what counts: with a cost that is steep in friction, the least friction is cheapest, and with
+    # one that is steep in capacity, the largest.
+    for cost, friction in (("capacity * friction", 0.5), ("capacity", 1.5)):
+        found = run.design(0.1, folder / "site.toml", free=["capacity", "friction"], cost=cost).designed
+        assert found.status == "verified"
+        assert found.values["friction"] == pytest.approx(friction, abs=0.03)
+        assert needed(0.1, friction) < 1.03 * found.values["capacity"] < 1.15 * needed(0.1, friction)
+
+
+def test_each_outcome_may_have_a_target_and_the_hardest_decides(run: Run, folder: Path) -> None:
+    found = run.design("failure=0.1,damage=0.1", folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
+    assert found.status == "verified"
+    assert needed(0.1, share=0.6) < found.values["capacity"] < 1.1 * needed(0.1, share=0.6)
+    assert [estimate.high <= 0.1 for estimate in found.last.estimates] == [True, True]
+    assert found.simulations == (700, 1000)[len(found.looks) - 1]
+
+
+def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -> None:
+    (folder / "strong.toml").write_text(QUESTION.replace(str(MEDIAN), "4.5"))
+    options = (
+        "--code",
+        folder,
+        "--question",
+        folder / "strong.toml",
+        "--fixed",
+        folder / "fixed.toml",
+        "--free",
+        "capacity",
+    )
+    result = activefail("design", folder / "run", "--target", "0.01", *options)
+    assert result.code == 3
+    assert "Out of reach" in result.out
+    assert "capacity is at the upper end of its range" in result.out
+    assert "classifier" in result.out
+
+
+def test_a_result_that_simulations_do_not_confirm_is_not_called_verified(folder: Path) -> None:
+    # Fifty simulations can hardly show 1 %.
+    options = (
+        "--code",
+        folder,
+        "--question",
+        folder / "site.toml",
+        "--fixed",
+        folder / "fixed.toml",
+        "--free",
+        "capacity",
+    )
+    result = activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options)
+    shown = json.loads(
+        activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options, "--json").out
+    )
+    assert (result.code == 3) == (shown["high"] > 0.01)
+    assert ("Not verified" in result.out) == (shown["status"] == "not verified")
+
+
+def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "made" / "here"
+    options = (
+        "--code",
+        folder,
+        "--question",
+        folder / "site.toml",
+        "--fixed",
+        folder / "fixed.toml",
+        "--free",
+        "capacity",
+    )
+    result = activefail("design", folder / "run", "--target", "II", *options, "--out", out)
+    assert result.code == 0, result.err
+    assert sorted(path.name for path in out.iterdir()) == ["design.html", "design.json", "design.toml"]
+    numbers, values = json.loads((out / "design.json").read_text()), tomllib.loads((out / "design.toml").read_text())
+    assert values == numbers["bearing"] == {"capacity": values["capacity"], "friction": 1.0}
+    assert (numbers["target"], numbers["confidence"], numbers["status"]) == (0.1, 0.95, "verified")
+    page = (out / "design.html").read_text()
+    assert "The design meets its target" in page
+    again = activefail(
+        "probability",
+        folder / "run",
+        "--code",
+        folder,
+        "--question",
+        folder / "site.toml",
+        "--fixed",
+        out / "design.toml",
+        "--json",
+    )
+    assert again.code == 0, again.err
+    assert json.loads(again.out)["outcomes"]["failure"]["probability"] == pytest.approx(
+        numbers["probability"], abs=0.02
+    )
+
+
+def test_a_chart_gives_the_required_value_for_each_target(run: Run, folder: Path) -> None:
+    (folder / "two.toml").write_text(QUESTION + "friction = { value = 1.0 }\n")
+    chart = run.design(0.1, folder / "site.toml", {"friction": 1.0}, ["capacity"], chart=True).chart
+    assert chart is None  # a chart takes two variables beside the required one
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("--target", "0.1", "--free", "mass"), ("free", "mass", "capacity, friction, demand")),
+        (("--target", "0.1", "--free", "capacity,capacity"), ("free", "twice")),
+        (("--target", "0.1", "--free", "capacity,friction,demand"), ("question", "uncertain")),
+        (("--target", "0.1"), ("free", "name the variables")),
+        (("--target", "high", "--free", "capacity"), ("target", "high", "II, III, IV")),
+        (("--target", "0", "--free", "capacity"), ("target", "0.001", "got 0")),
+        (("--target", "1.5", "--free", "capacity"), ("target", "0.9", "got 1.5")),
+        (("--target", "nan", "--free", "capacity"), ("target", "got nan")),
+        (("--target", "collapse=0.1", "--free", "capacity"), ("target", "damage, failure", "collapse")),
+        (("--target", "failure=0.1,failure=0.2", "--free", "capacity"), ("target", "one target")),
+        (("--target", "0.1", "--free", "capacity", "--cost", "mass * 2"), ("cost", "mass")),
+        (("--target", "0.1", "--free", "capacity", "--cost", "log(capacity - 4)"), ("cost", "finite")),
+        (("--target", "0.1", "--free", "capacity", "--cost", "import os"), ("cost", "arithmetic")),
+    ],
+)
+def test_a_wrong_task_is_refused_with_the_rule_and_the_value(
+    folder: Path, options: tuple[str, ...], parts: tuple[str, ...]
+) -> None:
+    refused(activefail("design", folder / "run", *options), *parts)
+
+
+def test_targets_may_be_numbers_categories_or_one_for_each_outcome() -> None:
+    outcomes = ("safe", "damage", "failure")
+    assert read_targets("0.07", outcomes, "failure") == (Requirement("failure", 0.07),)
+    assert read_targets("III", outcomes, "failure") == (Requirement("failure", 0.05),)
+    assert read_targets("damage=0.3, failure=IV", outcomes, "failure") == (
+        Requirement("damage", 0.3),
+        Requirement("failure", 0.025),
+    )
+
+
+def task_on(low: float, high: float, target: float) -> DesignTask:
+    return DesignTask(
+        _QUESTION,
+        {"x": low},
+        {"x": high},
+        lambda values: values["x"],
+        "x",
+        (Requirement("failure", target),),
+        0.95,
+        100,
+    )
+
+
+_QUESTION = Question("none", ("x",), None)  # type: ignore[arg-type]
+
+
+def test_a_probability_that_rises_again_is_answered_by_the_value_beyond_which_it_stays_below() -> None:
+    # Below the aim from 1 to 2 and again from 4 on.
+    def model(values: dict[str, float], points: int) -> Array:
+        x = values["x"]
+        return np.array([0.05 if 1.0 < x < 2.0 or x > 4.0 else 0.5]) * math.exp(-0.01 * x)
+
+    found = cheapest(task_on(0.0, 10.0, 0.1), model, np.array([0.1]))
+    assert found.is_feasible
+    assert 4.0 <= found.values["x"] < 4.01
+
+
+def test_a_variable_whose_increase_makes_failure_likelier_is_searched_from_its_other_end() -> None:
+    def model(values: dict[str, float], points: int) -> Array:
+        return np.array([norm.cdf(values["x"] - 5.0)])
+
+    found = cheapest(task_on(0.0, 10.0, 0.1), model, np.array([0.1]))
+    assert found.values["x"] == 0.0  # the cheapest of all that meet the aim
+
+
+def test_a_required_value_is_where_the_probability_last_exceeds_its_target() -> None:
+    grid = np.linspace(0.0, 1.0, 6)
+    P = np.array([0.5, 0.05, 0.3, 0.1, 0.05, 0.01])
+    assert 0.4 < least_value(grid, P, 0.2) < 0.6
+    assert math.isnan(least_value(grid, P, 0.005))
+    assert least_value(grid, P, 0.6) == 0.0
+
+
+def test_the_expected_width_is_that_of_intervals_if_the_classifier_is_right() -> None:
+    space = _normal_space()
+    rng = np.random.default_rng(0)
+
+    def standardised(X: Array) -> Array:
+        return (X[:, 0] - 1.3) / 0.2
+
+    plan = plan_common(standardised, space, 250, rng)
+    assert plan is not None
+    assert plan.probability == pytest.approx(norm.sf(1.3), rel=0.05)
+    half = expected_half_width(plan, 0.95, rng)
+    assert 0.0 < half < 1.96 * math.sqrt(0.0968 * 0.9032 / 250)
+
+
+def test_a_rare_outcome_takes_a_wider_sample() -> None:
+    plan = plan_common(lambda X: X[:, 0] - 4.0, _normal_space(), 250, np.random.default_rng(0))
+    assert plan is None
+
+
+def _normal_space() -> DesignSpace:
+    from activefail.parameter import Parameter
+
+    return DesignSpace((Parameter("u", -9.0, 9.0, "", "normal", 0.0, 1.0), Parameter("v", 0.0, 1.0)))
+
+
+def test_a_question_without_uncertain_variables_is_refused(run: Run) -> None:
+    with pytest.raises(InputError, match="fixes every variable"):
+        run.design(0.1, fixed={"friction": 1.0, "demand": 1.0, "capacity": 1.0}, free=["capacity"])
