@@ -541,3 +541,60 @@ def test_values_need_a_run_folder(tmp_path: Path) -> None:
     path.write_text(PERIOD + PGV)
     refused(activefail("hazard", path, "--fixed", path), "--fixed: needs a run folder, whose variables it fixes.")
     refused(activefail("hazard", tmp_path / "none.toml"), "none.toml: cannot be read: No such file or directory")
+
+
+# --- probabilities -----------------------------------------------------------------------------------------------
+
+LIMIT = """
+def pulse(design):
+    return 1.0 - 0.19974 * 9.81 * design["A_p"] * design["T_p"] / design["strength"]
+"""
+
+MADE = """
+simulator = { python = "limit:pulse", margins = ["g"] }
+[space]
+T_p = { low = 0.5, high = 8.0, unit = "s", distribution = "log_uniform" }
+A_p = { low = 0.02, high = 1.5, unit = "g", distribution = "log_uniform" }
+strength = { low = 0.5, high = 2.0 }
+[sampling]
+initial = 20
+budget = 30
+"""
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign on a limit of PGV alone, and files with hazards."""
+    home = tmp_path_factory.mktemp("learned")
+    (home / "limit.py").write_text(LIMIT)
+    (home / "made.toml").write_text(MADE)
+    assert activefail("run", home / "made.toml", "--out", home / "run").code == 0
+    (home / "fixed.toml").write_text("strength = 1.5\n")
+    (home / "site.toml").write_text(CORRELATED + UNCERTAIN)
+    (home / "rows.toml").write_text('samples = "pulses.csv"\n')
+    (home / "pulses.csv").write_text("T_p,PGV,weight\n1,1,3\n2,1.4,4\n3,1.7,2\n6,1.1,0.5\n4,3,0.5\n")
+    return home
+
+
+@pytest.mark.parametrize(
+    ("file", "true"),
+    [
+        ("site.toml", float(ndtr((math.log(0.8 / 1.5) - 0.1) / math.sqrt(0.3**2 + 0.09)))),
+        ("rows.toml", 0.25),
+    ],
+)
+def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left_out(
+    learned: Path, file: str, true: float
+) -> None:
+    options = ("--code", learned, "--question", learned / file, "--fixed", learned / "fixed.toml", "--json")
+    result = activefail("probability", learned / "run", *options)
+    assert result.code == 0, result.err
+    numbers = json.loads(result.out)["outcomes"]["failure"]
+    assert numbers["low"] <= true <= numbers["high"]
+    assert numbers["probability"] == pytest.approx(true, abs=0.03)
+    said = " ".join(numbers["assumptions"])
+    assert "no property bounds" in said
+    assert ("No uncertainty is added" in said) == (file == "rows.toml")
+    stored = sorted(path.name for path in (learned / "run" / "sets").iterdir())
+    assert activefail("probability", learned / "run", *options).out == result.out
+    assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
