@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
+    from activefail.campaign.hazard import Hazard
     from activefail.campaign.question import Question
     from activefail.campaign.results_table import ResultTable, Table
     from activefail.campaign.settings import CampaignSettings
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
     from activefail.risk.findings import DesignFindings
+    from activefail.risk.sensitivity import Begin, Sensitivity
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
     from activefail.verification.error import ErrorEstimate
@@ -789,6 +791,65 @@ class Run:
                 chart,
                 stage,
             )
+
+    def sensitivity(
+        self,
+        hazard: "Hazard | Path | str | None" = None,
+        question: "Question | Path | str | None" = None,
+        fixed: "Mapping[str, float] | Path | str | None" = None,
+        outcome: str | None = None,
+        samples: int | None = None,
+        confidence: float = 0.95,
+        begin: "Begin" = lambda _: lambda _: None,
+    ) -> "Sensitivity":
+        """What moves the probability of an outcome: Sobol' indices, and one variable at a time (docs/sensitivity.md).
+
+        All numbers are the classifier's; nothing is simulated. Needs SALib.
+
+        Args:
+            hazard: a hazard, or its file: the indices are then those of the probability given the design, with the
+                pulses integrated out.
+            question: other distributions of the variables, as for `probability`; the campaign's question if None.
+            fixed: values of variables, which are then certain: by name, or a TOML file.
+            outcome: its name; that of the (main) target boundary if None.
+            samples: points of the sample, a power of two; by default as many as two minutes allow for a bearing.
+            confidence: of the intervals.
+            begin: called with the number of evaluations; returns a callback for finished ones.
+
+        Raises:
+            InputError: if SALib is not installed, an argument is out of range, hazard and question are both given, a
+                file is invalid, or variables of the question are correlated.
+        """
+        from activefail.campaign.hazard import Hazard, read_hazard
+        from activefail.campaign.question import Question
+        from activefail.paper.p_values import variable_p_values
+        from activefail.reliability.estimate import standardised_latent
+        from activefail.risk.sensitivity import hazard_sensitivity, length_scales, question_sensitivity, with_classifier
+
+        outcome = self.boundary if outcome is None else outcome
+        if outcome not in (boundaries := self.campaign.simulator.outcomes[1:]):
+            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
+        if not 0.0 < confidence < 1.0:
+            raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
+        if hazard is not None and question is not None:
+            raise InputError("hazard: cannot be combined with a question.")
+        if hazard is None:
+            asked = question if isinstance(question, Question) else self.asked(question, fixed)
+        else:
+            hazard = hazard if isinstance(hazard, Hazard) else read_hazard(Path(hazard))
+            values = self.fixed_values(fixed)
+        latent = self.classifier.latent(outcome)
+        standardised = standardised_latent(latent, self.features)
+        with one_thread():
+            if hazard is None:
+                found = question_sensitivity(self.campaign, standardised, outcome, asked, samples, confidence, begin)
+            else:
+                found = hazard_sensitivity(
+                    self.campaign, standardised, outcome, hazard, values, samples, confidence, begin
+                )
+            severity = self.campaign.simulator.outcomes.index(outcome)
+            p_values = variable_p_values(self.space, self.history, severity)
+        return with_classifier(found, length_scales(latent, self.features), p_values)
 
     def asked(
         self, question: Path | str | None = None, fixed: "Mapping[str, float] | Path | str | None" = None

@@ -97,6 +97,23 @@ def test_the_guides_simulations_done_elsewhere_can_be_done(tmp_path, monkeypatch
     assert "2 designs" in said["activefail ask runs/plate --n 2 --csv todo.csv"]
 
 
+def test_the_commands_of_the_sensitivity_run_with_its_files(tmp_path, monkeypatch):
+    page = ROOT / "docs" / "sensitivity.md"
+    shutil.copytree(ROOT / "tests" / "old_runs" / "finished" / "paper", tmp_path / "runs" / "bearing")
+    for name, text in zip(("hazard.toml", "bearing.toml"), blocks(page, "toml"), strict=True):
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    assert len(commands) == 3
+    for command in commands:
+        name, *words = shlex.split(command)
+        # A small sample: the default takes two minutes.
+        done = commandline.activefail(*words, "--samples", "16")
+        assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
+    assert {"sensitivity.md", "one_at_a_time.svg"} <= {path.name for path in Path("runs/sensitivity").iterdir()}
+    assert Path("indices.csv").is_file()
+
+
 def test_the_python_of_the_guide_runs(tmp_path):
     (source,) = re.findall(r"^```python\n(.*?)^```", section(GUIDE, "## From Python"), re.MULTILINE | re.DOTALL)
     done = subprocess.run([sys.executable, "-c", source], cwd=tmp_path, capture_output=True, text=True, check=False)

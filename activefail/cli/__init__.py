@@ -8,6 +8,7 @@ from activefail.cli.explore import explore
 from activefail.cli.hazard import hazard
 from activefail.cli.probability import probability
 from activefail.cli.report import report
+from activefail.cli.sensitivity import sensitivity
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 
@@ -27,6 +28,7 @@ for _command in (
     probability,
     hazard,
     design,
+    sensitivity,
     export,
     compare,
     report,

@@ -73,7 +73,7 @@ def _draw(summary: "HazardSummary", space: "DesignSpace | None", out: Path) -> N
 
 
 def _show(summary: "HazardSummary") -> None:
-    from activefail.risk.targets import TARGETS
+    from activefail.risk.task import RISK_CATEGORIES
 
     read = summary.hazard
     settings = read.settings
@@ -103,7 +103,7 @@ def _show(summary: "HazardSummary") -> None:
             f"             the median PGV is exceeded {summary.rate_at_median:.3g} times a year (return period "
             f"{1.0 / summary.rate_at_median:,.0f} years)"
         )
-    targets = ", ".join(f"{100.0 * target.probability:g} % for {target.name}" for target in TARGETS)
+    targets = ", ".join(f"{100.0 * share:g} % for risk category {name}" for name, share in RISK_CATEGORIES.items())
     print(f"targets      {targets}: P(failure) given MCE_R")
 
 

@@ -13,7 +13,7 @@ from activefail.campaign.hazard import Hazard, check_applies
 from activefail.campaign.hazard_sections import RELATIONS, MagnitudeSection
 from activefail.campaign.pulse_table import velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
-from activefail.risk.targets import TARGETS
+from activefail.risk.task import RISK_CATEGORIES
 from activefail.space import Array, DesignSpace
 from activefail.weighted import weighted_quantiles
 
@@ -187,7 +187,7 @@ class HazardSummary:
             "bias": hazard.bias,
             "curve": [{"pgv_m_s": p.pgv, "annual_rate": p.rate, "return_period": p.return_period} for p in self.curve],
             "annual_rate_at_median_pgv": self.rate_at_median,
-            "targets": {target.name: target.probability for target in TARGETS},
+            "targets": RISK_CATEGORIES,
             "assumptions": self.assumptions,
         }
 

@@ -1,0 +1,93 @@
+"""The command `sensitivity`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from activefail.cli.common import (
+    STANDARD,
+    Code,
+    Fixed,
+    RunFolder,
+    name_of,
+    opened_run,
+    show_stage,
+    show_unseen,
+    table_output,
+)
+from activefail.display import progress_bar
+from activefail.errors import InputError
+from activefail.record.layout import check_output
+from activefail.shares import percent
+from activefail.visible import visible
+
+
+def sensitivity(
+    folder: RunFolder,
+    hazard: Annotated[
+        Path | None,
+        typer.Option(
+            help="Hazard file (docs/design.md): what moves the probability of a design; pulses are integrated out.",
+            show_default=False,
+        ),
+    ] = None,
+    question: Annotated[
+        Path | None,
+        typer.Option(
+            help="File with other distributions of the variables (docs/probability.md).",
+            show_default=False,
+        ),
+    ] = None,
+    fixed: Fixed = None,
+    outcome: Annotated[
+        str | None, typer.Option(help="Outcome; that of the target boundary by default.", show_default=False)
+    ] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(help="Points of the sample, a power of two; by default as many as two minutes allow.", min=1),
+    ] = None,
+    confidence: Annotated[float, typer.Option(help="Confidence of the intervals.", min=0.5, max=0.999)] = 0.95,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    csv: Annotated[
+        Path | None, typer.Option(help="CSV table to write; - is standard output.", show_default=False)
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for a page with pictures.", show_default=False)] = None,
+    code: Code = None,
+) -> None:
+    """Show what moves a probability, by the classifier alone: Sobol' indices, and one variable at a time."""
+    check_output("--out", out)
+    if as_json and csv == STANDARD:
+        raise InputError("--json: cannot be combined with `--csv -`: both would be standard output.")
+    from activefail.report import sensitivity as words
+
+    with opened_run(folder, code=code) as opened:
+        with progress_bar("evaluating") as begin:
+            found = opened.sensitivity(hazard, question, fixed, outcome, samples, confidence, begin)
+        summary, campaign = opened.summary, opened.campaign
+    show_unseen(summary)
+    if out is not None:
+        page = words.write_sensitivity(found, campaign, out)
+        show_stage(f"page written to {visible(str(page))}")
+    if csv is not None:
+        with table_output("--csv", csv) as target:
+            words.write_csv(found, target)
+        show_stage(f"table written to {name_of(csv)}")
+    if csv == STANDARD:
+        return
+    if as_json:
+        print(json.dumps(words.as_json(found), indent=2))
+        return
+    print(words.heading(found, campaign.simulator.outcomes))
+    if found.moves:
+        print(f"\nprobability {percent(found.probability)} at the variables' own values, without an interval")
+        print("\n".join(words.aligned(words.move_rows(found))))
+    if found.indices:
+        print("\nSobol' indices")
+        print("\n".join(words.aligned(words.index_rows(found))))
+    print()
+    for title, text in words.about(found):
+        print(f"{title:<10} {text}")
+    for sentence in found.notes:
+        print(f"note       {visible(sentence)}")

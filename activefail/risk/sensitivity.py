@@ -1,0 +1,406 @@
+"""What moves a probability: Sobol' indices of the classifier's probability, and its change with one variable at a time.
+
+Two functions have indices. Without a hazard, the probability of the outcome given all variables of a question, which is
+almost 0 or 1. With a hazard, the probability given the bearing alone: the pulses are integrated out.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import Hazard, hazard_question
+from activefail.campaign.question import AMPLITUDE, PERIOD, Question
+from activefail.errors import InputError
+from activefail.features import FeatureMap
+from activefail.reliability.estimate import Standardised
+from activefail.risk.model import POINTS
+from activefail.risk.sobol import Decomposition, Index, check_samples, decomposed, require_salib
+from activefail.space import Array, DesignSpace
+from activefail.surrogate.classifier import Latent
+from activefail.surrogate.margin import MarginLatent
+from activefail.weighted import WeightedRows
+
+PULSES = 128
+"""Pulses that integrate the probability of each design; a power of two."""
+
+LOW, HIGH = 0.1, 0.9
+"""Shares of a variable's distribution below the values to which it is moved."""
+
+WIDE = 0.2
+"""Width of an interval from which more samples are advised."""
+
+_FEW = 50.0
+"""Points on the rarer side of ½ below which the indices and their intervals mean little."""
+
+_EVALUATIONS = 600_000
+"""Evaluations of the classifier by default: two minutes at 0.2 ms, of features and prediction for a bearing."""
+
+_LEAST, _MOST = 64, 8192
+"""Least and largest number of samples by default."""
+
+_AT_ONCE = 4096
+"""Most rows of a prediction at once, which limits its memory."""
+
+Begin = Callable[[int], Callable[[int], None]]
+"""Called with the number of evaluations; returns a callback for finished ones."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """The probability at two values of one variable, with the others at their own values.
+
+    Attributes:
+        name: of the variable.
+        value: that the variable has otherwise.
+        low, high: its 10 % and 90 % quantiles in the campaign.
+        at_low, at_high: the probabilities there.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    at_low: float
+    at_high: float
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What a probability depends on, by the classifier alone.
+
+    Attributes:
+        outcome: its name; the probability is that of this outcome or a more severe one.
+        title: of the question or the hazard.
+        mean, sd: of the probability over the sampled variables; without an interval. NaN without a sample.
+        indices: Sobol' indices, by decreasing total index; empty if nothing is to be explained.
+        confidence: of their intervals.
+        samples: points of the sample; 0 if all variables have values.
+        evaluations: of the classifier.
+        units: of the variables, by name; empty for a number.
+        outside: share of the sampled designs outside the campaign's space, where the classifier extrapolates.
+        notes: what the numbers mean and assume, as sentences.
+        pulses: that integrate the probability of each design; 0 without a hazard.
+        probability: at the variables' own values, without an interval; NaN without a hazard.
+        moves: one variable at a time, by decreasing effect; empty without a hazard.
+        length_scales: of the classifier's features by name, in standard deviations of the feature.
+        p_values: of the campaign's variables in a logistic regression of its initial design; empty without a fit.
+    """
+
+    outcome: str
+    title: str
+    mean: float
+    sd: float
+    indices: tuple[Index, ...]
+    confidence: float
+    samples: int
+    evaluations: int
+    units: Mapping[str, str]
+    outside: float
+    notes: tuple[str, ...]
+    pulses: int = 0
+    probability: float = float("nan")
+    moves: tuple[Move, ...] = ()
+    length_scales: Mapping[str, float] = field(default_factory=dict)
+    p_values: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def is_given_designs(self) -> bool:
+        """Whether the probability is one of designs, with the pulses of a hazard integrated out."""
+        return self.pulses > 0
+
+
+def default_samples(variables: int, points: int = 1) -> int:
+    """The number of samples that keeps the evaluations of the classifier within two minutes for a bearing.
+
+    Args:
+        variables: number of variables d.
+        points: evaluations for each of the (d + 2) values that a sample takes.
+    """
+    affordable = max(1, _EVALUATIONS // ((variables + 2) * points))
+    return int(np.clip(2 ** (affordable.bit_length() - 1), _LEAST, _MOST))
+
+
+def question_sensitivity(
+    campaign: Campaign,
+    standardised: Standardised,
+    outcome: str,
+    question: Question,
+    samples: int | None = None,
+    confidence: float = 0.95,
+    begin: Begin = lambda _: lambda _: None,
+) -> Sensitivity:
+    """The Sobol' indices of the classifier's probability Φ(m/s) given the uncertain variables of a question.
+
+    Args:
+        campaign: of the classifier.
+        standardised: mean/sd of the boundary's latent as a function of the campaign's designs.
+        outcome: of the boundary.
+        question: the distribution of the variables.
+        samples: points of the sample; a power of two. By default as many as two minutes allow.
+        confidence: of the intervals.
+        begin: as `Begin`.
+
+    Raises:
+        InputError: if the question's variables are correlated, or rows of a file; if `samples` is invalid; or if SALib
+            is not installed.
+    """
+    space = question.space
+    if isinstance(space, WeightedRows):
+        raise InputError(
+            "question: its pulses are rows of a file, whose variables are not independent, so they have no Sobol' "
+            "indices; with `--hazard` the pulses are integrated out."
+        )
+    if correlated := [pair for pair in space.correlation if pair[2] != 0.0]:
+        one, other, rho = correlated[0]
+        raise InputError(
+            f"question: {one} and {other} have the correlation {rho:g}, and the variance cannot be divided among "
+            "correlated variables. Ask a question with `correlation = []`, or give one of them a value with `--fixed`."
+        )
+    require_salib()
+    samples = default_samples(space.dimension) if samples is None else samples
+    check_samples(samples)
+    evaluations = samples * (space.dimension + 2)
+    probability = _probability(standardised, begin(evaluations))
+    found = decomposed(lambda U: probability(question.designs(space.from_unit(U))), space.names, samples, confidence)
+    return Sensitivity(
+        outcome=outcome,
+        title=question.title,
+        mean=found.mean,
+        sd=found.sd,
+        indices=_by_total(found),
+        confidence=confidence,
+        samples=samples,
+        evaluations=evaluations,
+        units={one.name: one.unit for one in space.parameters},
+        outside=question.share_outside(campaign.space),
+        notes=(
+            f"The indices divide the variance of the classifier's probability of {outcome} given all variables.",
+            *_notes_on_indices(found, samples),
+            *_notes_on_rareness(found, samples),
+        ),
+    )
+
+
+def hazard_sensitivity(
+    campaign: Campaign,
+    standardised: Standardised,
+    outcome: str,
+    hazard: Hazard,
+    fixed: Mapping[str, float],
+    samples: int | None = None,
+    confidence: float = 0.95,
+    begin: Begin = lambda _: lambda _: None,
+) -> Sensitivity:
+    """What moves the probability of a design under a hazard.
+
+    Args:
+        campaign: of the classifier.
+        standardised: mean/sd of the boundary's latent as a function of the campaign's designs.
+        outcome: of the boundary.
+        hazard: whose pulses are integrated out.
+        fixed: values of variables of the bearing, which then have no indices. They are moved one at a time like the
+            others, which have their medians.
+        samples, confidence, begin: as for `question_sensitivity`.
+
+    Raises:
+        InputError: if the campaign has no pulse or nothing else, `fixed` names no variable of the bearing, `samples` is
+            invalid, or SALib is not installed.
+    """
+    design = [one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE)]
+    base = {one.name: float(one.quantile(0.5, ndtri)) for one in design} | dict(fixed)
+    question = hazard_question(hazard, campaign.settings, campaign.space, base)
+    if not design:
+        raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
+    free = [one for one in design if one.name not in fixed]
+    X, weight = _pulses(question.space, PULSES)
+    pulses = len(X)
+    if free:
+        require_salib()
+        samples = default_samples(len(free), pulses) if samples is None else samples
+        check_samples(samples)
+    else:
+        samples = 0
+    many, many_weight = _pulses(question.space, POINTS)
+    evaluations = samples * (len(free) + 2) * pulses + (1 + 2 * len(design)) * len(many)
+    probability = _probability(standardised, begin(evaluations))
+
+    def moved(name: str, value: float) -> float:
+        return float(_mean_over_pulses(probability, question, (name,), np.array([[value]]), many, many_weight)[0])
+
+    at_base = moved(design[0].name, base[design[0].name])
+    moves = []
+    for one in design:
+        low, high = (float(one.quantile(share, ndtri)) for share in (LOW, HIGH))
+        moves.append(Move(one.name, base[one.name], low, high, moved(one.name, low), moved(one.name, high)))
+    moves.sort(key=lambda move: -_effect(move, at_base))
+    found = Decomposition(float("nan"), float("nan"), float("nan"), ())
+    outside = question.share_outside(campaign.space)
+    notes = [*hazard.assumptions]
+    if free:
+        names = tuple(one.name for one in free)
+        # Independent: who chooses a design may choose any combination.
+        space = DesignSpace(tuple(free))
+        found = decomposed(
+            lambda U: _mean_over_pulses(probability, question, names, space.from_unit(U), X, weight),
+            names,
+            samples,
+            confidence,
+        )
+        outside = _share_outside(campaign.space, question, names, space.sobol(256, np.random.default_rng(0)), X, weight)
+        notes.append(
+            f"The indices divide the variance of the classifier's probability of {outcome} given the design: the "
+            f"pulses are integrated out, by {pulses} fixed ones. The variables of the design are independent and have "
+            "the campaign's distributions."
+        )
+    else:
+        notes.append("All variables of the design have values, so there are no Sobol' indices.")
+    notes.append(
+        f"One variable at a time moves to its {100 * LOW:g} % and {100 * HIGH:g} % quantiles in the campaign. The "
+        "other variables have the given values, or else their medians. These probabilities are the classifier's and "
+        "have no interval; `activefail probability` simulates one."
+    )
+    return Sensitivity(
+        outcome=outcome,
+        title=hazard.title,
+        mean=found.mean,
+        sd=found.sd,
+        indices=_by_total(found),
+        confidence=confidence,
+        samples=samples,
+        evaluations=evaluations,
+        units={one.name: one.unit for one in design},
+        outside=outside,
+        notes=(*notes, *(_notes_on_indices(found, samples) if samples else ())),
+        pulses=pulses,
+        probability=at_base,
+        moves=tuple(moves),
+    )
+
+
+def _by_total(found: Decomposition) -> tuple[Index, ...]:
+    return tuple(sorted(found.indices, key=lambda index: -index.total.value))
+
+
+def _notes_on_indices(found: Decomposition, samples: int) -> list[str]:
+    """What the indices and their intervals mean."""
+    if not found.indices:
+        return ["The classifier's probability does not change with these variables, so there are no Sobol' indices."]
+    notes = [
+        "The indices are those of the classifier's function. Their intervals cover the sampling of the indices alone, "
+        "not the classifier's error. The first indices add up to at most 1; a total index counts a variable with all "
+        "its interactions."
+    ]
+    estimates = [estimate for index in found.indices for estimate in (index.first, index.total)]
+    widest = max(estimate.high - estimate.low for estimate in estimates)
+    if widest > WIDE:
+        notes.append(
+            f"The widest interval has the width {widest:.2f}: {samples} samples are too few. `--samples "
+            f"{4 * samples}` about halves it."
+        )
+    if any(not 0.0 <= estimate.value <= 1.0 for estimate in estimates):
+        notes.append("An estimate below 0 or above 1 is shown as it is; it is a sampling error.")
+    return notes
+
+
+def _notes_on_rareness(found: Decomposition, samples: int) -> list[str]:
+    """A warning if the sample holds few designs of either side; the bootstrap cannot know of those that it lacks."""
+    if not found.indices or found.rarer >= _FEW:
+        return []
+    return [
+        f"Only about {found.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the boundary. The "
+        "indices and their intervals are unreliable: take more samples, or a question under which the outcome is less "
+        "rare."
+    ]
+
+
+def length_scales(latent: Latent | MarginLatent, features: FeatureMap) -> dict[str, float]:
+    """Length scales of a boundary's latent by feature, in standard deviations of the feature over the design space."""
+    scales = np.exp(latent.trained.hyperparameters.log_lengthscale.numpy())
+    return dict(zip(features.names, scales.tolist(), strict=True))
+
+
+def with_classifier(
+    sensitivity: Sensitivity, length_scales: Mapping[str, float], p_values: Mapping[str, float]
+) -> Sensitivity:
+    """The sensitivity with the length scales and p-values that stand beside the indices."""
+    notes = sensitivity.notes
+    if length_scales and sensitivity.indices:
+        notes += (
+            "A length scale is in standard deviations of the feature over the campaign's space: short where the "
+            "classifier changes quickly. It has no interval.",
+        )
+    if p_values and sensitivity.indices:
+        notes += (
+            "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
+            "finds monotone effects: a large one does not show that a variable does not matter.",
+        )
+    return replace(sensitivity, length_scales=length_scales, p_values=p_values, notes=notes)
+
+
+def _effect(move: Move, at_base: float) -> float:
+    return max(move.at_low, move.at_high, at_base) - min(move.at_low, move.at_high, at_base)
+
+
+def _probability(standardised: Standardised, advance: Callable[[int], None]) -> Callable[[Array], Array]:
+    """The probability Φ(m/s) of designs, (n, d) -> (n,), a part of them at a time."""
+
+    def probability(X: Array) -> Array:
+        parts = [np.empty(0)]
+        for first in range(0, len(X), _AT_ONCE):
+            part = X[first : first + _AT_ONCE]
+            parts.append(ndtr(standardised(part)))
+            advance(len(part))
+        return np.concatenate(parts)
+
+    return probability
+
+
+def _designs_under_pulses(question: Question, names: tuple[str, ...], designs: Array, pulses: Array) -> Array:
+    """Designs of the campaign, (n p, d): each of n designs, values of `names`, under each of p pulses."""
+    rows = np.tile(question.designs(pulses), (len(designs), 1))
+    for column, name in enumerate(names):
+        values = np.repeat(designs[:, column], len(pulses))
+        rows[:, question.variables.index(name)] = values * question.factors.get(name, 1.0)
+    return rows
+
+
+def _mean_over_pulses(
+    probability: Callable[[Array], Array],
+    question: Question,
+    names: tuple[str, ...],
+    designs: Array,
+    pulses: Array,
+    weight: Array,
+) -> Array:
+    """The probability of each of n designs, values of `names`, under weighted pulses, (n,)."""
+    found, at_once = np.empty(len(designs)), max(1, _AT_ONCE // len(pulses))
+    for first in range(0, len(designs), at_once):
+        part = designs[first : first + at_once]
+        values = probability(_designs_under_pulses(question, names, part, pulses))
+        found[first : first + len(part)] = values.reshape(len(part), -1) @ weight / weight.sum()
+    return found
+
+
+def _share_outside(
+    space: DesignSpace, question: Question, names: tuple[str, ...], designs: Array, pulses: Array, weight: Array
+) -> float:
+    outside = ~space.contains(_designs_under_pulses(question, names, designs, pulses))
+    return float((outside.reshape(len(designs), -1) @ weight).mean() / weight.sum())
+
+
+def _pulses(space: DesignSpace | WeightedRows, n: int) -> tuple[Array, Array]:
+    """At most n fixed pulses, (p, k), with weights, (p,).
+
+    Of more than n weighted rows, n are drawn systematically in the order of their last column, the size of the pulse.
+    """
+    if isinstance(space, DesignSpace):
+        return space.sobol(n, np.random.default_rng(0)), np.ones(n)
+    if len(space.X) <= n:
+        return space.X, space.weight
+    order = np.argsort(space.X[:, -1], kind="stable")
+    below = np.cumsum(space.weight[order]) / space.weight.sum()
+    rows = order[np.searchsorted(below, (np.arange(n) + 0.5) / n)]
+    return space.X[rows], np.ones(n)

@@ -1,0 +1,128 @@
+"""Sobol' indices of a function of independent variables, by SALib."""
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from activefail.errors import InputError
+from activefail.space import Array
+
+LEAST_SAMPLES = 16
+"""Least number of points of the sample."""
+
+RESAMPLES = 200
+"""Resamples of the bootstrap."""
+
+SEED = 1
+"""Of the sample and the bootstrap. SALib takes 0 for no seed."""
+
+
+class Estimate(NamedTuple):
+    """A number with its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Index(NamedTuple):
+    """The Sobol' indices of one variable.
+
+    Attributes:
+        name: of the variable.
+        first: share of the variance that the variable explains alone.
+        total: share of the variance that remains if all other variables are known.
+    """
+
+    name: str
+    first: Estimate
+    total: Estimate
+
+
+class Decomposition(NamedTuple):
+    """The variance of a function, by its variables.
+
+    Attributes:
+        mean, sd: of the function over the sample.
+        rarer: the smaller of Σ y and Σ (1 − y) over the sample: for a probability, the designs on the rarer side.
+        indices: of the variables, in order; empty if the function is constant.
+    """
+
+    mean: float
+    sd: float
+    rarer: float
+    indices: tuple[Index, ...]
+
+
+Function = Callable[[Array], Array]
+"""Points of the unit cube, (n, d) -> values, (n,)."""
+
+
+def require_salib() -> tuple[Any, Any]:
+    """SALib's modules for the sample and the analysis.
+
+    Raises:
+        InputError: if SALib is not installed.
+    """
+    try:
+        return importlib.import_module("SALib.sample.sobol"), importlib.import_module("SALib.analyze.sobol")
+    except ImportError:
+        raise InputError(
+            "sensitivity: needs the package SALib; install it with `pip install 'activefail[sensitivity]'`."
+        ) from None
+
+
+def check_samples(samples: int) -> None:
+    """Check the number of points of a sample.
+
+    Raises:
+        InputError: if it is no power of two, or too small.
+    """
+    if samples < LEAST_SAMPLES or samples & (samples - 1):
+        raise InputError(f"samples: must be a power of two of at least {LEAST_SAMPLES}, got {samples}.")
+
+
+def decomposed(
+    function: Function, names: Sequence[str], samples: int, confidence: float, seed: int = SEED
+) -> Decomposition:
+    """The Sobol' indices of a function of independent variables, uniform on the unit cube.
+
+    Two samples A and B of a scrambled Sobol' sequence, and d samples that have one column of B and the others of A. The
+    estimators are those of [SaltelliEtAl2010, table 2, (b) and (f)]: V(E(y | xⱼ)) from mean y_B (y_ABj − y_A), and
+    E(V(y | all but xⱼ)) from mean (y_A − y_ABj)²/2. The interval is ± the normal quantile times the standard deviation
+    of a bootstrap over the points, which treats them as independent.
+
+    Args:
+        function: evaluated at `samples` · (d + 2) points.
+        names: of the d variables.
+        samples: points of A; a power of two.
+        confidence: of the intervals.
+        seed: of the sample and the bootstrap; positive.
+
+    Raises:
+        InputError: if SALib is not installed, or the number of samples is invalid.
+    """
+    sampling, analysis = require_salib()
+    check_samples(samples)
+    d = len(names)
+    problem = {"num_vars": d, "names": list(names), "bounds": [[0.0, 1.0]] * d}
+    U = sampling.sample(problem, samples, calc_second_order=False, seed=np.random.default_rng(seed))
+    y = function(U)
+    # A and B alone are a sample of the cube.
+    plain = np.concatenate([y[:: d + 2], y[d + 1 :: d + 2]])
+    mean, sd, rarer = float(plain.mean()), float(plain.std()), float(min(plain.sum(), (1.0 - plain).sum()))
+    # Beyond rounding errors there must be something to explain.
+    if np.ptp(plain) <= 1e-9:
+        return Decomposition(mean, sd, rarer, ())
+    found = analysis.analyze(
+        problem, y, calc_second_order=False, num_resamples=RESAMPLES, conf_level=confidence, seed=seed
+    )
+
+    def estimate(kind: str, column: int) -> Estimate:
+        value, half = float(found[kind][column]), float(found[f"{kind}_conf"][column])
+        return Estimate(value, value - half, value + half)
+
+    indices = (Index(name, estimate("S1", column), estimate("ST", column)) for column, name in enumerate(names))
+    return Decomposition(mean, sd, rarer, tuple(indices))

@@ -1,0 +1,378 @@
+"""What moves a probability: indices against closed forms, one variable at a time, and what is refused."""
+
+import importlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, refused, table
+from scipy.special import ndtri
+
+from activefail import create_run, open_run
+from activefail.bearing.pulse import velocity_of
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import hazard_question, read_hazard
+from activefail.campaign.question import read_question
+from activefail.errors import InputError
+from activefail.loop.history import History
+from activefail.paper.p_values import variable_p_values
+from activefail.risk.model import classifier_probability
+from activefail.risk.sensitivity import (
+    default_samples,
+    hazard_sensitivity,
+    question_sensitivity,
+)
+from activefail.risk.sobol import Estimate, decomposed
+from activefail.run import Run
+from activefail.simulators.interface import Results
+from activefail.space import Array
+
+CAMPAIGN = """
+simulator = { python = "blocks:reserve", margins = ["reserve"] }
+sampling = { initial = 16, budget = 16 }
+[classifier]
+features = "design"
+[space]
+mu = { low = 0.02, high = 0.12 }
+D_tot = { low = 0.4, high = 0.9, unit = "m" }
+T_p = { low = 1.0, high = 6.0, unit = "s" }
+A_p = { low = 0.1, high = 1.0, unit = "g" }
+"""
+
+BLOCKS = """
+def reserve(design):
+    return design["D_tot"] + 3.0 * design["mu"] - 0.2 * design["A_p"] * design["T_p"]
+"""
+
+HAZARD = """
+[pulse_period]
+median_s = 3.0
+dispersion = 0.4
+definition = "acceleration"
+[pgv]
+median_m_s = 0.6
+dispersion = 0.3
+[properties]
+mu_lower = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sensitivity")
+    (folder / "blocks.py").write_text(BLOCKS)
+    (folder / "made.toml").write_text(CAMPAIGN)
+    (folder / "hazard.toml").write_text(HAZARD)
+    (folder / "fixed.toml").write_text("D_tot = 0.6\n")
+    result = activefail("run", folder / "made.toml", "--out", folder / "run")
+    assert result.code == 0, result.err
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(home: Path) -> Iterator[Run]:
+    with open_run(home / "run", code=home) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def campaign(run: Run) -> Campaign:
+    return run.campaign
+
+
+def contains(estimate: Estimate, true: float) -> bool:
+    return estimate.low <= true <= estimate.high
+
+
+# --- closed forms ------------------------------------------------------------------------------------------------
+
+
+def ishigami(U: Array) -> Array:
+    x, y, z = (np.pi * (2.0 * U - 1.0)).T
+    return np.asarray(np.sin(x) + 7.0 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x))
+
+
+def test_the_indices_of_ishigamis_function_are_the_known_ones() -> None:
+    found = decomposed(ishigami, "xyz", 2048, 0.99)
+    known = {"x": (0.3139, 0.5576), "y": (0.4424, 0.4424), "z": (0.0, 0.2437)}
+    assert [index.name for index in found.indices] == list(known)
+    for name, first, total in found.indices:
+        assert contains(first, known[name][0]), name
+        assert contains(total, known[name][1]), name
+        assert first.high - first.low < 0.25
+    assert found.mean == pytest.approx(3.5, abs=0.02)
+    assert found.sd == pytest.approx(13.8446**0.5, rel=0.02)
+
+
+def test_the_same_sample_and_bootstrap_give_the_same_numbers() -> None:
+    assert decomposed(ishigami, "xyz", 64, 0.9) == decomposed(ishigami, "xyz", 64, 0.9)
+
+
+def test_the_intervals_cover_the_known_indices_of_most_samples() -> None:
+    known = np.array([[0.3139, 0.5576], [0.4424, 0.4424], [0.0, 0.2437]])
+    covered = [
+        [
+            [contains(index.first, first), contains(index.total, total)]
+            for index, (first, total) in zip(found, known, strict=True)
+        ]
+        for found in (decomposed(ishigami, "xyz", 256, 0.95, seed).indices for seed in range(1, 41))
+    ]
+    shares = np.mean(covered, axis=0)
+    assert shares.mean() >= 0.95
+    # Of 40 samples with 95 % coverage, fewer than 32 cover with a probability of 10⁻⁴.
+    assert shares.min() >= 0.8
+
+
+def test_a_higher_confidence_and_fewer_samples_widen_the_interval() -> None:
+    def width(samples: int, confidence: float) -> float:
+        first = decomposed(ishigami, "xyz", samples, confidence).indices[0].first
+        return first.high - first.low
+
+    assert width(256, 0.99) > width(256, 0.8)
+    assert width(64, 0.9) > 1.5 * width(1024, 0.9)
+
+
+def test_a_constant_function_has_no_indices() -> None:
+    assert decomposed(lambda U: np.full(len(U), 0.3), "ab", 16, 0.95).indices == ()
+
+
+def test_the_indices_of_a_question_are_those_of_its_distributions(campaign: Campaign, tmp_path: Path) -> None:
+    file = tmp_path / "asked.toml"
+    file.write_text(
+        "[space]\nmu = { value = 0.05 }\n"
+        'A_p = { distribution = "truncated_normal", mean = 0.5, sd = 0.05, low = 0.1, high = 0.9, unit = "g" }\n'
+    )
+    question = read_question(file, campaign.settings, campaign.space)
+
+    def additive(X: Array) -> Array:
+        assert (X[:, 0] == 0.05).all()
+        return np.asarray(ndtri(0.1 + 0.4 * X[:, 1] + 0.5 * X[:, 3]))
+
+    counted: list[int] = []
+    found = question_sensitivity(
+        campaign, additive, "failure", question, 1024, 0.99, lambda total: [counted.append(-total), counted.append][1]
+    )
+    parts = {"D_tot": 0.4**2 * 0.5**2 / 12.0, "A_p": 0.5**2 * 0.05**2, "T_p": 0.0}
+    assert [index.name for index in found.indices] == ["D_tot", "A_p", "T_p"]
+    for name, first, total in found.indices:
+        true = parts[name] / sum(parts.values())
+        assert contains(first, true)
+        assert contains(total, true)
+        assert total.value == pytest.approx(true, abs=0.02)
+    assert found.mean == pytest.approx(0.1 + 0.4 * 0.65 + 0.25, abs=1e-3)
+    assert found.outside == 0.0
+    assert sum(counted) == 0
+    assert not found.is_given_designs
+
+
+def additive_in_the_design(X: Array) -> Array:
+    """A probability that is linear in the design; the pulses add an odd term, which cancels in the mean."""
+    mu, D_tot, T_p, A_p = X.T
+    return np.asarray(ndtri(0.5 - 2.0 * mu - 0.3 * D_tot + 0.1 * np.tanh(np.log(velocity_of(A_p, T_p) / 0.6))))
+
+
+def test_under_a_hazard_the_pulses_are_integrated_out_and_properties_have_their_bound(
+    campaign: Campaign, home: Path
+) -> None:
+    hazard = read_hazard(home / "hazard.toml")
+    found = hazard_sensitivity(campaign, additive_in_the_design, "failure", hazard, {}, 256, 0.99)
+    # The lower bound halves friction, and with it the effect.
+    parts = {"mu": 1.0**2 * 0.1**2 / 12.0, "D_tot": 0.3**2 * 0.5**2 / 12.0}
+    assert [index.name for index in found.indices] == ["D_tot", "mu"]
+    for name, first, total in found.indices:
+        true = parts[name] / sum(parts.values())
+        assert contains(first, true)
+        assert contains(total, true)
+    assert found.probability == pytest.approx(0.5 - 0.07 - 0.3 * 0.65, abs=3e-3)
+    moves = {move.name: move for move in found.moves}
+    assert list(moves) == ["D_tot", "mu"]
+    assert (moves["mu"].low, moves["mu"].value, moves["mu"].high) == pytest.approx((0.03, 0.07, 0.11))
+    assert moves["mu"].at_low - found.probability == pytest.approx(0.04, abs=1e-6)
+    assert moves["D_tot"].at_high - found.probability == pytest.approx(-0.3 * 0.2, abs=1e-6)
+    assert found.is_given_designs
+    assert any("friction × 0.5" in note for note in found.notes)
+    # Friction below 0.04 is halved to less than the campaign's 0.02; pulses lie outside too.
+    assert found.outside > 0.2
+
+
+def test_a_variable_with_a_value_has_no_index_and_is_still_moved_alone(campaign: Campaign, home: Path) -> None:
+    hazard = read_hazard(home / "hazard.toml")
+    one = hazard_sensitivity(campaign, additive_in_the_design, "failure", hazard, {"D_tot": 0.8}, 16)
+    assert [index.name for index in one.indices] == ["mu"]
+    assert {move.name: move.value for move in one.moves} == pytest.approx({"mu": 0.07, "D_tot": 0.8})
+    assert one.probability == pytest.approx(0.5 - 0.07 - 0.24, abs=3e-3)
+    none = hazard_sensitivity(campaign, additive_in_the_design, "failure", hazard, {"D_tot": 0.8, "mu": 0.05})
+    assert (none.indices, none.samples) == ((), 0)
+    assert len(none.moves) == 2
+    assert any("All variables of the design have values" in note for note in none.notes)
+
+
+def test_many_rows_of_pulses_are_thinned_with_their_weights(campaign: Campaign, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    pgv, period, weight = rng.lognormal(-0.5, 0.4, 3000), rng.lognormal(1.0, 0.4, 3000), rng.random(3000)
+    rows = "".join(f"{t},{v},{w}\n" for t, v, w in zip(period, pgv, weight, strict=True))
+    (tmp_path / "pulses.csv").write_text("T_p,PGV,weight\n" + rows)
+    (tmp_path / "rows.toml").write_text('samples = "pulses.csv"\n')
+    hazard, base = read_hazard(tmp_path / "rows.toml"), {"mu": 0.05, "D_tot": 0.6}
+
+    def fails(X: Array) -> Array:
+        return np.asarray(5.0 * np.log(velocity_of(X[:, 3], X[:, 2]) / 0.9))
+
+    found = hazard_sensitivity(campaign, fails, "failure", hazard, base)
+    true = classifier_probability(fails, hazard_question(hazard, campaign.settings, campaign.space, base))
+    assert 0.1 < true < 0.4
+    assert found.probability == pytest.approx(true, abs=2e-3)
+    assert found.pulses == 128
+
+
+# --- what is said ------------------------------------------------------------------------------------------------
+
+
+def test_notes_warn_of_wide_intervals_impossible_estimates_and_rare_outcomes(campaign: Campaign) -> None:
+    def corner(X: Array) -> Array:
+        return np.where((X[:, 0] > 0.08) & (X[:, 1] < 0.5) & (X[:, 2] > 4.0), 9.0, -9.0)
+
+    few = question_sensitivity(campaign, corner, "failure", campaign.question, 16)
+    told = " ".join(few.notes)
+    assert "16 samples are too few" in told
+    assert "`--samples 64`" in told
+    assert any(index.first.value < 0.0 for index in few.indices)
+    assert "An estimate below 0 or above 1 is shown as it is" in told
+    assert "of 32 sampled designs lie on the rarer side" in told
+    many = question_sensitivity(campaign, lambda X: ndtri(X[:, 0]), "failure", campaign.question, 4096)
+    assert not any("too few" in note or "rarer" in note for note in many.notes)
+
+
+def test_the_default_number_of_samples_is_an_affordable_power_of_two() -> None:
+    for variables, points in ((9, 1), (7, 128), (3, 128), (1, 1), (30, 4096)):
+        samples = default_samples(variables, points)
+        assert samples & (samples - 1) == 0
+        assert samples * (variables + 2) * points <= 600_000 or samples == 64
+    assert default_samples(7, 128) == 512
+
+
+def test_p_values_are_those_of_the_initial_design_and_need_both_sides(campaign: Campaign) -> None:
+    rng = np.random.default_rng(1)
+    X = campaign.space.latin_hypercube(200, rng)
+    # A_p decides, not always.
+    beyond = X[:, 3] + 0.2 * rng.standard_normal(200) > 0.5
+    nothing = np.full(200, np.nan)
+    results = Results(beyond.astype(np.int8), np.zeros(200, dtype=np.int8), nothing[:, None], nothing)
+    history = History.of_sample(X, results)
+    found = variable_p_values(campaign.space, history, 1)
+    assert list(found) == list(campaign.space.names)
+    assert found["A_p"] < 1e-6
+    assert min(found["mu"], found["D_tot"], found["T_p"]) > 1e-3
+    assert variable_p_values(campaign.space, history[~beyond], 1) == {}
+    assert variable_p_values(campaign.space, history[:3], 1) == {}
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_the_indices_and_writes_table_and_page(home: Path, tmp_path: Path) -> None:
+    options = ("--code", home, "--samples", "64")
+    done = activefail("sensitivity", home / "run", *options, "--csv", tmp_path / "all.csv", "--out", tmp_path / "page")
+    assert done.code == 0, done.err
+    assert "what moves the probability of failure under the design measure" in done.out
+    assert "first index (95 % interval)" in done.out
+    assert "no simulation" in done.out
+    rows = table(tmp_path / "all.csv")
+    assert {row["variable"] for row in rows} == {"mu", "D_tot", "T_p", "A_p"}
+    assert all(float(row["first_low"]) <= float(row["first"]) <= float(row["first_high"]) for row in rows)
+    assert all(float(row["length_scale"]) > 0.0 and row["probability_at_low"] == "" for row in rows)
+    numbers = json.loads(activefail("sensitivity", home / "run", *options, "--json").out)
+    assert [index["variable"] for index in numbers["indices"]] == [row["variable"] for row in rows]
+    assert numbers["indices"][0]["total"]["value"] == float(rows[0]["total"])
+    assert numbers["probability"] is None
+    page = tmp_path / "page"
+    assert {file.name for file in page.iterdir()} == {
+        *("sensitivity.md", "sensitivity.csv", "indices.svg", "indices.png"),
+    }
+    assert "## Sobol' indices" in (page / "sensitivity.md").read_text()
+    assert (page / "sensitivity.csv").read_text() == (tmp_path / "all.csv").read_text()
+
+
+def test_the_command_leads_with_one_variable_at_a_time_under_a_hazard(home: Path, tmp_path: Path) -> None:
+    words = ("sensitivity", home / "run", "--code", home, "--hazard", home / "hazard.toml")
+    done = activefail(*words, "--fixed", home / "fixed.toml", "--samples", "16", "--out", tmp_path)
+    assert done.code == 0, done.err
+    assert done.out.index("at its 10 % quantile") < done.out.index("Sobol' indices")
+    assert "at the variables' own values, without an interval" in done.out
+    assert {"one_at_a_time.svg", "indices.png"} <= {file.name for file in tmp_path.iterdir()}
+    found = json.loads(activefail(*words, "--bearing", home / "fixed.toml", "--samples", "16", "--json").out)
+    assert found["output"] == "probability given the design"
+    assert [index["variable"] for index in found["indices"]] == ["mu"]
+    moves = {move["variable"]: move for move in found["one_at_a_time"]}
+    assert moves["D_tot"]["value"] == 0.6
+    # More capacity and more friction help.
+    assert all(move["probability_at_low"] > move["probability_at_high"] for move in moves.values())
+    csv = activefail(*words, "--samples", "16", "--csv", "-")
+    assert csv.out.startswith("variable,unit,first,")
+    assert len(csv.out.splitlines()) == 3
+
+
+def test_the_method_takes_a_hazard_and_a_question_as_objects(run: Run, home: Path) -> None:
+    hazard = run.sensitivity(read_hazard(home / "hazard.toml"), fixed={"mu": 0.05}, samples=16)
+    assert [index.name for index in hazard.indices] == ["D_tot"]
+    question = run.sensitivity(question=run.asked(fixed={"mu": 0.05}), samples=16)
+    assert {index.name for index in question.indices} == {"D_tot", "T_p", "A_p"}
+    assert set(question.length_scales) == {"mu", "D_tot", "T_p", "A_p"}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--samples", "100"], "samples: must be a power of two of at least 16, got 100"),
+        (["--samples", "8"], "samples: must be a power of two of at least 16, got 8"),
+        (["--outcome", "collapse"], "outcome: must be one of failure, got 'collapse'"),
+        (["--hazard", "hazard.toml", "--question", "asked.toml"], "hazard: cannot be combined with a question"),
+        (["--hazard", "none.toml"], "none.toml: cannot be read"),
+        (["--hazard", "hazard.toml", "--fixed", "pulse.toml"], "T_p: is uncertain under a hazard"),
+        (["--fixed", "unknown.toml"], "unknown.toml: q: is not a variable of the campaign"),
+        (["--question", "correlated.toml"], "T_p and A_p have the correlation 0.5"),
+        (["--question", "rows.toml", "--fixed", "bearing.toml"], "its pulses are rows of a file"),
+        (["--json", "--csv", "-"], "--json: cannot be combined with `--csv -`"),
+        (["--out", "run/sets"], "--out: "),
+    ],
+)
+def test_what_cannot_be_answered_is_refused(
+    home: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
+) -> None:
+    monkeypatch.chdir(home)
+    files = {
+        "asked.toml": "[space]\nmu = { value = 0.05 }\n",
+        "pulse.toml": "T_p = 2.0\n",
+        "unknown.toml": "q = 1.0\n",
+        "correlated.toml": 'correlation = [["T_p", "A_p", 0.5]]\n[space]\nmu = { value = 0.05 }\n',
+        "rows.toml": 'samples = "pulses.csv"\n',
+        "pulses.csv": "T_p,PGV\n2.0,0.5\n3.0,0.7\n",
+        "bearing.toml": "mu = 0.05\nD_tot = 0.6\n",
+    }
+    for name, text in files.items():
+        (home / name).write_text(text)
+    refused(activefail("sensitivity", "run", "--code", home, *options), message)
+
+
+def test_a_campaign_without_a_pulse_has_no_hazard(tmp_path: Path, home: Path) -> None:
+    settings = {"simulator": {"elsewhere": True}, "space": {"x": {"low": 0.0, "high": 1.0}}}
+    with create_run(tmp_path / "run", settings) as made, pytest.raises(InputError, match="needs the variable 'T_p'"):
+        hazard_sensitivity(made.campaign, np.ravel, "failure", read_hazard(home / "hazard.toml"), {})
+
+
+def test_without_salib_the_message_says_how_to_install_it(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = importlib.import_module
+
+    def without(name: str, package: str | None = None) -> object:
+        if name.startswith("SALib"):
+            raise ModuleNotFoundError(f"No module named {name!r}")
+        return found(name, package)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+    for name in [name for name in sys.modules if name.startswith("SALib")]:
+        monkeypatch.delitem(sys.modules, name)
+    result = activefail("sensitivity", home / "run", "--code", home, "--samples", "16")
+    refused(result, "needs the package SALib; install it with `pip install 'activefail[sensitivity]'`")
