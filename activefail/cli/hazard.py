@@ -21,7 +21,7 @@ def hazard(
     file: Annotated[Path, typer.Argument(help="Hazard file (docs/hazard.md).", metavar="FILE", show_default=False)],
     folder: Annotated[
         Path | None,
-        typer.Argument(help="Run folder, for the share outside its design space.", metavar="[DIR]", show_default=False),
+        typer.Argument(help="Run folder, for the share outside its design space.", metavar="DIR", show_default=False),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the figure: hazard.png and hazard.svg.", show_default=False)
