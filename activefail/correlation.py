@@ -47,20 +47,24 @@ def nataf_factor(parameters: Sequence[Parameter], correlation: Sequence[tuple[st
         ) from None
 
 
-def _copula_coefficient(one: Parameter, other: Parameter, rho: float, entry: str) -> float:
-    if rho == 0.0:
-        return 0.0
-    from scipy.optimize import brentq
-
+def correlation_of_values(one: Parameter, other: Parameter, rho_0: float) -> float:
+    """Correlation of two variables' values, by the coefficient of their copula."""
     z, w = np.polynomial.hermite_e.hermegauss(_NODES)
     w = w / w.sum()
     x = one.from_normal(z)
     y = other.from_normal(z)
     (mean_x, mean_y), (sd_x, sd_y) = (w @ x, w @ y), (np.sqrt(w @ (x - w @ x) ** 2), np.sqrt(w @ (y - w @ y) ** 2))
+    Y = other.from_normal(rho_0 * z[:, None] + np.sqrt(1.0 - rho_0**2) * z[None, :])
+    return float(w @ ((x - mean_x)[:, None] * (Y - mean_y)) @ w / (sd_x * sd_y))
+
+
+def _copula_coefficient(one: Parameter, other: Parameter, rho: float, entry: str) -> float:
+    if rho == 0.0:
+        return 0.0
+    from scipy.optimize import brentq
 
     def coefficient(rho_0: float) -> float:
-        Y = other.from_normal(rho_0 * z[:, None] + np.sqrt(1.0 - rho_0**2) * z[None, :])
-        return float(w @ ((x - mean_x)[:, None] * (Y - mean_y)) @ w / (sd_x * sd_y))
+        return correlation_of_values(one, other, rho_0)
 
     least, largest = coefficient(-1.0), coefficient(1.0)
     if not least < rho < largest:

@@ -723,7 +723,7 @@ class Run:
             confidence: of the interval.
             outcome: its name; that of the (main) target boundary if None.
             question: other distributions of the variables: a question file (docs/probability.md), a hazard file
-                (docs/design.md), or what `asked` returns; the campaign's question if None.
+                (docs/hazard.md), or what `asked` returns; the campaign's question if None.
             executor: as for `take`.
             fixed: values of variables, which are then certain: by name, or a TOML file.
 
@@ -888,30 +888,31 @@ class Run:
         Raises:
             InputError: naming the file, the key, the rule and the value.
         """
-        from activefail.campaign.question import question_of, read_question
+        from activefail.campaign.asked import check_designs_of, read_asked
+        from activefail.campaign.question import question_of
 
         values = self.fixed_values(fixed)
         if question is not None:
-            return read_question(Path(question), self.settings, self.space, values)
-        return question_of(self.settings, self.space, values) if values else self.campaign.question
+            asked = read_asked(Path(question), self.settings, self.space, values)
+        else:
+            asked = question_of(self.settings, self.space, values) if values else self.campaign.question
+        source = fixed if isinstance(fixed, str | Path) else question
+        check_designs_of(asked, self.campaign.simulator, "" if source is None else str(source))
+        return asked
 
     def fixed_values(self, fixed: "Mapping[str, float] | Path | str | None") -> dict[str, float]:
         """Values of variables, by name or from a TOML file.
 
         Raises:
-            InputError: if a name is not a variable, or a value is not a finite number.
+            InputError: if a name is not a variable, or a value is not a number.
         """
-        from activefail.campaign.question import check_names, read_fixed
+        from activefail.campaign.question import checked_values, read_fixed
 
         if fixed is None:
             return {}
         if isinstance(fixed, str | Path):
             return read_fixed(Path(fixed), self.space)
-        check_names(fixed, self.space)
-        for name, value in fixed.items():
-            if not (isinstance(value, int | float | np.number) and np.isfinite(value)):
-                raise InputError(f"{name}: must be a finite number, got {value!r}.")
-        return {name: float(value) for name, value in fixed.items()}
+        return checked_values(fixed, self.space)
 
     def _save_estimate(self, outcome: str, numbers: dict[str, Any]) -> None:
         """Save an estimate beside those of other outcomes from the same record."""

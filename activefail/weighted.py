@@ -1,5 +1,6 @@
 """A distribution that is given by weighted rows, such as the pulses of a deaggregation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ class WeightedRows:
         weight: (n,) relative to the mean weight, so that weighted means are means.
 
     Raises:
-        InputError: if a weight is negative or not finite, or all are zero.
+        InputError: if the shapes differ, a value or weight is not finite, a weight is negative, or all are zero.
     """
 
     names: tuple[str, ...]
@@ -26,6 +27,13 @@ class WeightedRows:
     weight: Array
 
     def __post_init__(self) -> None:
+        if self.X.shape != (len(self.weight), len(self.names)):
+            raise InputError(
+                f"X: must have the shape (rows, names) = {(len(self.weight), len(self.names))}, got {self.X.shape}."
+            )
+        bad = np.flatnonzero(~np.isfinite(self.X).all(axis=1))
+        if len(bad):
+            raise InputError(f"row {bad[0] + 1}: must be finite, got {self.X[bad[0]].tolist()}.")
         bad = np.flatnonzero(~(np.isfinite(self.weight) & (self.weight >= 0.0)))
         if len(bad):
             raise InputError(f"row {bad[0] + 1}, column weight: must be at least 0, got {self.weight[bad[0]]}.")
@@ -43,7 +51,25 @@ class WeightedRows:
         """The probability of rows that are left out: none is."""
         return 0.0
 
+    def column(self, name: str) -> Array:
+        """Values of one variable, (n,)."""
+        return self.X[:, self.names.index(name)]
+
     def without(self, name: str) -> "WeightedRows":
         """The distribution of the other variables."""
         kept = [column for column, other in enumerate(self.names) if other != name]
         return WeightedRows(tuple(self.names[column] for column in kept), self.X[:, kept], self.weight)
+
+
+def weighted_quantiles(values: Array, weight: Array, shares: Sequence[float]) -> Array:
+    """The least values at or below which these shares of the weight lie, (len(shares),).
+
+    Args:
+        values, weight: (n,) each.
+        shares: between 0 and 1.
+    """
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weight[order]) / weight.sum()
+    # Rounding may leave the last sum below 1.
+    places = np.minimum(np.searchsorted(below, np.asarray(shares) * (1.0 - 1e-12)), len(order) - 1)
+    return np.asarray(values[order][places])

@@ -10,11 +10,13 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import commandline
 import pytest
 
 import activefail
+from activefail.campaign.hazard_sections import HazardSettings
 from activefail.campaign.settings import CampaignSettings
 
 ROOT = Path(__file__).parents[1]
@@ -136,6 +138,41 @@ def test_the_guide_lists_every_method_and_property_of_a_run_with_its_arguments()
             _, given, default = text.partition("=")
             assert bool(given) == (one.default is not one.empty), name
             assert default in ("", "…") or ast.literal_eval(default) == one.default, name
+
+
+HAZARD = ROOT / "docs" / "hazard.md"
+
+
+def test_the_hazard_files_of_the_docs_are_read_and_drawn(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    near_fault, bearing, deaggregation = blocks(HAZARD, "toml")
+    (pulses,) = blocks(HAZARD, "csv")
+    activefail.create_run(tmp_path / "runs" / "bearing", {"sampling": {"initial": 20, "budget": 20}}).close()
+    texts = {"near_fault.toml": near_fault, "rows.toml": deaggregation, "b.toml": bearing, "pulses.csv": pulses}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    commands = [line for block in blocks(HAZARD, "sh") for line in block.splitlines()]
+    for command in (*commands, "activefail hazard rows.toml runs/bearing --fixed b.toml"):
+        name, *words = shlex.split(command)
+        done = commandline.activefail(*words)
+        assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
+    assert (tmp_path / "figures" / "hazard.png").exists()
+    shipped = (ROOT / "campaigns" / "hazards" / "near_fault.toml").read_text(encoding="utf-8")
+    assert tomllib.loads(shipped) == tomllib.loads(near_fault)
+
+
+def test_the_table_of_hazard_files_has_every_key_with_its_default():
+    stated = dict(re.findall(r"^\| `([\w.]+)` \|[^|]*\|([^|]*)\|", HAZARD.read_text(encoding="utf-8"), re.MULTILINE))
+    for section, field in HazardSettings.model_fields.items():
+        models = [one for one in get_args(field.annotation) if hasattr(one, "model_fields")]
+        entries = {f"{section}.{key}": one for model in models for key, one in model.model_fields.items()}
+        for key, entry in (entries or {section: field}).items():
+            default = stated.pop(key).strip().strip("`")
+            if entry.is_required():
+                assert default.startswith("required"), key
+            elif isinstance(entry.default, float):
+                assert float(default) == entry.default, key
+    assert set(stated) == {"relation"}
 
 
 def test_the_python_of_the_theory_runs():

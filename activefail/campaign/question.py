@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from activefail.campaign.sections import FixedSettings, FixedVariable, QuestionSettings, Variable
+from activefail.bearing.design import LARGEST
+from activefail.campaign.sections import FixedVariable, QuestionSettings, Variable, shown
 from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
 from activefail.errors import InputError
 from activefail.parameter import Parameter
@@ -21,9 +23,6 @@ _SHARE = 2**14
 
 PGV = "PGV"
 """Peak ground velocity of the pulse [m/s], which may take the place of its amplitude A_p [g]."""
-
-_OF_HAZARDS = ("magnitude", "pulse_period", "pgv", "samples")
-"""Keys that tell a hazard file from a question file."""
 
 PERIOD, AMPLITUDE = "T_p", "A_p"
 """The variables of a pulse: period [s] and amplitude [g]."""
@@ -41,6 +40,7 @@ class Question:
         factors: factors on variables, applied last, such as a bound on friction.
         draw: number of an independent sample of fresh simulations.
         is_own: whether this is the campaign's own design measure.
+        assumptions: what the distribution assumes or leaves out, as sentences.
     """
 
     title: str
@@ -50,6 +50,7 @@ class Question:
     factors: Mapping[str, float] = field(default_factory=dict)
     draw: int = 0
     is_own: bool = False
+    assumptions: tuple[str, ...] = ()
 
     @classmethod
     def of_space(cls, space: DesignSpace) -> "Question":
@@ -112,7 +113,7 @@ class Question:
 def read_question(
     path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float] | None = None
 ) -> Question:
-    """Read the question of a file: a question file, or a hazard file.
+    """Read the question of a question file.
 
     Args:
         path: the file.
@@ -122,29 +123,22 @@ def read_question(
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
-    values = parse_toml(read_text(path), str(path))
-    if _is_of_hazard(values):
-        from activefail.campaign.hazard import hazard_of, hazard_question
-
-        return hazard_question(hazard_of(values, path), settings, space, fixed or {})
-    asked = checked(QuestionSettings, values, str(path))
-    try:
-        return _question(asked, path.stem, settings, space, fixed or {})
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    return question_with(parse_toml(read_text(path), str(path)), path, settings, space, fixed or {})
 
 
-def is_hazard(path: Path) -> bool:
-    """Whether a file is a hazard file, by its keys, and not a question file.
+def question_with(
+    values: dict[str, Any], path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float]
+) -> Question:
+    """The question with these values of a question file.
 
     Raises:
-        InputError: if the file is not TOML.
+        InputError: as `read_question` does.
     """
-    return _is_of_hazard(parse_toml(read_text(path), str(path)))
-
-
-def _is_of_hazard(values: Mapping[str, object]) -> bool:
-    return "space" not in values and not values.keys().isdisjoint(_OF_HAZARDS)
+    asked = checked(QuestionSettings, values, str(path))
+    try:
+        return _question(asked, path.stem, settings, space, fixed)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def question_of(settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float] | None = None) -> Question:
@@ -169,12 +163,24 @@ def read_fixed(path: Path, space: DesignSpace) -> dict[str, float]:
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
-    values = checked(FixedSettings, {"values": parse_toml(read_text(path), str(path))}, str(path)).values
     try:
-        check_names(values, space)
+        return checked_values(parse_toml(read_text(path), str(path)), space)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return values
+
+
+def checked_values(values: Mapping[str, Any], space: DesignSpace) -> dict[str, float]:
+    """Values of variables as numbers.
+
+    Raises:
+        InputError: if a name is not a variable of the campaign, or a value is not a number.
+    """
+    check_names(values, space)
+    for name, value in values.items():
+        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not (is_number and -LARGEST <= value <= LARGEST):
+            raise InputError(f"{name}: must be a number between {-LARGEST:g} and {LARGEST:g}, got {shown(value)}.")
+    return {name: float(value) for name, value in values.items()}
 
 
 def check_names(names: Mapping[str, object], space: DesignSpace) -> None:

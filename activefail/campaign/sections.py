@@ -482,13 +482,3 @@ class QuestionSettings(Section):
                 if isinstance(self.space.get(name), FixedVariable):
                     raise ValueError(f"correlation: {name!r} has a fixed value, so it cannot be correlated")
         return self
-
-
-class FixedSettings(Section):
-    """Values of variables, in a file of their own.
-
-    Attributes:
-        values: by name.
-    """
-
-    values: dict[str, Annotated[float, Field(ge=-LARGEST, le=LARGEST)]]

@@ -5,6 +5,7 @@ from activefail.cli.campaigns import export, predict, resume, run, status, verif
 from activefail.cli.design import design
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
+from activefail.cli.hazard import hazard
 from activefail.cli.probability import probability
 from activefail.cli.report import report
 from activefail.cli.sensitivity import sensitivity
@@ -25,6 +26,7 @@ for _command in (
     predict,
     verify,
     probability,
+    hazard,
     design,
     sensitivity,
     export,

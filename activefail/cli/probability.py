@@ -25,7 +25,7 @@ def probability(
         Path | None,
         typer.Option(
             help="File with other distributions of the variables (docs/probability.md), or a hazard file "
-            "(docs/design.md).",
+            "(docs/hazard.md).",
             show_default=False,
         ),
     ] = None,

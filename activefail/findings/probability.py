@@ -89,6 +89,7 @@ class ProbabilityFindings:
         outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
         question: title of the distribution; empty for the campaign's design measure.
         extrapolated: share of the distribution outside the campaign's design space.
+        of_question: what the question assumes, as sentences.
     """
 
     outcome: str
@@ -100,6 +101,7 @@ class ProbabilityFindings:
     outside: float
     question: str
     extrapolated: float
+    of_question: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -128,6 +130,7 @@ class ProbabilityFindings:
             outside=question.space.outside,
             question=question.title if question.digest else "",
             extrapolated=question.share_outside(campaign.space) if question.digest else 0.0,
+            of_question=question.assumptions,
         )
 
     @property
@@ -176,7 +179,7 @@ class ProbabilityFindings:
             sentences.append(
                 f"Designs outside the variables' bounds, with a probability of up to {self.outside:.1g}, are excluded."
             )
-        return sentences
+        return [*sentences, *self.of_question]
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""

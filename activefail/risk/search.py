@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from activefail.campaign.asked import check_designs_of
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import FRICTION, Hazard, hazard_question, read_hazard
-from activefail.campaign.question import Question, is_hazard, question_of, read_question
+from activefail.campaign.hazard import FRICTION, Hazard, hazard_question, is_hazard, read_hazard
+from activefail.campaign.question import Question, question_of, read_question
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
 from activefail.reliability.estimate import standardised_latent
@@ -48,6 +49,7 @@ def search_design(
     """
     requirements = read_targets(target, campaign.simulator.outcomes, campaign.settings.acquisition.main_boundary)
     hazard, question = _asked(campaign, source, fixed)
+    check_designs_of(question, campaign.simulator, "fixed")
     task = design_task(campaign, question, requirements, free, cost, confidence, simulations)
     found = find_design(campaign, store, executor, classifier, iteration, task, stage)
     chart = _chart(campaign, classifier, found, stage) if with_chart else None

@@ -15,7 +15,7 @@ from activefail.space import Array
 from activefail.visible import visible
 
 RISK_CATEGORIES = {"II": 0.10, "III": 0.05, "IV": 0.025}
-"""Largest probabilities of collapse given the maximum considered earthquake, by risk category [ASCE7, table 1.3-2]."""
+"""Largest probabilities of collapse given MCE_R, by risk category [ASCE2017, table 1.3-2]."""
 
 DEFAULT_FREE = "D_tot"
 """The variable of a bearing that is made as small as possible."""

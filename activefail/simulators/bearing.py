@@ -67,6 +67,16 @@ class DfpSimulator:
         answers = simulate(self.space.table(X, TABLE_1.names), self.model, self.tolerance, threads=1)
         return Results(answers.outcome, answers.cause, answers.columns, answers.seconds)
 
+    def check(self, X: Array) -> None:
+        """Check that designs, (n, d), can be built and shaken.
+
+        Raises:
+            InputError: naming the variable, the rule and the value of the first that cannot.
+        """
+        for row in self.space.table(X, TABLE_1.names).tolist():
+            Bearing.from_row(row, self.model.slider_diameter)
+            Pulse.from_table(*row[7:])
+
     def response(self, design: Array) -> Response:
         """The motion of one design, (d,), to the end of the run."""
         row = self.space.table(design[None], TABLE_1.names)[0].tolist()

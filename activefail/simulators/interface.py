@@ -107,7 +107,8 @@ class Simulator(Protocol):
     towards the time limit.
 
     **Optional attributes.** `renew` (int or None) is the most simulations of one worker process. `isolated` (bool)
-    means that each simulation runs in its own process, so that an error is not repeated in a fresh worker.
+    means that each simulation runs in its own process, so that an error is not repeated in a fresh worker. `check(X)`
+    raises an InputError if one of the designs can have no result at all, such as one with a negative friction.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 

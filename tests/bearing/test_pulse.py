@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson
 
-from activefail.bearing.pulse import HALF_DURATION, ground_acceleration, ground_jerk
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.pulse import (
+    HALF_DURATION,
+    VELOCITY_PERIOD,
+    amplitude_of,
+    ground_acceleration,
+    ground_jerk,
+    velocity_of,
+)
 
 PERIODS = (0.25, 1.0, 5.0)
 
@@ -68,3 +76,24 @@ def test_the_jerk_is_the_derivative_of_the_acceleration(period):
         slope = (ground_acceleration(t + h, 3.0, period) - ground_acceleration(t - h, 3.0, period)) / (2.0 * h)
         # Truncation h²/6 times the third derivative, of the order of 100 A_p/T_p³.
         assert ground_jerk(t, 3.0, period) == pytest.approx(slope, rel=1e-7, abs=3e-8 * 3.0 / period)
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_the_peak_ground_velocity_is_that_of_the_integrated_pulse(period):
+    _, _, v, _ = motion(period, 0.4 * GRAVITY, HALF_DURATION)
+    stated = velocity_of(np.array([0.4]), np.array([period]))[0]
+    # The pulse is cut where 4e-5 of its peak acceleration remain.
+    assert np.abs(v).max() == pytest.approx(stated, rel=5e-5)
+    assert stated == pytest.approx(0.1997 * 0.4 * GRAVITY * period, rel=5e-4)
+    assert amplitude_of(np.array([stated]), np.array([period]))[0] == pytest.approx(0.4, rel=1e-14)
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_the_acceleration_spectrum_peaks_at_the_period_and_the_velocity_spectrum_at_its_root_of_1_5(period):
+    t, a, v, _ = motion(period, 3.0, 5.0)
+    # Zeros after the motion make the frequencies dense: steps of 1/(160 T_p).
+    frequency = np.fft.rfftfreq(16 * len(t), t[1] - t[0])
+    for series, peak in ((a, period), (v, VELOCITY_PERIOD * period)):
+        spectrum = np.abs(np.fft.rfft(series, 16 * len(t)))
+        assert frequency[spectrum.argmax()] * peak == pytest.approx(1.0, abs=0.5 * 1.5**0.5 / 160 + 1e-4)
+    assert VELOCITY_PERIOD == 1.5**0.5

@@ -1,0 +1,115 @@
+"""The command `hazard`."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from activefail.cli.common import Code, Fixed, opened_run
+from activefail.errors import InputError
+from activefail.record.layout import check_output
+from activefail.shares import percent
+from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.risk.hazard import HazardSummary, Outside
+    from activefail.space import DesignSpace
+
+
+def hazard(
+    file: Annotated[Path, typer.Argument(help="Hazard file (docs/hazard.md).", metavar="FILE", show_default=False)],
+    folder: Annotated[
+        Path | None,
+        typer.Argument(help="Run folder, for the share outside its design space.", metavar="DIR", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the figure: hazard.png and hazard.svg.", show_default=False)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    fixed: Fixed = None,
+    code: Code = None,
+) -> None:
+    """Check a hazard file and show its pulses, and which of them lie outside a campaign's design space."""
+    from activefail.campaign.hazard import read_hazard
+    from activefail.risk.hazard import HazardSummary, Outside
+
+    if folder is None and fixed is not None:
+        raise InputError("--fixed: needs a run folder, whose variables it fixes.")
+    check_output("--out", out)
+    read = read_hazard(file)
+    summary, outside, space = HazardSummary.of(read), None, None
+    if folder is not None:
+        with opened_run(folder, code=code) as run:
+            space = run.space
+            try:
+                outside = Outside.of(read, space, run.fixed_values(fixed))
+            except InputError as error:
+                raise InputError(f"{file}: {error}" if str(fixed) not in str(error) else str(error)) from None
+    if out is not None:
+        _draw(summary, space, out)
+    if as_json:
+        print(json.dumps(summary.as_json() | {"outside": outside.as_json() if outside else None}, indent=2))
+        return
+    _show(summary)
+    if outside is not None:
+        _show_outside(outside, ", with the added uncertainty," if read.added_dispersion or read.bias else "")
+    for sentence in summary.assumptions:
+        print(f"note         {sentence}")
+    if out is not None:
+        print(f"figure       {visible(str(out / 'hazard.png'))}, hazard.svg")
+
+
+def _draw(summary: "HazardSummary", space: "DesignSpace | None", out: Path) -> None:
+    from activefail.figures.hazard import plot_hazard
+    from activefail.figures.style import save_figure
+    from activefail.files import writing_to
+
+    figure = plot_hazard(summary, space)
+    with writing_to(out):
+        out.mkdir(parents=True, exist_ok=True)
+        save_figure(figure, out / "hazard.png")
+        save_figure(figure, out / "hazard.svg", metadata={"Date": None})
+
+
+def _show(summary: "HazardSummary") -> None:
+    from activefail.risk.task import RISK_CATEGORIES
+
+    read = summary.hazard
+    settings = read.settings
+    print(f"hazard       {visible(read.title)}")
+    print(f"pulses       {visible(summary.source)}")
+    for name, unit, low, median, high, dispersion in summary.spreads:
+        quantiles = f"median {median:.3g} {unit}, 5 to 95 % {low:.3g} to {high:.3g} {unit}"
+        print(f"{name:<12} {quantiles}, dispersion {dispersion:.3g}")
+    print(f"correlation  {summary.correlation:.3g} between ln PGV and ln T_p")
+    if (bounds := settings.properties) is not None:
+        print(
+            f"properties   friction × {bounds.mu_lower:g} to × {bounds.mu_upper:g}, displacement capacity × "
+            f"{bounds.D_tot_lower:g}"
+        )
+    if (factor := settings.record_factor) is not None:
+        print(f"records      bias {factor.bias:g}, dispersion {factor.dispersion:g} of the capacity")
+    if (added := settings.uncertainty) is not None:
+        print(
+            f"uncertainty  design requirements {added.design_requirements:g}, test data {added.test_data:g}, modelling "
+            f"{added.modelling:g}; together {added.total:.3g}"
+        )
+    for point in summary.curve:
+        print(f"curve        PGV {point.pgv:g} m/s is exceeded {point.rate:.3g} times a year", end="")
+        print(f" (return period {point.return_period:,.0f} years)")
+    if summary.rate_at_median is not None:
+        print(
+            f"             the median PGV is exceeded {summary.rate_at_median:.3g} times a year (return period "
+            f"{1.0 / summary.rate_at_median:,.0f} years)"
+        )
+    targets = ", ".join(f"{100.0 * share:g} % for risk category {name}" for name, share in RISK_CATEGORIES.items())
+    print(f"targets      {targets}: P(failure) given MCE_R")
+
+
+def _show_outside(outside: "Outside", added: str) -> None:
+    share = percent(outside.total)
+    print(f"outside      {share} of the pulses{added} lie outside the campaign's design space; none is clipped")
+    for part in outside.parts:
+        unit = f" {part.unit}" if part.unit else ""
+        print(f"             {part.name} {part.side} {part.bound:g}{unit}: {percent(part.share)}")

@@ -1,0 +1,600 @@
+"""Hazard files: their distributions against closed forms, what they ask of a campaign, and what is refused."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+from scipy.special import ndtr
+
+import activefail as package
+from activefail.acquisition.population import integration_points
+from activefail.bearing.design import TABLE_1
+from activefail.bearing.pulse import VELOCITY_PERIOD, amplitude_of
+from activefail.campaign.asked import read_asked
+from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
+from activefail.campaign.hazard_sections import RELATIONS
+from activefail.campaign.question import Question, read_question
+from activefail.campaign.settings import parse_settings
+from activefail.errors import InputError
+from activefail.figures.hazard import plot_hazard
+from activefail.risk.hazard import HazardSummary, Outside
+from activefail.space import Array, DesignSpace
+from activefail.weighted import WeightedRows, weighted_quantiles
+
+BEARING = {"T_b": 4.0, "mu": 0.06, "D_tot": 0.65, "h_sl_ratio": 0.6, "h_rim_ratio": 0.1, "p": 45.0, "k": 2e9}
+BEARING_FILE = "".join(f"{name} = {value}\n" for name, value in BEARING.items())
+PERIOD = '[pulse_period]\nmedian_s = 3.0\ndispersion = 0.5\ndefinition = "acceleration"\n'
+PGV = "[pgv]\nmedian_m_s = 0.8\ndispersion = 0.3\n"
+CORRELATED = f"{PERIOD}{PGV}correlation_with_period = 0.6\n"
+UNCERTAIN = "[uncertainty]\ndesign_requirements = 0.2\ntest_data = 0.1\n[record_factor]\nbias = 0.1\ndispersion = 0.2\n"
+SETTINGS = parse_settings("", "made.toml")
+
+
+def hazard(folder: Path, text: str) -> Hazard:
+    path = folder / "hazard.toml"
+    path.write_text(text)
+    return read_hazard(path)
+
+
+def asked(folder: Path, text: str, pgv: float | None = None, fixed: dict[str, float] = BEARING) -> Question:
+    return hazard_question(hazard(folder, text), SETTINGS, TABLE_1, fixed, pgv)
+
+
+def logarithms(space: DesignSpace | WeightedRows, n: int = 2**14) -> dict[str, Array]:
+    X, _ = integration_points(space, n)
+    return dict(zip(space.names, np.log(X).T, strict=True))
+
+
+# --- distributions -----------------------------------------------------------------------------------------------
+
+
+def test_samples_of_a_hazard_have_the_stated_medians_dispersions_and_correlation(tmp_path: Path) -> None:
+    sample = logarithms(asked(tmp_path, CORRELATED).space)
+    # A scrambled Sobol' sequence of 16,384 points integrates smooth functions to about 1e-4.
+    for name, median, dispersion in (("T_p", 3.0, 0.5), ("PGV", 0.8, 0.3)):
+        quantiles = np.quantile(sample[name], ndtr([-1.645, 0.0, 1.645]))
+        expected = math.log(median) + dispersion * np.array([-1.645, 0.0, 1.645])
+        assert quantiles == pytest.approx(expected, abs=2e-3)
+    assert np.corrcoef(sample["T_p"], sample["PGV"])[0, 1] == pytest.approx(0.6, abs=1e-3)
+
+
+@pytest.mark.parametrize("rho", [-0.99, -0.5, 0.99])
+def test_any_correlation_of_any_dispersions_has_a_joint_distribution(tmp_path: Path, rho: float) -> None:
+    # The values of such variables are hardly correlated: -0.018 at the least.
+    text = CORRELATED.replace("0.5", "2.0").replace("0.3", "2.0").replace("0.6", str(rho))
+    sample = logarithms(asked(tmp_path, text).space)
+    assert np.corrcoef(sample["T_p"], sample["PGV"])[0, 1] == pytest.approx(rho, abs=2e-3)
+
+
+def test_the_period_given_a_velocity_has_its_conditional_distribution(tmp_path: Path) -> None:
+    given = asked(tmp_path, CORRELATED, pgv=1.6)
+    assert given.space.names == ("T_p",)
+    assert given.fixed["PGV"] == 1.6
+    sample = logarithms(given.space)["T_p"]
+    # Of two normal variables: the mean moves by rho sd_1/sd_2 times the other's distance from its mean.
+    assert sample.mean() == pytest.approx(math.log(3.0) + 0.6 * 0.5 / 0.3 * math.log(1.6 / 0.8), abs=1e-3)
+    assert sample.std() == pytest.approx(0.5 * 0.8, abs=1e-3)
+
+
+def test_record_factor_and_uncertainty_are_a_convolution_on_the_logarithm_of_the_velocity(tmp_path: Path) -> None:
+    added = math.sqrt(0.2**2 + 0.1**2 + 0.2**2)
+    read = hazard(tmp_path, CORRELATED + UNCERTAIN)
+    assert (read.added_dispersion, read.bias) == (pytest.approx(added), 0.1)
+    given = logarithms(asked(tmp_path, CORRELATED + UNCERTAIN, pgv=1.6).space)
+    assert given["PGV"].mean() == pytest.approx(math.log(1.6) - 0.1, abs=1e-3)
+    assert given["PGV"].std() == pytest.approx(added, abs=1e-3)
+    assert np.corrcoef(given["T_p"], given["PGV"])[0, 1] == pytest.approx(0.0, abs=2e-3)
+    # A limit in ln PGV and ln T_p: its probability over all velocities, with the uncertainty, in closed form.
+    slope, limit = 0.4, math.log(1.1)
+    total = logarithms(asked(tmp_path, CORRELATED + UNCERTAIN).space)
+    mean = math.log(0.8) - 0.1 + slope * math.log(3.0)
+    variance = 0.3**2 + added**2 + (slope * 0.5) ** 2 + 2.0 * slope * 0.6 * 0.3 * 0.5
+    share = (total["PGV"] + slope * total["T_p"] > limit).mean()
+    assert share == pytest.approx(ndtr((mean - limit) / math.sqrt(variance)), abs=2e-3)
+    pulses, certain = read.without_uncertainty().pulses()
+    assert logarithms(pulses)["PGV"].std() == pytest.approx(0.3, abs=1e-3)
+    assert certain == {}
+
+
+def test_the_velocity_and_the_period_give_the_amplitude_of_the_design(tmp_path: Path) -> None:
+    question = asked(tmp_path, PERIOD + PGV)
+    X = question.designs(np.array([[2.0, 1.0]]))
+    assert dict(zip(TABLE_1.names, X[0], strict=True)) == BEARING | {
+        "T_p": 2.0,
+        "A_p": pytest.approx(float(amplitude_of(np.array(1.0), np.array(2.0)))),
+    }
+
+
+@pytest.mark.parametrize(
+    ("definition", "divisor"), [("acceleration", 1.0), ("velocity", math.sqrt(1.5))], ids=["acceleration", "velocity"]
+)
+def test_a_period_of_the_velocity_pulse_is_divided(tmp_path: Path, definition: str, divisor: float) -> None:
+    read = hazard(tmp_path, PERIOD.replace("acceleration", definition) + PGV)
+    assert read.median_period == pytest.approx(3.0 / divisor)
+    assert read.period_dispersion == 0.5
+
+
+@pytest.mark.parametrize(
+    ("relation", "stated", "period", "dispersion"),
+    [
+        ("shahi-baker-2011", "", math.exp(-5.73 + 0.99 * 7.0), 0.56),
+        ("baker-2007", "", math.exp(-5.78 + 1.02 * 7.0), 0.55),
+        ("baker-2007", "dispersion = 0.3", math.exp(-5.78 + 1.02 * 7.0), 0.3),
+        ("somerville-2003-rock", "dispersion = 0.4", 10.0 ** (-3.17 + 0.5 * 7.0), 0.4),
+        ("somerville-2003-soil", "dispersion = 0.4", 10.0 ** (-2.02 + 0.346 * 7.0), 0.4),
+    ],
+)
+def test_a_magnitude_gives_the_period_of_the_published_relation(
+    tmp_path: Path, relation: str, stated: str, period: float, dispersion: float
+) -> None:
+    assert relation in RELATIONS
+    read = hazard(tmp_path, f'[magnitude]\nM = 7\nrelation = "{relation}"\n{stated}\n{PGV}')
+    assert read.median_period * VELOCITY_PERIOD == pytest.approx(period, rel=1e-12)
+    assert read.period_dispersion == dispersion
+
+
+# --- rows --------------------------------------------------------------------------------------------------------
+
+
+def rows(folder: Path, table: str, more: str = "") -> Hazard:
+    (folder / "pulses.csv").write_text(table)
+    return hazard(folder, f'samples = "pulses.csv"\n{more}')
+
+
+def test_rows_enter_with_their_weights_and_those_without_weight_not_at_all(tmp_path: Path) -> None:
+    read = rows(tmp_path, "T_p,PGV,weight\n1.0,0.5,3\n2.0,1.0,1\n9.0,4.0,0\n")
+    assert read.rows is not None
+    assert read.rows.X.tolist() == [[1.0, 0.5], [2.0, 1.0]]
+    assert read.rows.weight.tolist() == [1.5, 0.5]
+    assert read.median_velocity == 0.5
+    assert read.median_period == pytest.approx(2.0**0.25)
+    question = hazard_question(read, SETTINGS, TABLE_1, BEARING)
+    X, weight = integration_points(question.space, 4)
+    above = question.designs(X)[:, TABLE_1.names.index("T_p")] > 1.5
+    assert (weight * above).mean() == pytest.approx(0.25)
+
+
+def test_rows_of_amplitudes_are_the_same_pulses_as_rows_of_velocities(tmp_path: Path) -> None:
+    amplitude = float(amplitude_of(np.array(1.0), np.array(2.0)))
+    one = hazard_question(rows(tmp_path, "T_p,PGV\n2.0,1.0\n"), SETTINGS, TABLE_1, BEARING)
+    other = hazard_question(rows(tmp_path, f"A_p,T_p\n{amplitude!r},2.0\n"), SETTINGS, TABLE_1, BEARING)
+    (x, _), (y, _) = integration_points(one.space, 1), integration_points(other.space, 1)
+    assert one.designs(x) == pytest.approx(other.designs(y))
+
+
+def test_uncertainty_spreads_each_row_by_gauss_hermite_nodes(tmp_path: Path) -> None:
+    read = rows(tmp_path, "T_p,PGV\n2.0,1.0\n", UNCERTAIN)
+    pulses, _ = read.pulses()
+    assert isinstance(pulses, WeightedRows)
+    logarithm = np.log(pulses.column("PGV"))
+    mean = (pulses.weight * logarithm).mean()
+    assert mean == pytest.approx(-0.1)
+    assert (pulses.weight * (logarithm - mean) ** 2).mean() == pytest.approx(0.2**2 + 0.1**2 + 0.2**2)
+    given, certain = read.without_uncertainty().pulses(pgv=0.7)
+    assert (given.names, certain) == (("T_p",), {"PGV": 0.7})
+
+
+def test_rows_need_values_of_all_other_variables(tmp_path: Path) -> None:
+    read = rows(tmp_path, "T_p,PGV\n2.0,1.0\n")
+    with pytest.raises(InputError, match=r"^k: must have a value, because the hazard's pulses are rows of a file"):
+        hazard_question(read, SETTINGS, TABLE_1, {name: value for name, value in BEARING.items() if name != "k"})
+
+
+def test_quantiles_of_weighted_values_are_the_least_that_hold_the_share() -> None:
+    values, weight = np.array([3.0, 1.0, 2.0]), np.array([1.0, 2.0, 1.0])
+    assert weighted_quantiles(values, weight, [0.0, 0.5, 0.51, 0.75, 0.76, 1.0]).tolist() == [1, 1, 2, 2, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("X", "weight", "message"),
+    [
+        ([[1.0]], [-1.0], "row 1, column weight: must be at least 0, got -1.0."),
+        ([[1.0]], [math.nan], "row 1, column weight"),
+        ([[1.0]], [0.0], "at least one weight must be positive"),
+        ([[math.inf]], [1.0], "row 1: must be finite"),
+        ([[1.0, 2.0]], [1.0], "must have the shape"),
+    ],
+)
+def test_weighted_rows_are_checked(X: list[list[float]], weight: list[float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        WeightedRows(("x",), np.array(X), np.array(weight))
+
+
+# --- the bearing -------------------------------------------------------------------------------------------------
+
+
+def test_property_bounds_are_factors_on_the_bearing(tmp_path: Path) -> None:
+    text = f"{PERIOD}{PGV}[properties]\nmu_lower = 0.8\nmu_upper = 1.3\nD_tot_lower = 0.95\n"
+    read = hazard(tmp_path, text)
+    values = {"lower": (0.048, 0.6175), "upper": (0.078, 0.65), "nominal": (0.06, 0.65)}
+    for bound, (mu, capacity) in values.items():
+        question = hazard_question(read.at_bound(bound), SETTINGS, TABLE_1, BEARING)  # type: ignore[arg-type]
+        design = question.designs(np.array([[2.0, 1.0]]))[0]
+        assert (design[1], design[2]) == (pytest.approx(mu), pytest.approx(capacity))
+    assert "friction × 0.8, displacement capacity × 0.95" in read.assumptions[0]
+    assert "upper property bounds: friction × 1.3." in read.at_bound("upper").assumptions[0]
+    assert "exactly as designed" in read.at_bound("nominal").assumptions[0]
+
+
+@pytest.mark.parametrize("campaign", ["mu = { value = 0.06 }", "friction = { low = 0.02, high = 0.1 }"])
+def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, campaign: str) -> None:
+    made = 'simulator = { python = "a:b" }\n[space]\nT_p = { low = 1, high = 5 }\nA_p = { low = 0.1, high = 1 }\n'
+    settings = parse_settings(made + campaign, "made.toml")
+    read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\nmu_lower = 0.8\n")
+    with pytest.raises(InputError, match=r"properties\.mu_lower: cannot be applied, because the campaign"):
+        hazard_question(read, settings, settings.design_space(), {})
+
+
+def test_what_is_left_out_is_said(tmp_path: Path) -> None:
+    said = " ".join(asked(tmp_path, PERIOD + PGV).assumptions)
+    assert "no property bounds" in said
+    assert "No uncertainty is added" in said
+    assert "no curve of annual rates" in said
+
+
+# --- questions ---------------------------------------------------------------------------------------------------
+
+OLD = """
+simulator = { python = "limit:plane", margins = ["g"] }
+correlation = [["x", "y", 0.5]]
+[space]
+x = { distribution = "normal", mean = 0, sd = 1, unit = "m" }
+y = { distribution = "normal", mean = 0, sd = 1 }
+z = { low = -1, high = 1 }
+w = { value = 2.0 }
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "digest"),
+    [
+        ("z = { value = 0.5 }", "2d91e65e2ec42243172ef8b496c0b1545853534824231f96332431d8c7287afb"),
+        (
+            "z = { low = -2, high = 2 }\ny = { value = -1.5 }",
+            "6a96fc2311975c0e08ac7cbec3729e95f000a2a993e1acad810f298712ca8b4d",
+        ),
+        (
+            'x = { low = 0, high = 2, unit = "m" }',
+            "a8f8261194f342f49821cb68d255667c687c1c728559aa199b3f378cd03b1f76",
+        ),
+    ],
+)
+def test_questions_have_the_digests_that_they_had_before_there_were_hazards(
+    tmp_path: Path, text: str, digest: str
+) -> None:
+    # The stored simulations of a question are found by its digest.
+    settings = parse_settings(OLD, "old.toml")
+    path = tmp_path / "question.toml"
+    path.write_text(f"[space]\n{text}\n")
+    assert read_question(path, settings, settings.design_space()).digest == digest
+
+
+def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: Path) -> None:
+    text = f"{PERIOD}{PGV}[properties]\nmu_lower = 0.8\n"
+    one = asked(tmp_path, text)
+    assert one.digest == asked(tmp_path, f'description = "other words"\n{text}').digest
+    digests = {
+        one.digest,
+        one.drawn(1).digest,
+        one.at({"mu": 0.07}).digest,
+        asked(tmp_path, text, pgv=1.0).digest,
+        asked(tmp_path, text.replace("mu_lower = 0.8", "mu_lower = 0.9")).digest,
+        hazard_question(hazard(tmp_path, text).at_bound("nominal"), SETTINGS, TABLE_1, BEARING).digest,
+    }
+    assert len(digests) == 6
+
+
+def test_a_file_is_a_hazard_or_a_question_by_its_keys(tmp_path: Path) -> None:
+    path = tmp_path / "asked.toml"
+    path.write_text(PERIOD + PGV)
+    assert read_asked(path, SETTINGS, TABLE_1, BEARING).space.names == ("T_p", "PGV")
+    path.write_text("[space]\nmu = { value = 0.05 }\n")
+    assert "mu" not in read_asked(path, SETTINGS, TABLE_1, {}).space.names
+    path.write_text("[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0.01]\n")
+    with pytest.raises(InputError, match=r"needs `magnitude`, `pulse_period` or `samples`"):
+        read_asked(path, SETTINGS, TABLE_1, {})
+    path.write_text("[space]\nT_p = { value = 2.0 }\nPGV = { value = 1.0 }\n")
+    question = read_asked(path, SETTINGS, TABLE_1, {})
+    amplitude = float(amplitude_of(np.array(1.0), np.array(2.0)))
+    assert question.designs(np.zeros((1, 7)))[0, 7:] == pytest.approx([2.0, amplitude])
+
+
+def test_a_velocity_so_far_out_that_no_period_belongs_to_it_is_refused(tmp_path: Path) -> None:
+    read = hazard(tmp_path, CORRELATED.replace("dispersion = 0.3", "dispersion = 0.01"))
+    with pytest.raises(InputError, match=r"pgv: is so far from its median of 0\.8 m/s"):
+        read.pulses(pgv=8.0)
+    with pytest.raises(InputError, match=r"pgv: must be positive and finite, got 0.0 m/s\."):
+        read.pulses(pgv=0.0)
+
+
+# --- wrong files -------------------------------------------------------------------------------------------------
+
+UNIT = "; is it in cm/s?"
+WRONG = [
+    (PGV, "needs `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them"),
+    (PERIOD, "needs `pgv` with `pulse_period`, got none; `samples` may replace both"),
+    ("[magnitude]\nM = 7\n" + PERIOD + PGV, "`magnitude` cannot be combined with `pulse_period`"),
+    (f'samples = "a.csv"\n{PGV}', "`samples` cannot be combined with `pgv`"),
+    ('samples = ""\n', "samples: "),
+    ("", "needs `magnitude`"),
+    (PERIOD + PGV.replace("0.8", "80"), f"pgv.median_m_s: must be at most 5 m/s, got 80{UNIT}"),
+    (PERIOD + PGV.replace("0.3", "0"), "pgv.dispersion: must be greater than or equal to 0.001, got 0"),
+    (PERIOD + PGV.replace("0.3", "1e-9"), "pgv.dispersion: must be greater than or equal to 0.001, got 1e-09"),
+    (PERIOD + PGV.replace("0.3", "25"), "pgv.dispersion: must be less than or equal to 2, got 25"),
+    (PERIOD + PGV.replace("0.8", "nan"), "pgv.median_m_s: must be a finite number, got nan"),
+    (PERIOD + PGV.replace("0.8", "inf"), "pgv.median_m_s: must be a finite number, got inf"),
+    (PERIOD + PGV.replace("0.8", "-1"), "pgv.median_m_s: must be greater than or equal to 0.001, got -1"),
+    (PERIOD + PGV.replace("0.8", "true"), "pgv.median_m_s: must be a valid number, got True"),
+    (PERIOD + PGV.replace("0.8", '"0.8"'), "pgv.median_m_s: must be a valid number, got '0.8'"),
+    (PERIOD.replace("3.0", "1e300") + PGV, "pulse_period.median_s: must be less than or equal to 30, got 1e+300"),
+    (PERIOD.replace("acceleration", "wavelet") + PGV, "pulse_period.definition: must be 'velocity' or 'acceleration'"),
+    (PERIOD.replace("median_s", "median") + PGV, "pulse_period.median: unknown key; did you mean 'median_s'?"),
+    (PERIOD + PGV.replace("[pgv]", "[pvg]"), "pvg: unknown key; did you mean 'pgv'?"),
+    (
+        PERIOD + PGV + "correlation_with_period = 1.0\n",
+        "pgv.correlation_with_period: must be less than or equal to 0.99",
+    ),
+    ("magnitude = 7\n" + PGV, "magnitude: must be a table, got 7"),
+    ("[magnitude]\nM = 12\n" + PGV, "magnitude.M: must be less than or equal to 9, got 12"),
+    ('[magnitude]\nM = 7\nrelation = "baker"\n' + PGV, "magnitude.relation: must be 'shahi-baker-2011', 'baker-2007'"),
+    (
+        '[magnitude]\nM = 7\nrelation = "somerville-2003-rock"\n' + PGV,
+        "magnitude: the relation 'somerville-2003-rock' comes without a dispersion; set `dispersion`",
+    ),
+    (PERIOD + PGV + "[properties]\nmu_lower = 1.2\n", "properties.mu_lower: must be less than or equal to 1, got 1.2"),
+    (PERIOD + PGV + "[properties]\nmu_upper = 0.8\n", "properties.mu_upper: must be greater than or equal to 1"),
+    (PERIOD + PGV + "[properties]\nfriction = 0.8\n", "properties.friction: unknown key"),
+    (PERIOD + PGV + "[record_factor]\nbias = 3\n", "record_factor.bias: must be less than or equal to 1, got 3"),
+    (PERIOD + PGV + "[uncertainty]\ntest_data = -0.1\n", "uncertainty.test_data: must be greater than or equal to 0"),
+    (
+        PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1]\n",
+        "curve.annual_rate: must have at least 2 entries",
+    ),
+    (
+        PERIOD + PGV + "[curve]\npgv_m_s = [1, 2, 3]\nannual_rate = [0.1, 0.01]\n",
+        "curve: `pgv_m_s` and `annual_rate` must have equal lengths, got 3 and 2",
+    ),
+    (PERIOD + PGV + "[curve]\npgv_m_s = [2, 1]\nannual_rate = [0.1, 0.01]\n", "curve.pgv_m_s: must increase"),
+    (PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0.1]\n", "curve.annual_rate: must decrease"),
+    (
+        PERIOD + PGV + "[curve]\npgv_m_s = [20, 200]\nannual_rate = [0.1, 0.01]\n",
+        f"curve.pgv_m_s: must be at most 10 m/s, got 200{UNIT}",
+    ),
+    (PERIOD + PGV + "[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0]\n", "curve.annual_rate.1: must be greater"),
+    ("[pgv\n", "not valid TOML"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG, ids=[message[:60] for _, message in WRONG])
+def test_a_wrong_hazard_is_refused_with_file_key_rule_and_value(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    refused(activefail("hazard", path), f"{path}:", message)
+
+
+TABLES = [
+    ("T_p,weight\n1,1\n", "the columns must be T_p, either PGV or A_p, and weight"),
+    ("T_p,PGV,A_p\n1,1,0.5\n", "got T_p,PGV,A_p."),
+    ("T_p,PGV,Weight\n1,1,1\n", "got T_p,PGV,Weight."),
+    ("T_p,PGV\n", "must have 1 to 20000 rows, got 0."),
+    ("T_p,PGV\n" + "1,1\n" * 20_001, "must have 1 to 20000 rows, got 20001."),
+    ("T_p,PGV,weight\n1,1,0\n1,1,0\n", "column weight: at least one weight must be positive, got 0 in every row."),
+    ("T_p,PGV,weight\n1,1,1\n1,1,-2\n", "row 2 (line 3), column weight: must be finite and at least 0, got -2."),
+    ("T_p,PGV,weight\n1,1,nan\n", "row 1 (line 2), column weight: must be finite and at least 0, got nan."),
+    ("T_p,PGV\n1,80\n", "row 1 (line 2), column PGV: must be between 0.001 and 10 m/s, got 80; is it in cm/s?"),
+    ("T_p,PGV\n0,1\n", "row 1 (line 2), column T_p: must be between 0.05 and 30 s, got 0."),
+    ("T_p,A_p\n1,1e300\n", "column A_p: must be between 0.0001 and 10 g, got 1e+300."),
+    ("T_p,PGV\nnan,1\n", "column T_p: must be between 0.05 and 30 s, got nan."),
+    ("T_p,PGV\n1,fast\n", "row 1 (line 2), column PGV: must be a number, got 'fast'."),
+    ("T_p,PGV\n1_0,1\n", "column T_p: must be a number, got '1_0'."),
+    ("T_p,PGV\n1\n", "must have 2 cells, like the header, has 1"),
+    ("T_p;PGV\n1;1\n", "columns must be separated by commas"),
+    ("", "is empty"),
+]
+
+
+@pytest.mark.parametrize(("table", "message"), TABLES, ids=[message[:60] for _, message in TABLES])
+def test_a_wrong_table_of_pulses_is_refused_with_file_row_column_rule_and_value(
+    tmp_path: Path, table: str, message: str
+) -> None:
+    (tmp_path / "pulses.csv").write_text(table)
+    path = tmp_path / "rows.toml"
+    path.write_text('samples = "pulses.csv"\n')
+    refused(activefail("hazard", path), f"{path}: ", str(tmp_path / "pulses.csv"), message)
+
+
+@pytest.mark.parametrize("name", ["none.csv", "../pulses.csv", "/etc/hostname", "link.csv", "folder", "."])
+def test_a_table_that_is_missing_or_outside_the_folder_is_refused(tmp_path: Path, name: str) -> None:
+    home = tmp_path / "home"
+    (home / "folder").mkdir(parents=True)
+    (tmp_path / "pulses.csv").write_text("T_p,PGV\n1,1\n")
+    (home / "link.csv").symlink_to(tmp_path / "pulses.csv")
+    path = home / "rows.toml"
+    path.write_text(f'samples = "{name}"\n')
+    is_outside = name in ("../pulses.csv", "/etc/hostname", "link.csv")
+    message = "samples: must be a file in the folder of the hazard file, got " if is_outside else "cannot be read: "
+    refused(activefail("hazard", path), f"{path}: ", message)
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder of a bearing campaign without simulations."""
+    run = tmp_path_factory.mktemp("hazard") / "run"
+    package.create_run(run, {"sampling": {"initial": 20, "budget": 20}}).close()
+    return run
+
+
+CURVE = "[curve]\npgv_m_s = [0.4, 1.6]\nannual_rate = [1e-2, 1e-4]\n"
+
+
+def test_the_summary_has_the_quantiles_of_the_closed_forms(tmp_path: Path) -> None:
+    summary = HazardSummary.of(hazard(tmp_path, CORRELATED + CURVE))
+    period, velocity_pulse, pgv, amplitude = summary.spreads
+    assert (period.median, period.dispersion, pgv.median, summary.correlation) == (3.0, 0.5, 0.8, 0.6)
+    assert period.high == pytest.approx(3.0 * math.exp(1.6448536 * 0.5))
+    assert velocity_pulse.median == pytest.approx(3.0 * math.sqrt(1.5))
+    # 0.1997 A_p T_p, with A_p in g.
+    assert amplitude.median == pytest.approx(0.8 / (0.1997 * 3.0 * 9.81), rel=1e-3)
+    sample = logarithms(hazard(tmp_path, CORRELATED).pulses()[0])
+    assert amplitude.dispersion == pytest.approx((sample["PGV"] - sample["T_p"]).std(), abs=1e-3)
+    # Half way between the points of the curve, in logarithms.
+    assert summary.rate_at_median == pytest.approx(1e-3)
+
+
+def test_the_summary_of_rows_is_that_of_the_distribution_that_they_sample(tmp_path: Path) -> None:
+    X, _ = integration_points(hazard(tmp_path, CORRELATED).pulses()[0], 2**12)
+    one = HazardSummary.of(hazard(tmp_path, CORRELATED))
+    table = "T_p,PGV\n" + "".join(f"{x},{y}\n" for x, y in X)
+    other = HazardSummary.of(rows(tmp_path, table))
+    assert other.correlation == pytest.approx(one.correlation, abs=5e-3)
+    for a, b in zip(one.spreads, other.spreads, strict=True):
+        assert b[2:] == pytest.approx(a[2:], rel=1e-2)
+
+
+def test_the_share_outside_is_counted_by_variable_and_side(tmp_path: Path) -> None:
+    read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\nmu_lower = 0.8\n")
+    outside = Outside.of(read, TABLE_1, {})
+    parts = {(part.name, part.side): part.share for part in outside.parts}
+    assert parts["T_p", "above"] == pytest.approx(ndtr(-math.log(5.0 / 3.0) / 0.5), abs=1e-3)
+    spread = math.hypot(0.5, 0.3)
+    low = math.log(float(amplitude_of(np.array(0.8), np.array(3.0))) / 0.1) / spread
+    assert parts["A_p", "below"] == pytest.approx(ndtr(-low), abs=1e-3)
+    assert max(parts.values()) < outside.total < sum(parts.values())
+    question = hazard_question(read, SETTINGS, TABLE_1, BEARING)
+    assert question.share_outside(TABLE_1) == pytest.approx(outside.total, abs=1e-12)
+    # The factor of the lower bound takes the friction below the campaign's range.
+    low_friction = Outside.of(read, TABLE_1, {"mu": 0.024})
+    assert ("mu", "below", 1.0) in [(part.name, part.side, part.share) for part in low_friction.parts]
+    assert low_friction.total == 1.0
+
+
+def test_the_command_prints_draws_and_writes_json(tmp_path: Path, folder: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(f'description = "a <site>"\n{CORRELATED}{UNCERTAIN}{CURVE}')
+    result = activefail("hazard", path, folder, "--out", tmp_path / "figure")
+    assert result.code == 0, result.err
+    for line in (
+        "hazard       a <site>",
+        "T_p          median 3 s, 5 to 95 % 1.32 to 6.83 s, dispersion 0.5",
+        "correlation  0.6 between ln PGV and ln T_p",
+        "uncertainty  design requirements 0.2, test data 0.1, modelling 0; together 0.224",
+        "exceeded 0.0001 times a year (return period 10,000 years)",
+        "targets      10 % for risk category II, 5 % for risk category III, 2.5 % for risk category IV",
+        "of the pulses, with the added uncertainty, lie outside the campaign's design space; none is clipped",
+        "             T_p above 5 s: 15.",
+        "note         The hazard has no property bounds",
+    ):
+        assert line in result.out, result.out
+    assert (tmp_path / "figure" / "hazard.png").read_bytes().startswith(b"\x89PNG")
+    assert b"the campaign's design space" in (tmp_path / "figure" / "hazard.svg").read_bytes()
+    (tmp_path / "bearing.toml").write_text(BEARING_FILE)
+    told = activefail("hazard", path, folder, "--fixed", tmp_path / "bearing.toml", "--json")
+    numbers = json.loads(told.out)
+    assert numbers["pulses"]["T_p"]["median"] == pytest.approx(3.0)
+    assert numbers["outside"]["bearing"] == list(BEARING)
+    assert json.loads(activefail("hazard", path, "--json").out)["outside"] is None
+
+
+def test_rows_are_drawn_too(tmp_path: Path) -> None:
+    figure = plot_hazard(HazardSummary.of(rows(tmp_path, "T_p,PGV,weight\n1,1,1\n2,1.5,3\n")), TABLE_1)
+    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == [
+        "pulses; the area shows the weight",
+        "the campaign's design space",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            BEARING_FILE.replace("0.06", "-0.06"),
+            "the simulator cannot take these values: `mu > 0` must hold, got -0.06.",
+        ),
+        (BEARING_FILE.replace("T_b = 4.0", "T_b = 0.5"), "A dish must be less than a hemisphere"),
+        (BEARING_FILE.replace("0.06", "1e90"), "mu: must be a number between -1e+75 and 1e+75, got 1e+90."),
+        (BEARING_FILE.replace("0.06", "nan"), "mu: must be a number between -1e+75 and 1e+75, got nan."),
+        (BEARING_FILE.replace("0.06", "true"), "mu: must be a number between -1e+75 and 1e+75, got True."),
+        (BEARING_FILE.replace("0.06", "{ value = 1 }"), "mu: must be a number between"),
+        (BEARING_FILE + "T_p = 2.0\n", "T_p: is uncertain under a hazard, so it cannot have a value, got 2."),
+        (BEARING_FILE + "friction = 0.1\n", "friction: is not a variable of the campaign"),
+        ("mu 0.1\n", "not valid TOML"),
+    ],
+)
+def test_values_that_cannot_be_asked_for_end_in_one_message(
+    tmp_path: Path, folder: Path, values: str, message: str
+) -> None:
+    path, fixed = tmp_path / "site.toml", tmp_path / "values.toml"
+    path.write_text(PERIOD + PGV)
+    fixed.write_text(values)
+    result = activefail("probability", folder, "--question", path, "--fixed", fixed)
+    refused(result, str(path if "T_p" in message else fixed), message)
+
+
+def test_values_need_a_run_folder(tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(PERIOD + PGV)
+    refused(activefail("hazard", path, "--fixed", path), "--fixed: needs a run folder, whose variables it fixes.")
+    refused(activefail("hazard", tmp_path / "none.toml"), "none.toml: cannot be read: No such file or directory")
+
+
+# --- probabilities -----------------------------------------------------------------------------------------------
+
+LIMIT = """
+def pulse(design):
+    return 1.0 - 0.19974 * 9.81 * design["A_p"] * design["T_p"] / design["strength"]
+"""
+
+MADE = """
+simulator = { python = "limit:pulse", margins = ["g"] }
+[space]
+T_p = { low = 0.5, high = 8.0, unit = "s", distribution = "log_uniform" }
+A_p = { low = 0.02, high = 1.5, unit = "g", distribution = "log_uniform" }
+strength = { low = 0.5, high = 2.0 }
+[sampling]
+initial = 20
+budget = 30
+"""
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign on a limit of PGV alone, and files with hazards."""
+    home = tmp_path_factory.mktemp("learned")
+    (home / "limit.py").write_text(LIMIT)
+    (home / "made.toml").write_text(MADE)
+    assert activefail("run", home / "made.toml", "--out", home / "run").code == 0
+    (home / "fixed.toml").write_text("strength = 1.5\n")
+    (home / "site.toml").write_text(CORRELATED + UNCERTAIN)
+    (home / "rows.toml").write_text('samples = "pulses.csv"\n')
+    (home / "pulses.csv").write_text("T_p,PGV,weight\n1,1,3\n2,1.4,4\n3,1.7,2\n6,1.1,0.5\n4,3,0.5\n")
+    return home
+
+
+@pytest.mark.parametrize(
+    ("file", "true"),
+    [
+        ("site.toml", float(ndtr((math.log(0.8 / 1.5) - 0.1) / math.sqrt(0.3**2 + 0.09)))),
+        ("rows.toml", 0.25),
+    ],
+)
+def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left_out(
+    learned: Path, file: str, true: float
+) -> None:
+    options = ("--code", learned, "--question", learned / file, "--fixed", learned / "fixed.toml", "--json")
+    result = activefail("probability", learned / "run", *options)
+    assert result.code == 0, result.err
+    numbers = json.loads(result.out)["outcomes"]["failure"]
+    assert numbers["low"] <= true <= numbers["high"]
+    assert numbers["probability"] == pytest.approx(true, abs=0.03)
+    said = " ".join(numbers["assumptions"])
+    assert "no property bounds" in said
+    assert ("No uncertainty is added" in said) == (file == "rows.toml")
+    stored = sorted(path.name for path in (learned / "run" / "sets").iterdir())
+    assert activefail("probability", learned / "run", *options).out == result.out
+    assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
