@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 from activefail.acquisition.population import integration_points
 from activefail.campaign.hazard import Hazard
 from activefail.campaign.question import PERIOD, PGV, Question
-from activefail.risk.levels import Boundaries
+from activefail.risk.levels import Boundaries, weighted_quantiles
 from activefail.space import Array
 
 _POINTS, _WITH_UNCERTAINTY = 4096, 512
@@ -136,11 +136,3 @@ def _edges(values: Array, weight: Array) -> Array:
 
 def _percentiles(values: Array, weight: Array) -> Percentiles:
     return Percentiles(*weighted_quantiles(values, weight, (0.05, 0.5, 0.95)))
-
-
-def weighted_quantiles(values: Array, weight: Array, shares: tuple[float, ...]) -> list[float]:
-    """Quantiles of weighted values, (n,) each."""
-    order = np.argsort(values, kind="stable")
-    cumulated = np.cumsum(weight[order])
-    rows = np.searchsorted(cumulated, np.array(shares) * cumulated[-1])
-    return [float(value) for value in values[order][np.minimum(rows, len(values) - 1)]]

@@ -139,7 +139,6 @@ def median_intensity(hazard: Hazard, intensity: Intensity) -> float:
     if intensity == "pgv":
         return hazard.median_velocity
     from activefail.bearing.pulse import amplitude_of
-    from activefail.risk.deaggregation import weighted_quantiles
 
     rows = hazard.rows
     if rows is None:
@@ -149,6 +148,14 @@ def median_intensity(hazard: Hazard, intensity: Intensity) -> float:
     else:
         values = amplitude_of(rows.X[:, rows.names.index(PGV)], rows.X[:, rows.names.index(PERIOD)])
     return weighted_quantiles(values, rows.weight, (0.5,))[0]
+
+
+def weighted_quantiles(values: Array, weight: Array, shares: tuple[float, ...]) -> list[float]:
+    """Quantiles of weighted values, (n,) each."""
+    order = np.argsort(values, kind="stable")
+    cumulated = np.cumsum(weight[order])
+    rows = np.searchsorted(cumulated, np.array(shares) * cumulated[-1])
+    return [float(value) for value in values[order][np.minimum(rows, len(values) - 1)]]
 
 
 def standardised_boundaries(classifier: Classifier, features: FeatureMap) -> Boundaries:
