@@ -4,6 +4,7 @@ from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
 from activefail.cli.campaigns import export, predict, resume, run, status, verify
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
+from activefail.cli.fragility import fragility
 from activefail.cli.probability import probability
 from activefail.cli.report import report
 from activefail.cli.simulate import simulate
@@ -23,6 +24,7 @@ for _command in (
     predict,
     verify,
     probability,
+    fragility,
     export,
     compare,
     report,

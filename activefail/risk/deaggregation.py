@@ -106,8 +106,10 @@ def _of_boundary(period: Array, velocity: Array, weight: Array, part: Array) -> 
     edges = [_edges(values, weight) for values in (period, velocity)]
 
     def binned(weights: Array) -> Array:
-        rows = [np.clip(np.searchsorted(edge, values, side="right") - 1, 0, _BINS - 1)
-                for edge, values in zip(edges, (period, velocity), strict=True)]
+        rows = [
+            np.clip(np.searchsorted(edge, values, side="right") - 1, 0, _BINS - 1)
+            for edge, values in zip(edges, (period, velocity), strict=True)
+        ]
         counts = np.bincount(rows[0] * _BINS + rows[1], weights=weights, minlength=_BINS * _BINS)
         return np.asarray(counts / weights.sum()).reshape(_BINS, _BINS)
 

@@ -276,9 +276,7 @@ def bearing_fragility(
         stage("evaluating the curves of the pulses alone")
         alone = curves_on(boundaries, lambda level: asked(hazard.without_uncertainty(), level), ladder, space)
     names = ("lower", "nominal", "upper") if hazard.settings.properties is not None else ("nominal",)
-    at_bounds = {
-        name: answer(boundaries, asked(hazard.at_bound(name), median), space).probability for name in names
-    }
+    at_bounds = {name: answer(boundaries, asked(hazard.at_bound(name), median), space).probability for name in names}
     stage("finding the pulses that contribute")
     parts = deaggregated(boundaries, lambda of: hazard_question(of, settings, space, fixed), hazard)
     rates, why = hazard.settings.curve, ""
@@ -303,7 +301,15 @@ def bearing_fragility(
     notes = [*hazard.assumptions, *_notes_of_bearing(campaign, hazard, fixed, intensity)]
     outside = whole.share_outside(space)
     return FragilityFindings(
-        whole.title, ladder, tuple(found), curves.outside, fixed, verification.confidence, median, outside, why,
+        whole.title,
+        ladder,
+        tuple(found),
+        curves.outside,
+        fixed,
+        verification.confidence,
+        median,
+        outside,
+        why,
         tuple(notes),
     )
 
@@ -350,7 +356,15 @@ def general_fragility(
         )
     why = "a risk needs a hazard with annual rates"
     return FragilityFindings(
-        question.title, ladder, found, curves.outside, question.fixed, verification.confidence, None, None, why,
+        question.title,
+        ladder,
+        found,
+        curves.outside,
+        question.fixed,
+        verification.confidence,
+        None,
+        None,
+        why,
         tuple(notes),
     )
 

@@ -46,6 +46,27 @@ _MOST_ROWS = 2048
 _LEAST_RESOLUTION = 0.001
 
 
+def check_asked(hazard: object, against: object, bounds: object, question: object, intensity: str) -> None:
+    """Check which arguments of a fragility are given.
+
+    Raises:
+        InputError: naming what is missing, or what cannot be combined.
+    """
+    if hazard is None and against is None:
+        raise InputError(
+            "hazard, against: one is required: a hazard file for a bearing's curves, or the variable against which a "
+            "probability is shown."
+        )
+    if hazard is not None:
+        for name, value in (("against", against), ("range", bounds), ("question", question)):
+            if value is not None:
+                raise InputError(f"{name}: cannot be combined with hazard.")
+    elif intensity != "pgv":
+        raise InputError("intensity: requires hazard; name the variable with against.")
+    if intensity not in UNITS:
+        raise InputError(f"intensity: must be pgv or a_p, got {visible(intensity)!r}.")
+
+
 def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
     """The fixed ladder of an intensity: 24 levels in a factor of ten; it includes the hazard's curve."""
     low, high = _RANGES[intensity]
@@ -125,9 +146,7 @@ def _with_amplitude(question: Question) -> Question:
 
     given = question.space
     if isinstance(given, WeightedRows):
-        uncertain: DesignSpace | WeightedRows = WeightedRows(
-            tuple(map(renamed, given.names)), given.X, given.weight
-        )
+        uncertain: DesignSpace | WeightedRows = WeightedRows(tuple(map(renamed, given.names)), given.X, given.weight)
     else:
         parameters = [replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in given.parameters]
         uncertain = DesignSpace(tuple(parameters), given.fixed, given.correlation)
