@@ -795,7 +795,8 @@ class Run:
             check = Verification(outcome, verify, confidence, estimate)
             if at_site is not None:
                 return bearing_fragility(self.campaign, boundaries, at_site, values, intensity, check, stage)
-            assert asked is not None and against is not None
+            assert asked is not None
+            assert against is not None
             return general_fragility(self.campaign, boundaries, asked, against, bounds, check, stage)
 
     def asked(

@@ -99,8 +99,8 @@ def fragility(
     print("\n".join(lines(found, outcomes)))
     if csv is not None:
         print(f"table      {name_of(csv)}")
-    for path in written:
-        print(f"written    {visible(str(path))}")
+    if out is not None:
+        print(f"written    in {visible(str(out))}: {', '.join(path.name for path in written)}")
 
 
 def _parsed_range(text: str) -> tuple[float, float]:

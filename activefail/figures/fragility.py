@@ -2,10 +2,12 @@
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from activefail.figures.marks import outcome_colour, outcome_marker
-from activefail.figures.style import BLACK, GREY, styled
+from activefail.figures.style import BLACK, VERMILION, styled
 from activefail.findings.quantities import plain, quantity, words
 from activefail.risk.deaggregation import Deaggregation
 from activefail.risk.fragility import BoundaryFragility, FragilityFindings
@@ -22,6 +24,7 @@ def plot_fragility_findings(findings: FragilityFindings) -> Figure:
         figure = Figure(figsize=(10.4 if is_shown else 6.4, 4.8), layout="constrained")
         axes = figure.subplots(1, 2 if is_shown else 1, squeeze=False)[0]
         _draw_curves(axes[0], findings)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4 if is_shown else 2)
         if deaggregation is not None and is_shown:
             _draw_pulses(figure, axes[1], deaggregation, findings.boundaries[-1].outcome)
     return figure
@@ -35,11 +38,11 @@ def _draw_curves(axes: Axes, findings: FragilityFindings) -> None:
         axes.axvline(findings.median, color=BLACK, linewidth=0.9, linestyle="-.", label="median of the hazard")
     if findings.ladder.is_log:
         axes.set_xscale("log")
+        _show_plain_numbers(axes.xaxis)
     variable = quantity(findings.ladder.name, findings.ladder.unit)
     axes.set(xlabel=variable.axis, ylabel="probability of this outcome or worse [–]", ylim=(-0.02, 1.02))
     axes.set_xlim(*_shown_levels(findings))
     axes.set_title(plain(findings.title))
-    axes.legend(loc="best")
 
 
 def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str) -> None:
@@ -47,7 +50,12 @@ def _draw_boundary(axes: Axes, one: BoundaryFragility, colour: str, marker: str)
     axes.plot(levels, one.curve.probability, color=colour, linewidth=1.8, label=name)
     if one.alone is not None:
         axes.plot(
-            levels, one.alone.probability, color=colour, linewidth=1.0, linestyle="--", label=f"{name}, pulses alone"
+            one.alone.ladder.levels,
+            one.alone.probability,
+            color=colour,
+            linewidth=1.0,
+            linestyle="--",
+            label=f"{name}, pulses alone",
         )
     if (fit := one.lognormal) is not None:
         axes.plot(levels, fit.at(levels), color=colour, linewidth=1.0, linestyle=":", label=f"{name}, lognormal")
@@ -83,6 +91,13 @@ def _shown_levels(findings: FragilityFindings) -> tuple[float, float]:
     return low, high
 
 
+def _show_plain_numbers(axis: Axis) -> None:
+    """Label 1, 2 and 5 times the powers of ten of a logarithmic axis, without exponents."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
 def _draw_pulses(figure: Figure, axes: Axes, deaggregation: Deaggregation, outcome: str) -> None:
     assert deaggregation.of_failures is not None
     shares = 100.0 * deaggregation.of_failures.T
@@ -90,16 +105,16 @@ def _draw_pulses(figure: Figure, axes: Axes, deaggregation: Deaggregation, outco
     axes.set(xscale="log", yscale="log", xlabel=quantity("T_p").axis, ylabel=quantity("PGV", "m/s").axis)
     axes.set_title(f"Pulses that cause {plain(words(outcome))} under the hazard")
     axes.grid(visible=False)
-    axes.tick_params(which="minor", labelsize=7)
-    if (pulses := deaggregation.period_of_pulses) is not None:
-        axes.plot(
-            [pulses.median],
-            [deaggregation.velocity_of_pulses.median],
-            marker="+",
-            color=GREY,
-            markersize=9,
-            linestyle="",
-            label="median pulse of the hazard",
-        )
-        axes.legend(loc="lower left")
+    for axis in (axes.xaxis, axes.yaxis):
+        _show_plain_numbers(axis)
+    axes.plot(
+        [deaggregation.period_of_pulses.median],
+        [deaggregation.velocity_of_pulses.median],
+        marker="+",
+        color=VERMILION,
+        markersize=10,
+        linestyle="",
+        label="median pulse of the hazard",
+    )
+    axes.legend(loc="lower left")
     figure.colorbar(mesh, ax=axes, label="share of the failures [%]")

@@ -67,7 +67,7 @@ class Deaggregation:
         return {
             "probability": self.probability,
             "interval": None,
-            "reason": "the classifier's number; `activefail probability` with the hazard file gives one with an interval",
+            "interval_reason": "the classifier's number; `activefail probability` with the hazard gives an interval",
             "T_p_edges_s": self.period.tolist(),
             "PGV_edges_m_s": self.velocity.tolist(),
             "share_of_failures": None if self.of_failures is None else self.of_failures.tolist(),

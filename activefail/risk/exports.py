@@ -9,6 +9,7 @@ OpenQuake: a fragility model of NRML 0.5 with discrete functions. Its peak groun
 
 import csv
 import io
+import re
 from collections.abc import Mapping
 from xml.etree import ElementTree
 
@@ -103,12 +104,13 @@ def openquake_model(ladder: Ladder, curves: Mapping[str, Array], name: str) -> s
         root, "fragilityModel", {"id": "activefail", "assetCategory": "buildings", "lossCategory": "structural"}
     )
     ElementTree.SubElement(model, "description").text = "Fragility of a seismic isolation bearing, by activefail"
-    ElementTree.SubElement(model, "limitStates").text = " ".join(curves)
+    states = {outcome: re.sub(r"[^A-Za-z0-9_-]", "_", outcome) for outcome in curves}
+    ElementTree.SubElement(model, "limitStates").text = " ".join(states.values())
     function = ElementTree.SubElement(model, "fragilityFunction", {"id": name, "format": "discrete"})
     levels = ElementTree.SubElement(function, "imls", {"imt": measure})
     levels.text = " ".join(f"{factor * level:.6g}" for level in ladder.levels)
     for outcome, curve in nested(curves).items():
-        shares = ElementTree.SubElement(function, "poes", {"ls": outcome})
+        shares = ElementTree.SubElement(function, "poes", {"ls": states[outcome]})
         shares.text = " ".join(f"{share:.6g}" for share in curve)
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -41,7 +41,7 @@ def _row(found: FragilityFindings, level: float, kind: str) -> list[Any]:
     for one in found.boundaries:
         row.append(float(one.curve.at(level)))
         row.append("" if one.alone is None else float(one.alone.at(level)))
-        row.append("" if one.lognormal is None else float(one.lognormal.at(found.ladder.levels * 0.0 + level)[0]))
+        row.append("" if one.lognormal is None else float(one.lognormal.at(level)))
         estimates = [checked.estimate for checked in one.verified if kind == "verified" and checked.level == level]
         row += [estimates[0].probability, estimates[0].low, estimates[0].high] if estimates else ["", "", ""]
     return row

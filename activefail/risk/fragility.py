@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from activefail.risk.rates import YEARS, Risk, risk_of
 from activefail.shares import percent
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
+
+Bound = Literal["lower", "nominal", "upper"]
 
 CAPACITIES = (0.025, 0.10, 0.50)
 """Probabilities of the reported capacities."""
@@ -116,16 +118,13 @@ class FragilityFindings:
                 f"The intervals are pointwise: each has {100.0 * self.confidence:g} % confidence by itself, not all "
                 "together. They assume a limit state that is smooth between simulations."
             )
-        half = self.ladder.levels[self.outside > 0.5]
-        if len(half):
+        curves = np.array([one.curve.probability for one in self.boundaries])
+        outside = self.outside[((curves >= 0.01) & (curves <= 0.9)).any(axis=0)]
+        if len(outside) and outside.max() > 0.0:
             sentences.append(
-                f"More than half of the distribution lies outside the campaign's design space at {len(half)} levels "
-                f"({half[0]:.3g} to {half[-1]:.3g}): the curves are extrapolated there."
-            )
-        elif self.outside.max() > 0.0:
-            sentences.append(
-                f"Up to {percent(float(self.outside.max()))} of the distribution lies outside the campaign's design "
-                "space at a level, where the classifier extrapolates."
+                f"Where the curves are between 1 and 90 %, {percent(float(outside.min()))} to "
+                f"{percent(float(outside.max()))} of the distribution lies outside the campaign's design space. The "
+                "classifier extrapolates there."
             )
         if self.outside_hazard:
             sentences.append(
@@ -152,7 +151,9 @@ class FragilityFindings:
             "curve": one.curve.probability.tolist(),
             "curve_interval": None,
             "curve_interval_reason": "only the verified levels have intervals" if one.verified else NOT_VERIFIED,
-            "curve_of_pulses_alone": None if one.alone is None else one.alone.probability.tolist(),
+            "curve_of_pulses_alone": None
+            if one.alone is None
+            else {"levels": one.alone.ladder.levels.tolist(), "probability": one.alone.probability.tolist()},
             "resolution": one.curve.resolution,
             "rises": one.curve.rises,
             "falls": None if fall is None else {"by": fall.size, "from": fall.start, "to": fall.end},
@@ -275,7 +276,8 @@ def bearing_fragility(
     if is_uncertain:
         stage("evaluating the curves of the pulses alone")
         alone = curves_on(boundaries, lambda level: asked(hazard.without_uncertainty(), level), ladder, space)
-    names = ("lower", "nominal", "upper") if hazard.settings.properties is not None else ("nominal",)
+    has_bounds = hazard.settings.properties is not None
+    names: tuple[Bound, ...] = ("lower", "nominal", "upper") if has_bounds else ("nominal",)
     at_bounds = {name: answer(boundaries, asked(hazard.at_bound(name), median), space).probability for name in names}
     stage("finding the pulses that contribute")
     parts = deaggregated(boundaries, lambda of: hazard_question(of, settings, space, fixed), hazard)
@@ -302,7 +304,7 @@ def bearing_fragility(
     outside = whole.share_outside(space)
     return FragilityFindings(
         whole.title,
-        ladder,
+        curves.curves[0].ladder,
         tuple(found),
         curves.outside,
         fixed,

@@ -45,6 +45,9 @@ _MOST_ROWS = 2048
 
 _LEAST_RESOLUTION = 0.001
 
+_STEEP, _HALVINGS = 0.05, 2
+"""Change of a probability for which a step of a ladder is halved, and how often."""
+
 
 def check_asked(hazard: object, against: object, bounds: object, question: object, intensity: str) -> None:
     """Check which arguments of a fragility are given.
@@ -68,7 +71,7 @@ def check_asked(hazard: object, against: object, bounds: object, question: objec
 
 
 def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
-    """The fixed ladder of an intensity: 24 levels in a factor of ten; it includes the hazard's curve."""
+    """The ladder of an intensity: 24 fixed levels in a factor of ten; it includes the hazard's curve."""
     low, high = _RANGES[intensity]
     if intensity == "pgv":
         low, high = min(low, hazard.median_velocity), max(high, hazard.median_velocity)
@@ -247,12 +250,25 @@ class Curves:
 def curves_on(
     boundaries: Boundaries, question_at_level: Callable[[float], Question], ladder: Ladder, space: DesignSpace
 ) -> Curves:
-    """The curves of all boundaries on a ladder, by the classifier."""
-    answers = [answer(boundaries, question_at_level(float(level)), space) for level in ladder.levels]
-    probability = np.array([one.probability for one in answers])
-    errors = np.array([one.error for one in answers]).max(axis=0)
+    """The curves of all boundaries on a ladder, by the classifier.
+
+    Steps of the ladder in which a curve moves by more than 0.05 are halved, at most twice.
+    """
+    answers = {float(level): answer(boundaries, question_at_level(float(level)), space) for level in ladder.levels}
+    for _ in range(_HALVINGS):
+        levels = sorted(answers)
+        probability = np.array([answers[level].probability for level in levels])
+        coordinates = ladder.coordinate(np.array(levels))
+        steep = np.flatnonzero(np.abs(np.diff(probability, axis=0)).max(axis=1) > _STEEP)
+        for step in steep:
+            level = ladder.level(0.5 * (coordinates[step] + coordinates[step + 1]))
+            answers[level] = answer(boundaries, question_at_level(level), space)
+    levels = sorted(answers)
+    ladder = replace(ladder, levels=np.array(levels))
+    probability = np.array([answers[level].probability for level in levels])
+    errors = np.array([one.error for one in answers.values()]).max(axis=0)
     curves = tuple(
         Curve(ladder, probability[:, column], max(_LEAST_RESOLUTION, float(errors[column])))
         for column in range(probability.shape[1])
     )
-    return Curves(curves, np.array([one.outside for one in answers]))
+    return Curves(curves, np.array([answers[level].outside for level in levels]))

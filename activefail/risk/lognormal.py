@@ -32,7 +32,7 @@ class Lognormal(NamedTuple):
     misfit_at: float
     rises: bool
 
-    def at(self, levels: Array) -> Array:
+    def at(self, levels: Array | float) -> Array:
         """Probabilities at levels."""
         from scipy.special import ndtr
 
@@ -50,7 +50,7 @@ def why_not_fitted(curve: Curve) -> str:
 
 
 def fit_lognormal(curve: Curve) -> Lognormal | None:
-    """The lognormal curve with the least squares of the differences at the ladder's levels.
+    """The lognormal curve with the least integral of the squared difference over the logarithm of the level.
 
     Returns:
         None if `why_not_fitted` gives a reason.
@@ -62,11 +62,16 @@ def fit_lognormal(curve: Curve) -> Lognormal | None:
         return None
     logarithms, sign = np.log(curve.ladder.levels), 1.0 if curve.rises else -1.0
 
+    root_width = np.sqrt(np.gradient(logarithms))
+
     def differences(numbers: Array) -> Array:
         return np.asarray(ndtr(sign * (logarithms - numbers[0]) * math.exp(-numbers[1])) - curve.probability)
 
+    def weighted(numbers: Array) -> Array:
+        return np.asarray(root_width * differences(numbers))
+
     middle = curve.capacity(_MOST).level or float(curve.ladder.levels[np.argmax(curve.probability)])
-    fits = [least_squares(differences, [math.log(middle), math.log(start)]) for start in _STARTS]
+    fits = [least_squares(weighted, [math.log(middle), math.log(start)]) for start in _STARTS]
     best = min(fits, key=lambda fit: float(fit.cost))
     missed = np.abs(differences(best.x))
     worst = int(np.argmax(missed))

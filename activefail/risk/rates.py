@@ -52,10 +52,10 @@ def risk_of(curve: Curve, velocities: Array, rates: Array) -> Risk:
         curve: P(v), against the intensity of the hazard's curve.
         velocities, rates: the hazard's curve.
     """
-    ends = np.log(curve.ladder.levels[[0, -1]])
+    low, high = (float(end) for end in np.log(curve.ladder.levels[[0, -1]]))
     corners = np.log(velocities)
-    corners = corners[(corners > ends[0]) & (corners < ends[1])]
-    logarithms = np.unique(np.concatenate([np.linspace(*ends, _STEPS + 1), corners]))
+    corners = corners[(corners > low) & (corners < high)]
+    logarithms = np.unique(np.concatenate([np.linspace(low, high, _STEPS + 1), corners]))
     levels = np.exp(logarithms)
     nu = exceedance(velocities, rates, levels)
     middle = np.exp(0.5 * (logarithms[1:] + logarithms[:-1]))

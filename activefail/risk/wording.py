@@ -25,7 +25,8 @@ def lines(found: FragilityFindings, outcomes: Sequence[str]) -> list[str]:
         said.append("given      " + ", ".join(f"{name} {value:g}" for name, value in found.fixed.items()))
     for one in reversed(found.boundaries):
         said += _of_boundary(found, one, visible(or_worse(one.outcome, outcomes)))
-    if found.why_no_risk and found.median is not None:
+    is_said = any("annual rates" in note for note in found.notes)
+    if found.why_no_risk and found.median is not None and not is_said:
         said.append(f"risk       none: {found.why_no_risk}")
     said.append(
         "intervals  only those that are shown; every other number is the classifier's, without an interval"
@@ -54,8 +55,8 @@ def _of_boundary(found: FragilityFindings, one: BoundaryFragility, name: str) ->
         said.append(f"  alone     the pulses without the added uncertainty: {shown}{unit}")
     if (fall := one.curve.fall) is not None:
         said.append(
-            f"  falls     by {fall.size:.2g} between {fall.start:.3g} and {fall.end:.3g}{unit}: what fails at one level "
-            "may survive a more severe one. Capacities are where the curve first exceeds a probability."
+            f"  falls     by {fall.size:.2g} between {fall.start:.3g} and {fall.end:.3g}{unit}; capacities are where "
+            "the curve first exceeds a probability"
         )
     if one.at_median is not None and found.median is not None:
         bounds = ", ".join(
