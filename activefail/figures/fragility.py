@@ -92,8 +92,8 @@ def _shown_levels(findings: FragilityFindings) -> tuple[float, float]:
 
 
 def _show_plain_numbers(axis: Axis) -> None:
-    """Label 1, 2 and 5 times the powers of ten of a logarithmic axis, without exponents."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    """Label a logarithmic axis with numbers, without exponents."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

@@ -28,7 +28,8 @@ _DEMANDS = {"PGV": ("Peak Ground Velocity", "mps"), "A_p": ("Peak Ground Acceler
 _MEASURES = {"PGV": ("PGV", 100.0), "A_p": ("PGA", 1.0)}
 """Name of the intensity, and its unit or the factor to it, in pelicun and in OpenQuake."""
 
-_LEAST_STEP = 1e-7
+_LEAST, _STEP = 1e-6, 2e-6
+"""Least probability that is written, and least difference of two; pelicun keeps six significant digits."""
 
 
 def why_no_exports(ladder: Ladder) -> str:
@@ -51,26 +52,17 @@ def multilinear(ladder: Ladder, probability: Array) -> str:
     """Theta_0 of a capacity: levels and probabilities that increase strictly, from 0 to 1.
 
     A curve that falls keeps its highest value. Beyond the last level the capacity is taken as exhausted one step later.
+    Each probability is raised by a few millionths, so that none equals the one before it.
     """
-    ratio = float(ladder.levels[1] / ladder.levels[0])
-    levels = [float(ladder.levels[0]) / ratio]
-    shares = [0.0]
-    for level, share in zip(ladder.levels, np.maximum.accumulate(probability), strict=True):
-        rounded = float(f"{share:.6g}")
-        if rounded > shares[-1] + _LEAST_STEP and rounded < 1.0 - _LEAST_STEP:
-            levels.append(float(level))
-            shares.append(rounded)
-        elif shares == [0.0]:
-            # The capacity exceeds this level for certain.
-            levels[0] = float(level)
-        elif rounded >= 1.0 - _LEAST_STEP:
-            levels.append(float(level))
-            shares.append(1.0)
-            break
-    if shares[-1] < 1.0:
-        levels.append(float(ladder.levels[-1]) * ratio)
-        shares.append(1.0)
-    return "|".join(",".join(f"{value:.6g}" for value in values) for values in (levels, shares))
+    highest, levels = np.maximum.accumulate(probability), ladder.levels
+    first = int((highest <= _LEAST).sum())
+    last = max(first, int((highest < 1.0 - _LEAST).sum()))
+    body, ratio = highest[first:last], float(levels[1] / levels[0])
+    start = float(levels[first - 1]) if first else float(levels[0]) / ratio
+    end = float(levels[last]) if last < len(levels) else float(levels[-1]) * ratio
+    raised = body * (1.0 - (len(body) + 1) * _STEP) + _STEP * np.arange(1, len(body) + 1)
+    x, y = [start, *levels[first:last], end], [0.0, *raised, 1.0]
+    return "|".join(",".join(f"{value:.6g}" for value in values) for values in (x, y))
 
 
 def pelicun_table(ladder: Ladder, curves: Mapping[str, Array], name: str) -> str:
