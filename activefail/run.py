@@ -757,11 +757,11 @@ class Run:
         Raises:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
-        from activefail.campaign.hazard import Hazard, read_hazard
+        from activefail.campaign.hazard import hazard_question, read_hazard
         from activefail.campaign.question import Question
         from activefail.risk.band import LEAST
         from activefail.risk.fragility import Verification, bearing_fragility, general_fragility
-        from activefail.risk.levels import check_asked, standardised_boundaries
+        from activefail.risk.levels import check_asked, standardised_boundaries, variable_ladder
         from activefail.verification.probability import estimate_probability
 
         check_asked(hazard, against, bounds, question, intensity)
@@ -773,13 +773,12 @@ class Run:
         values = self.fixed_values(fixed)
         if against in values:
             raise InputError(f"against: {against} has the value {values[against]:g}; leave it out of --fixed.")
-        asked = at_site = None
-        if isinstance(hazard, Path | str):
-            at_site = read_hazard(Path(hazard))
-        elif isinstance(hazard, Hazard):
-            at_site = hazard
+        at_site = read_hazard(Path(hazard)) if isinstance(hazard, Path | str) else hazard
+        if at_site is not None:
+            asked, ladder = hazard_question(at_site, self.settings, self.space, values), None
         else:
             asked = question if isinstance(question, Question) else self.asked(question, values or None)
+            ladder = variable_ladder(asked, self.space, str(against), bounds)
         self._check_initial_design("estimate")
         learned = self.learn(stage)
         boundaries = standardised_boundaries(learned.classifier, self.campaign.features)
@@ -795,9 +794,8 @@ class Run:
             check = Verification(outcome, verify, confidence, estimate)
             if at_site is not None:
                 return bearing_fragility(self.campaign, boundaries, at_site, values, intensity, check, stage)
-            assert asked is not None
-            assert against is not None
-            return general_fragility(self.campaign, boundaries, asked, against, bounds, check, stage)
+            assert ladder is not None
+            return general_fragility(self.campaign, boundaries, asked, ladder, check, stage)
 
     def asked(
         self, question: Path | str | None = None, fixed: "Mapping[str, float] | Path | str | None" = None

@@ -1,10 +1,12 @@
 """Levels of a curve that fresh simulations verify, and what they say about its capacities."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.campaign.question import Question
 from activefail.reliability.estimate import ProbabilityEstimate
@@ -21,12 +23,19 @@ _PER_LEVEL = 30
 LEAST = 20
 """Least number of simulations of a verification."""
 
-_ROWS = {1: 1024}
-_MORE_ROWS = 4096
-"""Points that stand for a distribution of one, or more, variables where it is verified."""
+_SEQUENCES = 8
+"""Independent Sobol' sequences that stand for a distribution where it is verified."""
+
+_POINTS = {1: 128}
+_MORE_POINTS = 256
+"""Points of each sequence for one, or more, variables."""
 
 _STEPS = 400
 """Steps in which a band is read."""
+
+
+Side = Callable[[Array], NDArray[np.bool_]]
+"""Designs, (n, d) -> whether the classifier puts each beyond a boundary, (n,)."""
 
 
 class VerifiedLevel(NamedTuple):
@@ -76,16 +85,16 @@ def levels_to_verify(curve: Curve, simulations: int) -> list[tuple[float, int]]:
 
 
 def as_rows(question: Question) -> Question:
-    """A question whose distribution is a Sobol' sequence of 1,024 or 4,096 designs.
+    """A question whose distribution is that of 8 Sobol' sequences, in their order.
 
-    The integral of the classifier is then a sum, which is exact and much cheaper than the adaptive integration that
-    rare failure needs. The sequence stands for the distribution within 0.001 (one variable) to 0.005.
+    The integral of the classifier is then a sum, much cheaper than the adaptive integration that rare failure needs.
     """
-    if isinstance(question.space, WeightedRows):
+    given = question.space
+    if isinstance(given, WeightedRows):
         return question
-    n = _ROWS.get(question.space.dimension, _MORE_ROWS)
-    X = question.space.sobol(n, np.random.default_rng(0))
-    return replace(question, space=WeightedRows(question.space.names, X, np.ones(n)), is_own=False)
+    n = _POINTS.get(given.dimension, _MORE_POINTS)
+    X = np.concatenate([given.sobol(n, np.random.default_rng(number)) for number in range(_SEQUENCES)])
+    return replace(question, space=WeightedRows(given.names, X, np.ones(len(X))), is_own=False)
 
 
 def verify(
@@ -93,6 +102,7 @@ def verify(
     simulations: int,
     question_at_level: Callable[[float], Question],
     estimate: Callable[[Question, int], ProbabilityEstimate],
+    side: Side,
 ) -> tuple[VerifiedLevel, ...]:
     """Verify a curve at several levels by fresh simulations.
 
@@ -101,10 +111,30 @@ def verify(
         simulations: number of fresh simulations at all levels together.
         question_at_level: the question at a level.
         estimate: the estimate of a question from so many fresh simulations.
+        side: whether the classifier puts designs beyond the boundary.
     """
-    return tuple(
-        VerifiedLevel(level, estimate(as_rows(question_at_level(level)).drawn(place + 1), size))
-        for place, (level, size) in enumerate(levels_to_verify(curve, simulations))
+    levels = []
+    for place, (level, size) in enumerate(levels_to_verify(curve, simulations)):
+        question = question_at_level(level)
+        rows = as_rows(question)
+        found = estimate(rows.drawn(place + 1), size)
+        levels.append(VerifiedLevel(level, found if rows is question else _widened(found, rows, side)))
+    return tuple(levels)
+
+
+def _widened(estimate: ProbabilityEstimate, rows: Question, side: Side) -> ProbabilityEstimate:
+    """The estimate with an interval that includes the error of the sequences, which differ by it."""
+    from scipy.stats import t
+
+    assert isinstance(rows.space, WeightedRows)
+    shares = side(rows.designs(rows.space.X)).reshape(_SEQUENCES, -1).mean(axis=1)
+    error = float(shares.std(ddof=1)) / math.sqrt(_SEQUENCES)
+    half = float(t.ppf(0.5 + 0.5 * estimate.confidence, _SEQUENCES - 1)) * error
+    middle = estimate.probability
+    return replace(
+        estimate,
+        low=max(0.0, middle - math.hypot(middle - estimate.low, half)),
+        high=min(1.0, middle + math.hypot(estimate.high - middle, half)),
     )
 
 

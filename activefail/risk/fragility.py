@@ -10,7 +10,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import Hazard, hazard_question
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.band import NOT_VERIFIED, Interval, VerifiedLevel, capacity_interval, verify
+from activefail.risk.band import NOT_VERIFIED, Interval, Side, VerifiedLevel, capacity_interval, verify
 from activefail.risk.curve import Capacity, Curve, Ladder
 from activefail.risk.deaggregation import Deaggregation, deaggregated
 from activefail.risk.levels import (
@@ -21,7 +21,6 @@ from activefail.risk.levels import (
     intensity_ladder,
     median_intensity,
     question_at,
-    variable_ladder,
 )
 from activefail.risk.lognormal import Lognormal, fit_lognormal, why_not_fitted
 from activefail.risk.rates import YEARS, Risk, risk_of
@@ -286,7 +285,7 @@ def bearing_fragility(
         why = "the hazard has no curve of annual rates"
     elif intensity != "pgv":
         why, rates = "the hazard's annual rates are those of PGV, not of A_p", None
-    found = []
+    found, sides = [], _sides(boundaries, len(campaign.simulator.outcomes) - 1)
     for column, outcome in enumerate(campaign.simulator.outcomes[1:]):
         curve = curves.curves[column]
         found.append(
@@ -294,7 +293,7 @@ def bearing_fragility(
                 outcome,
                 curve,
                 alone.curves[column] if alone else None,
-                _verified(outcome, curve, lambda level: asked(hazard, level), verification, stage),
+                _verified(outcome, curve, lambda level: asked(hazard, level), sides[column], verification, stage),
                 {name: float(value[column]) for name, value in at_bounds.items()},
                 None if rates is None else risk_of(curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate)),
                 parts[column],
@@ -320,8 +319,7 @@ def general_fragility(
     campaign: Campaign,
     boundaries: Boundaries,
     question: Question,
-    against: str,
-    bounds: tuple[float, float] | None,
+    ladder: Ladder,
     verification: Verification,
     stage: Callable[[str], None] = lambda _: None,
 ) -> FragilityFindings:
@@ -330,22 +328,19 @@ def general_fragility(
     Args:
         campaign, boundaries, verification, stage: as for `bearing_fragility`.
         question: the distribution of the variables.
-        against: the variable.
-        bounds: of its levels; those of the campaign if None.
-
-    Raises:
-        InputError: if the variable is not uncertain, or the bounds are wrong.
+        ladder: of the variable (see `variable_ladder`).
     """
-    ladder = variable_ladder(question, campaign.space, against, bounds)
+    against = ladder.name
 
     def asked(level: float) -> Question:
         return question.at({against: level})
 
     stage(f"evaluating the curves at {len(ladder.levels)} levels of {ladder.name}")
     curves = curves_on(boundaries, asked, ladder, campaign.space)
+    outcomes = campaign.simulator.outcomes[1:]
     found = tuple(
-        BoundaryFragility(outcome, curve, verified=_verified(outcome, curve, asked, verification, stage))
-        for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
+        BoundaryFragility(outcome, curve, verified=_verified(outcome, curve, asked, side, verification, stage))
+        for outcome, curve, side in zip(outcomes, curves.curves, _sides(boundaries, len(outcomes)), strict=True)
     )
     others = [name for name in question.space.names if name != against]
     notes = [f"Integrated over {', '.join(others)}."]
@@ -359,7 +354,7 @@ def general_fragility(
     why = "a risk needs a hazard with annual rates"
     return FragilityFindings(
         question.title,
-        ladder,
+        curves.curves[0].ladder,
         found,
         curves.outside,
         question.fixed,
@@ -371,17 +366,27 @@ def general_fragility(
     )
 
 
+def _sides(boundaries: Boundaries, count: int) -> list[Side]:
+    """Where the classifier puts designs beyond each boundary."""
+
+    def side(column: int) -> Side:
+        return lambda X: np.asarray(boundaries(X)[:, column] > 0.0)
+
+    return [side(column) for column in range(count)]
+
+
 def _verified(
     outcome: str,
     curve: Curve,
     asked: Callable[[float], Question],
+    side: Side,
     verification: Verification,
     stage: Callable[[str], None],
 ) -> tuple[VerifiedLevel, ...]:
     if outcome != verification.outcome or not verification.simulations:
         return ()
     stage(f"verifying the curve of {outcome} with {verification.simulations} fresh simulations")
-    return verify(curve, verification.simulations, asked, verification.estimate)
+    return verify(curve, verification.simulations, asked, verification.estimate, side)
 
 
 def _notes_of_bearing(

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import ndtr, ndtri
 
@@ -19,6 +20,7 @@ from activefail.risk.exports import multilinear, openquake_model, pelicun_table
 from activefail.risk.lognormal import fit_lognormal, why_not_fitted
 from activefail.risk.rates import risk_of
 from activefail.space import Array, DesignSpace
+from activefail.weighted import WeightedRows
 
 MEDIAN, BETA = 1.2, 0.4
 LADDER = Ladder("PGV", "m/s", 10.0 ** (np.arange(-24, 17) / 24.0), is_log=True)
@@ -146,24 +148,44 @@ def test_each_level_is_verified_by_simulations_of_its_own() -> None:
     space = DesignSpace((Parameter("x", 0.0, 1.0), Parameter("y", 0.0, 1.0)))
     asked: list[Question] = []
 
+    def halved(X: Array) -> NDArray[np.bool_]:
+        return np.asarray(X[:, 1] > 0.5)
+
     def estimate(question: Question, size: int) -> ProbabilityEstimate:
         asked.append(question)
         return estimated(0.1, 0.05, size)
 
-    levels = verify(CURVE, 100, lambda level: Question.of_space(space).at({"x": level}), estimate)
+    levels = verify(CURVE, 100, lambda level: Question.of_space(space).at({"x": level}), estimate, halved)
     assert [question.draw for question in asked] == [1, 2, 3]
     assert [question.fixed["x"] for question in asked] == [one.level for one in levels]
     assert len({question.digest for question in asked}) == 3
 
 
-def test_rows_stand_for_a_distribution() -> None:
+def test_sequences_stand_for_a_distribution() -> None:
     space = DesignSpace((Parameter("x", 0.1, 8.0, "", "lognormal", 1.0, 0.5), Parameter("y", 0.0, 1.0)))
     question = as_rows(Question.of_space(space))
-    assert question.space.dimension == 2
-    X = question.designs(np.asarray(getattr(question.space, "X")))  # noqa: B009
-    assert len(X) == 4096
+    assert isinstance(question.space, WeightedRows)
+    X = question.designs(question.space.X)
+    assert X.shape == (2048, 2)
     assert float((X[:, 1] < 0.25).mean()) == pytest.approx(0.25, abs=0.001)
     assert as_rows(question) is question
+
+
+def test_an_interval_includes_the_error_of_the_sequences() -> None:
+    # A classifier that is always right leaves this error alone; it must cover the true probability, π/4.
+    space = DesignSpace(tuple(Parameter(name, 0.0, 1.0) for name in "xyz"))
+
+    def disc(X: Array) -> NDArray[np.bool_]:
+        return np.asarray(X[:, 1] ** 2 + X[:, 2] ** 2 < 1.0)
+
+    def exact(question: Question, size: int) -> ProbabilityEstimate:
+        assert isinstance(question.space, WeightedRows)
+        return estimated(float(disc(question.designs(question.space.X)).mean()), 0.0, size)
+
+    levels = verify(CURVE, 30, lambda level: Question.of_space(space).at({"x": level}), exact, disc)
+    for level in levels:
+        assert level.estimate.low < math.pi / 4.0 < level.estimate.high
+        assert level.estimate.high - level.estimate.low < 0.02
 
 
 # --- exports -----------------------------------------------------------------------------------------------------

@@ -284,7 +284,7 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
         (["--hazard", "site.toml", "--verify", "5"], "verify: must be at least 20, got 5."),
         (["--hazard", "site.toml", "--outcome", "safe"], "outcome: must be one of damage, failure, got 'safe'."),
         (["--hazard", "none.toml"], "none.toml: cannot be read"),
-        (["--hazard", "fixed.toml"], "fixed.toml: r: unknown key"),
+        (["--hazard", "fixed.toml"], "fixed.toml:\n  r: unknown key"),
         (["--hazard", "site.toml", "--bearing", "period.toml"], "T_p: is uncertain under a hazard"),
         (["--against", "r", "--fixed", "pulse.toml"], "against: no variable besides r is uncertain"),
         (["--hazard", "site.toml", "--csv", "-", "--json"], "--csv -: cannot be combined with --json"),
