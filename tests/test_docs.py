@@ -95,6 +95,29 @@ def test_the_guides_simulations_done_elsewhere_can_be_done(tmp_path, monkeypatch
     assert "2 designs" in said["activefail ask runs/plate --n 2 --csv todo.csv"]
 
 
+def test_the_fragility_of_the_page_on_design_can_be_shown(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = section(ROOT / "docs" / "design.md", "## Fragility")
+    found = re.findall(r"^```(\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    bearing, site = (body for language, body in found if language == "toml")
+    (tmp_path / "bearing.toml").write_text(bearing)
+    (tmp_path / "site.toml").write_text(site)
+    small = (
+        'sampling = { initial = 40, budget = 40 }\nclassifier = { features = "design" }\nvalidation = { size = 20 }\n'
+    )
+    (tmp_path / "small.toml").write_text(small)
+    assert commandline.activefail("run", "small.toml", "--out", "runs/bearing").code == 0
+    commands = [line for language, body in found if language == "sh" for line in body.splitlines()]
+    assert len(commands) == 4
+    for command in commands:
+        name, *words = shlex.split(command)
+        done = commandline.activefail(*words)
+        assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
+    assert {"fragility.png", "pelicun.csv", "openquake.xml"} <= {
+        path.name for path in (tmp_path / "fragility").iterdir()
+    }
+
+
 def test_the_python_of_the_guide_runs(tmp_path):
     (source,) = re.findall(r"^```python\n(.*?)^```", section(GUIDE, "## From Python"), re.MULTILINE | re.DOTALL)
     done = subprocess.run([sys.executable, "-c", source], cwd=tmp_path, capture_output=True, text=True, check=False)
