@@ -49,8 +49,11 @@ if TYPE_CHECKING:
     from activefail.loop.learning import Learned, Memory
     from activefail.record.batch import Batch
     from activefail.record.run_folder import FolderStore
+    from activefail.reliability.estimate import ProbabilityEstimate
     from activefail.report.evidence import Evidence
     from activefail.risk.findings import DesignFindings
+    from activefail.risk.fragility import FragilityFindings
+    from activefail.risk.levels import Intensity
     from activefail.risk.sensitivity import Begin, Sensitivity
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
@@ -735,13 +738,9 @@ class Run:
         from activefail.findings.probability import ProbabilityFindings
         from activefail.verification.probability import estimate_probability
 
-        boundaries = self.campaign.simulator.outcomes[1:]
-        outcome = self.boundary if outcome is None else outcome
         check_whole("simulations", simulations, 2)
-        if not 0.0 < confidence < 1.0:
-            raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
-        if outcome not in boundaries:
-            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
+        _check_confidence(confidence)
+        outcome = self._boundary_named(outcome)
         asked = question if isinstance(question, Question) else self.asked(question, fixed)
         self._check_initial_design("estimate")
         history, classifier = self.history, self.classifier
@@ -761,6 +760,78 @@ class Run:
         if self._write and question is None and fixed is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
+
+    def fragility(
+        self,
+        hazard: "Hazard | Path | str | None" = None,
+        fixed: "Mapping[str, float] | Path | str | None" = None,
+        intensity: "Intensity" = "pgv",
+        against: str | None = None,
+        bounds: tuple[float, float] | None = None,
+        question: "Question | Path | str | None" = None,
+        verify: int = 0,
+        confidence: float = 0.95,
+        outcome: str | None = None,
+        executor: "Executor | None" = None,
+        stage: Callable[[str], None] = lambda _: None,
+    ) -> "FragilityFindings":
+        """The probability of each outcome, or a more severe one, against the intensity of pulses or any variable.
+
+        Args:
+            hazard: a hazard file (docs/design.md): curves of a bearing against the intensity of its pulses.
+            fixed: values of variables, such as those of the bearing: by name, or a TOML file.
+            intensity: with a hazard: "pgv", the peak ground velocity, or "a_p", the amplitude.
+            against: without a hazard: the variable; the question's others are integrated out.
+            bounds: of this variable's levels; those of the campaign if None.
+            question: without a hazard: other distributions of the variables, as for `probability`.
+            verify: number of fresh simulations, outside the budget, which give intervals; 0 for none.
+            confidence: of the intervals.
+            outcome: whose curve is verified; that of the (main) target boundary if None.
+            executor: as for `take`.
+            stage: called with each stage of the work.
+
+        Raises:
+            InputError: if an argument is invalid, or the initial design is not finished.
+        """
+        from activefail.campaign.hazard import hazard_question, read_hazard
+        from activefail.campaign.question import Question
+        from activefail.risk.band import LEAST
+        from activefail.risk.fragility import Verification, bearing_fragility, general_fragility
+        from activefail.risk.levels import check_asked, standardised_boundaries, variable_ladder
+        from activefail.verification.probability import estimate_probability
+
+        check_asked(hazard, against, bounds, question, intensity)
+        check_whole("verify", verify, 0)
+        if 0 < verify < LEAST:
+            raise InputError(f"verify: must be at least {LEAST}, got {verify}.")
+        outcome = self._boundary_named(outcome)
+        _check_confidence(confidence)
+        values = self.fixed_values(fixed)
+        if against in values:
+            raise InputError(f"against: {against} has the value {values[against]:g}; leave it out of --fixed.")
+        at_site = read_hazard(Path(hazard)) if isinstance(hazard, Path | str) else hazard
+        if at_site is not None:
+            asked, ladder = hazard_question(at_site, self.settings, self.space, values), None
+        else:
+            asked = question if isinstance(question, Question) else self.asked(question, values or None)
+            ladder = variable_ladder(asked, self.space, str(against), bounds)
+        self._check_initial_design("estimate")
+        learned = self.learn(stage)
+        boundaries = standardised_boundaries(learned.classifier, self.campaign.features)
+        with nullcontext(executor) if executor or not verify else self._local_executor() as pool, one_thread():
+
+            def estimate(at_level: Question, simulations: int) -> "ProbabilityEstimate":
+                assert pool is not None
+                return estimate_probability(
+                    self.campaign, self.store, pool, learned.classifier, self.history.last_iteration, outcome,
+                    simulations, confidence, at_level,
+                )  # fmt: skip
+
+            check = Verification(outcome, verify, confidence, estimate)
+            if at_site is not None:
+                return bearing_fragility(self.campaign, boundaries, at_site, values, intensity, check, stage)
+            assert ladder is not None
+            return general_fragility(self.campaign, boundaries, asked, ladder, check, stage)
 
     def design(
         self,
@@ -851,11 +922,8 @@ class Run:
         from activefail.reliability.estimate import standardised_latent
         from activefail.risk.sensitivity import hazard_sensitivity, length_scales, question_sensitivity, with_classifier
 
-        outcome = self.boundary if outcome is None else outcome
-        if outcome not in (boundaries := self.campaign.simulator.outcomes[1:]):
-            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
-        if not 0.0 < confidence < 1.0:
-            raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
+        outcome = self._boundary_named(outcome)
+        _check_confidence(confidence)
         if hazard is not None and question is not None:
             raise InputError("hazard: cannot be combined with a question.")
         if hazard is None:
@@ -921,6 +989,17 @@ class Run:
         outcomes = read_estimates(self.folder, self.store.digest, self.campaign.simulator.outcomes) | {outcome: numbers}
         saved = {"record": self.store.digest, "outcomes": outcomes}
         self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
+
+    def _boundary_named(self, outcome: str | None) -> str:
+        """The outcome of a boundary; that of the main target boundary if None.
+
+        Raises:
+            InputError: if no boundary has this outcome.
+        """
+        boundaries = self.campaign.simulator.outcomes[1:]
+        if outcome is not None and outcome not in boundaries:
+            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
+        return self.boundary if outcome is None else outcome
 
     def _check_initial_design(self, verb: str) -> None:
         if not self.has_initial_design:
@@ -1122,3 +1201,8 @@ def check_whole(name: str, number: SupportsIndex, least: int) -> None:
         raise InputError(f"{name}: must be a whole number, got {number!r}.") from None
     if whole < least:
         raise InputError(f"{name}: must be at least {least}, got {whole}.")
+
+
+def _check_confidence(confidence: float) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")

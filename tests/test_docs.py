@@ -113,6 +113,28 @@ def test_the_commands_of_the_sensitivity_run_with_its_files(tmp_path, monkeypatc
     assert {"sensitivity.md", "one_at_a_time.svg"} <= {path.name for path in Path("runs/sensitivity").iterdir()}
     assert Path("indices.csv").is_file()
 
+def test_the_fragility_of_the_page_on_design_can_be_shown(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = section(ROOT / "docs" / "design.md", "## Fragility")
+    found = re.findall(r"^```(\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    bearing, site = (body for language, body in found if language == "toml")
+    (tmp_path / "bearing.toml").write_text(bearing)
+    (tmp_path / "site.toml").write_text(site)
+    small = (
+        'sampling = { initial = 40, budget = 40 }\nclassifier = { features = "design" }\nvalidation = { size = 20 }\n'
+    )
+    (tmp_path / "small.toml").write_text(small)
+    assert commandline.activefail("run", "small.toml", "--out", "runs/bearing").code == 0
+    commands = [line for language, body in found if language == "sh" for line in body.splitlines()]
+    assert len(commands) == 4
+    for command in commands:
+        name, *words = shlex.split(command)
+        done = commandline.activefail(*words)
+        assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
+    assert {"fragility.png", "pelicun.csv", "openquake.xml"} <= {
+        path.name for path in (tmp_path / "fragility").iterdir()
+    }
+
 
 def test_the_python_of_the_guide_runs(tmp_path):
     (source,) = re.findall(r"^```python\n(.*?)^```", section(GUIDE, "## From Python"), re.MULTILINE | re.DOTALL)

@@ -5,6 +5,7 @@ from activefail.cli.campaigns import export, predict, resume, run, status, verif
 from activefail.cli.design import design
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
+from activefail.cli.fragility import fragility
 from activefail.cli.hazard import hazard
 from activefail.cli.probability import probability
 from activefail.cli.report import report
@@ -29,6 +30,7 @@ for _command in (
     hazard,
     design,
     sensitivity,
+    fragility,
     export,
     compare,
     report,

@@ -1,0 +1,127 @@
+"""The command `fragility`."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from activefail.cli.common import (
+    STANDARD,
+    Code,
+    Fixed,
+    RunFolder,
+    name_of,
+    opened_run,
+    show_stage,
+    show_unseen,
+    table_output,
+)
+from activefail.errors import InputError
+from activefail.files import writing_to
+from activefail.record.layout import check_output
+from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.risk.fragility import FragilityFindings
+
+
+def fragility(
+    folder: RunFolder,
+    hazard: Annotated[
+        Path | None,
+        typer.Option(help="Hazard file: a bearing's curves against its pulses (docs/design.md).", show_default=False),
+    ] = None,
+    fixed: Fixed = None,
+    intensity: Annotated[
+        Literal["pgv", "a_p"], typer.Option(help="With --hazard: peak ground velocity, or amplitude of the pulses.")
+    ] = "pgv",
+    against: Annotated[
+        str | None,
+        typer.Option(help="Without --hazard: the variable of the curves.", metavar="VARIABLE", show_default=False),
+    ] = None,
+    bounds: Annotated[
+        str | None,
+        typer.Option(
+            "--range",
+            help="With --against: range of the variable; that of the campaign by default.",
+            metavar="LOW,HIGH",
+            show_default=False,
+        ),
+    ] = None,
+    question: Annotated[
+        Path | None,
+        typer.Option(help="With --against: file with other distributions (docs/probability.md).", show_default=False),
+    ] = None,
+    verify: Annotated[
+        int, typer.Option(help="Fresh simulations, outside the budget, for intervals.", min=0, max=1_000_000)
+    ] = 0,
+    confidence: Annotated[float, typer.Option(help="Confidence of the intervals.", min=0.5, max=0.999)] = 0.95,
+    outcome: Annotated[
+        str | None,
+        typer.Option(help="Outcome whose curve is verified; that of the target boundary by default."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    csv: Annotated[
+        Path | None, typer.Option(help='File for the curves; "-" for standard output.', show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for tables, pictures, and files for pelicun and OpenQuake.", show_default=False),
+    ] = None,
+    code: Code = None,
+) -> None:
+    """Show the probability of each outcome against the pulses' intensity, or any variable, with its capacities."""
+    check_output("--out", out)
+    if csv is not None and csv != STANDARD:
+        check_output("--csv", csv)
+    if csv == STANDARD and as_json:
+        raise InputError("--csv -: cannot be combined with --json; both write to standard output.")
+    ends = None if bounds is None else _parsed_range(bounds)
+    with opened_run(folder, write=verify > 0, code=code) as opened:
+        found = opened.fragility(
+            hazard, fixed, intensity, against, ends, question, verify, confidence, outcome, stage=show_stage
+        )
+        show_unseen(opened.summary)
+        outcomes = opened.campaign.simulator.outcomes
+    from activefail.risk.files import write_curves
+    from activefail.risk.wording import lines
+
+    if csv is not None:
+        with table_output("--csv", csv) as target:
+            write_curves(found, target)
+    written = _written(found, out) if out is not None else []
+    if as_json:
+        print(json.dumps(found.as_json(), indent=2))
+        return
+    if csv == STANDARD:
+        return
+    print("\n".join(lines(found, outcomes)))
+    if csv is not None:
+        print(f"table      {name_of(csv)}")
+    if out is not None:
+        print(f"written    in {visible(str(out))}: {', '.join(path.name for path in written)}")
+
+
+def _parsed_range(text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--range: must be two numbers separated by a comma, got {text!r}.") from None
+    return low, high
+
+
+def _written(found: "FragilityFindings", folder: Path) -> list[Path]:
+    """Write everything to a folder; returns the files."""
+    from activefail.figures.fragility import plot_fragility_findings
+    from activefail.figures.style import save_figure
+    from activefail.risk.files import write_files
+
+    with writing_to(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        files = write_files(found, folder)
+        figure = plot_fragility_findings(found)
+        for suffix in ("png", "svg"):
+            files.append(folder / f"fragility.{suffix}")
+            save_figure(figure, files[-1])
+    return files

@@ -1,0 +1,175 @@
+"""Levels of a curve that fresh simulations verify, and what they say about its capacities."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.campaign.question import Question
+from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.risk.curve import Curve, first_above
+from activefail.space import Array
+from activefail.weighted import WeightedRows
+
+_TARGETS = (0.1, 0.025, 0.5, 0.05, 0.2, 0.01, 0.9, 0.35, 0.7)
+"""Probabilities at which a curve is verified, the most important ones first; they include the reported capacities."""
+
+_PER_LEVEL = 30
+"""Simulations for which one more level is verified."""
+
+LEAST = 20
+"""Least number of simulations of a verification."""
+
+_SEQUENCES = 8
+"""Independent Sobol' sequences that stand for a distribution where it is verified."""
+
+_POINTS = {1: 128}
+_MORE_POINTS = 256
+"""Points of each sequence for one, or more, variables."""
+
+_STEPS = 400
+"""Steps in which a band is read."""
+
+
+Side = Callable[[Array], NDArray[np.bool_]]
+"""Designs, (n, d) -> whether the classifier puts each beyond a boundary, (n,)."""
+
+
+class VerifiedLevel(NamedTuple):
+    """A level with the probability from fresh simulations.
+
+    Attributes:
+        level: of the variable.
+        estimate: the probability, with an interval for this level alone.
+    """
+
+    level: float
+    estimate: ProbabilityEstimate
+
+
+class Interval(NamedTuple):
+    """What a verified band says about a capacity.
+
+    Attributes:
+        middle: where the corrected curve first exceeds the probability; None if unknown.
+        low, high: where the ends of the band do; None if unknown.
+        reason: why something is unknown; empty otherwise.
+    """
+
+    middle: float | None = None
+    low: float | None = None
+    high: float | None = None
+    reason: str = ""
+
+
+NOT_VERIFIED = "not verified by simulations; --verify N gives an interval"
+
+
+def levels_to_verify(curve: Curve, simulations: int) -> list[tuple[float, int]]:
+    """The levels that are verified, from the curve's safe end, with the number of simulations at each.
+
+    The levels are where the curve reaches 1 to 90 %, so that they include the capacities. A curve that stays below is
+    verified at its last level too.
+    """
+    count = max(2, min(len(_TARGETS), simulations // _PER_LEVEL))
+    found = [level for p in _TARGETS if (level := curve.capacity(p).level) is not None]
+    if len(found) < 2:
+        found.append(float(curve.ladder.levels[-1 if curve.rises else 0]))
+    levels = list(dict.fromkeys(found))[:count]
+    least, more = divmod(simulations, len(levels))
+    sizes = {level: least + (place < more) for place, level in enumerate(levels)}
+    return [(level, sizes[level]) for level in sorted(levels, reverse=not curve.rises)]
+
+
+def as_rows(question: Question) -> Question:
+    """A question whose distribution is that of 8 Sobol' sequences, in their order.
+
+    The integral of the classifier is then a sum, much cheaper than the adaptive integration that rare failure needs.
+    """
+    given = question.space
+    if isinstance(given, WeightedRows):
+        return question
+    n = _POINTS.get(given.dimension, _MORE_POINTS)
+    X = np.concatenate([given.sobol(n, np.random.default_rng(number)) for number in range(_SEQUENCES)])
+    return replace(question, space=WeightedRows(given.names, X, np.ones(len(X))), is_own=False)
+
+
+def verify(
+    curve: Curve,
+    simulations: int,
+    question_at_level: Callable[[float], Question],
+    estimate: Callable[[Question, int], ProbabilityEstimate],
+    side: Side,
+) -> tuple[VerifiedLevel, ...]:
+    """Verify a curve at several levels by fresh simulations.
+
+    Args:
+        curve: the classifier's.
+        simulations: number of fresh simulations at all levels together.
+        question_at_level: the question at a level.
+        estimate: the estimate of a question from so many fresh simulations.
+        side: whether the classifier puts designs beyond the boundary.
+    """
+    levels = []
+    for place, (level, size) in enumerate(levels_to_verify(curve, simulations)):
+        question = question_at_level(level)
+        rows = as_rows(question)
+        found = estimate(rows.drawn(place + 1), size)
+        levels.append(VerifiedLevel(level, found if rows is question else _widened(found, rows, side)))
+    return tuple(levels)
+
+
+def _widened(estimate: ProbabilityEstimate, rows: Question, side: Side) -> ProbabilityEstimate:
+    """The estimate with an interval that includes the error of the sequences, which differ by it."""
+    from scipy.stats import t
+
+    assert isinstance(rows.space, WeightedRows)
+    shares = side(rows.designs(rows.space.X)).reshape(_SEQUENCES, -1).mean(axis=1)
+    error = float(shares.std(ddof=1)) / math.sqrt(_SEQUENCES)
+    half = float(t.ppf(0.5 + 0.5 * estimate.confidence, _SEQUENCES - 1)) * error
+    middle = estimate.probability
+    return replace(
+        estimate,
+        low=max(0.0, middle - math.hypot(middle - estimate.low, half)),
+        high=min(1.0, middle + math.hypot(estimate.high - middle, half)),
+    )
+
+
+def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: float) -> Interval:
+    """Where the verified band first exceeds a probability.
+
+    Between the verified levels the band follows the classifier's curve, with its corrections interpolated. It is
+    pointwise: each level's interval has its confidence by itself.
+
+    Args:
+        curve: the classifier's.
+        verified: from the curve's safe end.
+        p: the probability of the capacity.
+    """
+    if not verified:
+        return Interval(reason=NOT_VERIFIED)
+    if len(verified) < 2:
+        return Interval(reason="only one level was verified")
+    coordinates = curve.ladder.coordinate(np.array([one.level for one in verified]))
+    between = np.unique(np.concatenate([np.linspace(coordinates[0], coordinates[-1], _STEPS), coordinates]))
+    along = between if curve.rises else between[::-1]
+    sign = 1.0 if curve.rises else -1.0
+    levels = np.exp(along) if curve.ladder.is_log else along
+    own = curve.at(np.array([one.level for one in verified]))
+
+    def first(values: list[float]) -> float | None:
+        corrections = np.interp(sign * along, sign * coordinates, np.array(values) - own)
+        band: Array = np.clip(curve.at(levels) + corrections, 0.0, 1.0)
+        found = first_above(along, band, p)
+        return None if found is None else curve.ladder.level(found)
+
+    middle = first([one.estimate.probability for one in verified])
+    ends = [first([getattr(one.estimate, end) for one in verified]) for end in ("high", "low")]
+    low, high = ends if curve.rises else ends[::-1]
+    reason = ""
+    if low is None or high is None:
+        reason = f"the band from {verified[0].level:.3g} to {verified[-1].level:.3g} does not bound it there"
+    return Interval(middle, low, high, reason)

@@ -1,0 +1,81 @@
+"""The files of fragility curves: tables, and exports to other programs."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from activefail.csv_table import Target, writing
+from activefail.files import replacing, target_of
+from activefail.risk.deaggregation import Deaggregation
+from activefail.risk.exports import OPENQUAKE, PELICUN, openquake_model, pelicun_table, why_no_exports
+from activefail.risk.fragility import FragilityFindings
+
+CURVES, DEAGGREGATION, FINDINGS = "fragility.csv", "deaggregation.csv", "fragility.json"
+"""Names of the tables and of the findings."""
+
+_COMPONENT = "isolation_bearing"
+"""The bearing in other programs."""
+
+
+def write_curves(found: FragilityFindings, target: Target) -> None:
+    """Write the curves: a row for each level of the ladder and for each verified level.
+
+    Columns: the variable; `kind`, ladder or verified; the share outside the design space; for each outcome the
+    curve `p_<outcome>`, that of the pulses alone, the lognormal one, and the verified probability with its interval.
+    Cells are empty where there is no number.
+    """
+    header = [found.ladder.name, "kind", "outside_design_space"]
+    for one in found.boundaries:
+        header += [f"p_{one.outcome}"]
+        header += [f"p_{one.outcome}_{kind}" for kind in ("pulses_alone", "lognormal", "verified", "low", "high")]
+    levels = [(float(level), "ladder") for level in found.ladder.levels]
+    levels += [(checked.level, "verified") for one in found.boundaries for checked in one.verified]
+    with writing(target, header) as write:
+        write([_row(found, level, kind) for level, kind in sorted(levels)])
+
+
+def _row(found: FragilityFindings, level: float, kind: str) -> list[Any]:
+    outside = dict(zip(found.ladder.levels.tolist(), found.outside.tolist(), strict=True))
+    row: list[Any] = [level, kind, outside.get(level, "")]
+    for one in found.boundaries:
+        row.append(float(one.curve.at(level)))
+        row.append("" if one.alone is None else float(one.alone.at(level)))
+        row.append("" if one.lognormal is None else float(one.lognormal.at(level)))
+        estimates = [checked.estimate for checked in one.verified if kind == "verified" and checked.level == level]
+        row += [estimates[0].probability, estimates[0].low, estimates[0].high] if estimates else ["", "", ""]
+    return row
+
+
+def _rows_of(outcome: str, parts: Deaggregation) -> Iterator[list[Any]]:
+    for row in range(len(parts.period) - 1):
+        for column in range(len(parts.velocity) - 1):
+            share = "" if parts.of_failures is None else float(parts.of_failures[row, column])
+            edges = [*parts.period[row : row + 2].tolist(), *parts.velocity[column : column + 2].tolist()]
+            yield [outcome, *edges, share, float(parts.of_pulses[row, column])]
+
+
+def write_files(found: FragilityFindings, folder: Path) -> list[Path]:
+    """Write the findings as JSON, the tables, and the curves for pelicun and OpenQuake; returns the files.
+
+    Raises:
+        InputError, OSError: if a file cannot be written.
+    """
+    texts = {FINDINGS: json.dumps(found.as_json(), indent=2) + "\n"}
+    if not why_no_exports(found.ladder):
+        curves = {one.outcome: one.curve.probability for one in found.boundaries}
+        texts[PELICUN] = pelicun_table(found.ladder, curves, _COMPONENT)
+        texts[OPENQUAKE] = openquake_model(found.ladder, curves, _COMPONENT)
+    files = [folder / CURVES]
+    write_curves(found, files[0])
+    parts = [(one.outcome, one.deaggregation) for one in found.boundaries if one.deaggregation is not None]
+    if parts:
+        files.append(folder / DEAGGREGATION)
+        header = ["outcome", "T_p_from", "T_p_to", "PGV_from", "PGV_to", "share_of_failures", "share_of_pulses"]
+        with writing(files[-1], header) as write:
+            write([row for outcome, part in parts for row in _rows_of(outcome, part)])
+    for name, text in texts.items():
+        files.append(folder / name)
+        with replacing(target_of(files[-1])) as file:
+            file.write(text)
+    return files

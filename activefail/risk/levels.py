@@ -1,0 +1,274 @@
+"""What is asked at each level of a curve, and the classifier's answer there."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from activefail.acquisition.population import finite, integration_points
+from activefail.campaign.hazard import Hazard, hazard_question
+from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
+from activefail.campaign.settings import CampaignSettings
+from activefail.errors import InputError
+from activefail.features import FeatureMap
+from activefail.risk.curve import Curve, Ladder
+from activefail.space import Array, DesignSpace
+from activefail.surrogate.classifier import Classifier
+from activefail.visible import visible
+from activefail.weighted import WeightedRows
+
+Boundaries = Callable[[Array], Array]
+"""Designs, (n, d) -> mean/sd of each boundary's latent, (n, boundaries); positive beyond it."""
+
+Intensity = Literal["pgv", "a_p"]
+
+UNITS = {"pgv": (PGV, "m/s"), "a_p": (AMPLITUDE, "g")}
+"""Name and unit of each intensity."""
+
+_PER_DECADE = 24
+"""Levels of a ladder of intensities in a factor of ten."""
+
+_RANGES = {"pgv": (0.1, 4.0), "a_p": (0.02, 2.0)}
+"""Range of each ladder of intensities."""
+
+_STEPS = 40
+"""Steps of the ladder of another variable."""
+
+_POINTS = {1: 256, 2: 1024}
+_MORE_POINTS = 2048
+"""Points that integrate over one, two, or more variables."""
+
+_MOST_ROWS = 2048
+"""Most weighted rows that are integrated at a level; of more, a systematic sample is taken."""
+
+_LEAST_RESOLUTION = 0.001
+
+_STEEP, _HALVINGS = 0.05, 2
+"""Change of a probability for which a step of a ladder is halved, and how often."""
+
+
+def check_asked(hazard: object, against: object, bounds: object, question: object, intensity: str) -> None:
+    """Check which arguments of a fragility are given.
+
+    Raises:
+        InputError: naming what is missing, or what cannot be combined.
+    """
+    if hazard is None and against is None:
+        raise InputError(
+            "hazard, against: one is required: a hazard file for a bearing's curves, or the variable against which a "
+            "probability is shown."
+        )
+    if hazard is not None:
+        for name, value in (("against", against), ("range", bounds), ("question", question)):
+            if value is not None:
+                raise InputError(f"{name}: cannot be combined with hazard.")
+    elif intensity != "pgv":
+        raise InputError("intensity: requires hazard; name the variable with against.")
+    if intensity not in UNITS:
+        raise InputError(f"intensity: must be pgv or a_p, got {visible(intensity)!r}.")
+
+
+def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
+    """The ladder of an intensity: 24 fixed levels in a factor of ten; it includes the hazard's curve."""
+    low, high = _RANGES[intensity]
+    if intensity == "pgv":
+        low, high = min(low, hazard.median_velocity), max(high, hazard.median_velocity)
+        if hazard.settings.curve is not None:
+            low, high = min(low, hazard.settings.curve.pgv_m_s[0]), max(high, hazard.settings.curve.pgv_m_s[-1])
+    first, last = (_PER_DECADE * np.log10(end) for end in (low, high))
+    steps = np.arange(int(np.floor(first + 1e-9)), int(np.ceil(last - 1e-9)) + 1)
+    name, unit = UNITS[intensity]
+    return Ladder(name, unit, np.asarray(10.0 ** (steps / _PER_DECADE)), is_log=True)
+
+
+def variable_ladder(
+    question: Question, space: DesignSpace, name: str, bounds: tuple[float, float] | None = None
+) -> Ladder:
+    """The ladder of a question's uncertain variable: 40 steps between its bounds in the campaign, or between others.
+
+    Raises:
+        InputError: if the variable has a value or is unknown, no other is uncertain, or the bounds are wrong.
+    """
+    if name not in question.space.names:
+        known = ", ".join(question.space.names)
+        if name in question.fixed or name in space.fixed:
+            raise InputError(f"against: {name} has a value; it must be one of the uncertain variables, {known}.")
+        raise InputError(f"against: must be one of the uncertain variables, {known}, got {visible(name)!r}.")
+    if question.space.dimension < 2:
+        raise InputError(f"against: no variable besides {name} is uncertain, so there is nothing to integrate over.")
+    parameters = {one.name: one for one in space.parameters}
+    if isinstance(question.space, DesignSpace):
+        parameters = {one.name: one for one in question.space.parameters} | parameters
+    known_one = parameters.get(name)
+    if bounds is None:
+        if known_one is None:
+            raise InputError(f"range: required, because {name} has no bounds in the campaign.")
+        bounds = known_one.low, known_one.high
+    low, high = bounds
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise InputError(f"range: `low < high` must hold, got {low:g},{high:g}.")
+    is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
+    return Ladder.between(name, known_one.unit if known_one else "", low, high, _STEPS, is_log)
+
+
+def question_at(
+    hazard: Hazard,
+    settings: CampaignSettings,
+    space: DesignSpace,
+    fixed: Mapping[str, float],
+    intensity: Intensity,
+    level: float,
+) -> Question:
+    """The question of a hazard, given the intensity of its pulses.
+
+    Given the peak ground velocity, the period has its conditional distribution. Given the amplitude, it keeps its
+    distribution: the same pulses are scaled.
+
+    Args:
+        hazard: the hazard.
+        settings, space: of the campaign.
+        fixed: values of the bearing's variables.
+        intensity: "pgv" [m/s] or "a_p" [g].
+        level: of the intensity.
+    """
+    if intensity == "pgv":
+        return hazard_question(hazard, settings, space, fixed, level)
+    if (given := hazard.settings.pgv) is not None:
+        alone = hazard.settings.model_copy(update={"pgv": given.model_copy(update={"correlation_with_period": 0.0})})
+        hazard = replace(hazard, settings=alone)
+    return _with_amplitude(hazard_question(hazard, settings, space, fixed, level))
+
+
+def _with_amplitude(question: Question) -> Question:
+    """A question about a velocity as one about an amplitude with the same numbers."""
+
+    def renamed(name: str) -> str:
+        return AMPLITUDE if name == PGV else name
+
+    given = question.space
+    if isinstance(given, WeightedRows):
+        uncertain: DesignSpace | WeightedRows = WeightedRows(tuple(map(renamed, given.names)), given.X, given.weight)
+    else:
+        parameters = [replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in given.parameters]
+        uncertain = DesignSpace(tuple(parameters), given.fixed, given.correlation)
+    return replace(question, space=uncertain, fixed={renamed(name): value for name, value in question.fixed.items()})
+
+
+def median_intensity(hazard: Hazard, intensity: Intensity) -> float:
+    """Median of the hazard's peak ground velocities [m/s] or amplitudes [g]."""
+    if intensity == "pgv":
+        return hazard.median_velocity
+    from activefail.bearing.pulse import amplitude_of
+
+    rows = hazard.rows
+    if rows is None:
+        return float(amplitude_of(np.array(hazard.median_velocity), np.array(hazard.median_period)))
+    if AMPLITUDE in rows.names:
+        values = rows.X[:, rows.names.index(AMPLITUDE)]
+    else:
+        values = amplitude_of(rows.X[:, rows.names.index(PGV)], rows.X[:, rows.names.index(PERIOD)])
+    return weighted_quantiles(values, rows.weight, (0.5,))[0]
+
+
+def weighted_quantiles(values: Array, weight: Array, shares: tuple[float, ...]) -> list[float]:
+    """Quantiles of weighted values, (n,) each."""
+    order = np.argsort(values, kind="stable")
+    cumulated = np.cumsum(weight[order])
+    rows = np.searchsorted(cumulated, np.array(shares) * cumulated[-1])
+    return [float(value) for value in values[order][np.minimum(rows, len(values) - 1)]]
+
+
+def standardised_boundaries(classifier: Classifier, features: FeatureMap) -> Boundaries:
+    """All boundaries' latents as one function of designs; the features are computed once."""
+
+    def standardised(X: Array) -> Array:
+        F = finite(features, X)
+        moments = [latent.moments(F) for latent in classifier.latents]
+        return np.column_stack([np.asarray(one.mean / one.sd) for one in moments])
+
+    return standardised
+
+
+class Answer(NamedTuple):
+    """The classifier's answer to a question.
+
+    Attributes:
+        probability: (boundaries,) mean of Φ(m/s).
+        error: (boundaries,) estimated error of the integration.
+        outside: share of the question outside the campaign's design space.
+    """
+
+    probability: Array
+    error: Array
+    outside: float
+
+
+def answer(boundaries: Boundaries, question: Question, space: DesignSpace) -> Answer:
+    """The probabilities beyond all boundaries under a question, without intervals.
+
+    The simulator is deterministic. So Φ(m/s) is integrated, the probability of the side under the latent (see
+    `classifier_probability`). The points are the same at every level of a ladder, so that curves are smooth.
+    """
+    X, weight = integration_points(question.space, _POINTS.get(question.space.dimension, _MORE_POINTS))
+    if len(X) > _MOST_ROWS:
+        X, weight = _systematic(X, weight)
+    designs = question.designs(X)
+    parts = weight[:, None] * ndtr(boundaries(designs))
+    outside = float(1.0 - (weight * space.contains(designs)).mean())
+    if isinstance(question.space, WeightedRows):
+        return Answer(parts.mean(axis=0), np.zeros(parts.shape[1]), outside)
+    # Each half of a Sobol' sequence is one too.
+    half = len(X) // 2
+    error = 0.5 * np.abs(parts[:half].mean(axis=0) - parts[half:].mean(axis=0))
+    return Answer(parts.mean(axis=0), error, outside)
+
+
+def _systematic(X: Array, weight: Array) -> tuple[Array, Array]:
+    """A systematic sample of weighted rows, in the order of their first variable, with equal weights."""
+    order = np.argsort(X[:, 0], kind="stable")
+    cumulated = np.cumsum(weight[order])
+    at = (np.arange(_MOST_ROWS) + 0.5) / _MOST_ROWS * cumulated[-1]
+    rows = order[np.minimum(np.searchsorted(cumulated, at), len(order) - 1)]
+    return X[rows], np.ones(_MOST_ROWS)
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """The curves of all boundaries on one ladder.
+
+    Attributes:
+        curves: one for each boundary.
+        outside: (n,) share of the question outside the design space at each level.
+    """
+
+    curves: tuple[Curve, ...]
+    outside: Array
+
+
+def curves_on(
+    boundaries: Boundaries, question_at_level: Callable[[float], Question], ladder: Ladder, space: DesignSpace
+) -> Curves:
+    """The curves of all boundaries on a ladder, by the classifier.
+
+    Steps of the ladder in which a curve moves by more than 0.05 are halved, at most twice.
+    """
+    answers = {float(level): answer(boundaries, question_at_level(float(level)), space) for level in ladder.levels}
+    for _ in range(_HALVINGS):
+        levels = sorted(answers)
+        probability = np.array([answers[level].probability for level in levels])
+        coordinates = ladder.coordinate(np.array(levels))
+        steep = np.flatnonzero(np.abs(np.diff(probability, axis=0)).max(axis=1) > _STEEP)
+        for step in steep:
+            level = ladder.level(0.5 * (coordinates[step] + coordinates[step + 1]))
+            answers[level] = answer(boundaries, question_at_level(level), space)
+    levels = sorted(answers)
+    ladder = replace(ladder, levels=np.array(levels))
+    probability = np.array([answers[level].probability for level in levels])
+    errors = np.array([one.error for one in answers.values()]).max(axis=0)
+    curves = tuple(
+        Curve(ladder, probability[:, column], max(_LEAST_RESOLUTION, float(errors[column])))
+        for column in range(probability.shape[1])
+    )
+    return Curves(curves, np.array([answers[level].outside for level in levels]))

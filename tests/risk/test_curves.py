@@ -1,0 +1,246 @@
+"""Curves whose numbers are known: capacities, the lognormal fit, the verified band, the risk, and the exports."""
+
+import csv
+import io
+import math
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.special import ndtr, ndtri
+
+from activefail.campaign.question import Question
+from activefail.parameter import Parameter
+from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.risk.band import NOT_VERIFIED, VerifiedLevel, as_rows, capacity_interval, levels_to_verify, verify
+from activefail.risk.curve import Curve, Ladder
+from activefail.risk.exports import multilinear, openquake_model, pelicun_table
+from activefail.risk.lognormal import fit_lognormal, why_not_fitted
+from activefail.risk.rates import risk_of
+from activefail.space import Array, DesignSpace
+from activefail.weighted import WeightedRows
+
+MEDIAN, BETA = 1.2, 0.4
+LADDER = Ladder("PGV", "m/s", 10.0 ** (np.arange(-24, 17) / 24.0), is_log=True)
+
+
+def lognormal(levels: Array, median: float = MEDIAN, beta: float = BETA) -> Array:
+    return np.asarray(ndtr(np.log(levels / median) / beta))
+
+
+CURVE = Curve(LADDER, lognormal(LADDER.levels), 0.001)
+FALLING = Curve(LADDER, 1.0 - CURVE.probability, 0.001)
+
+
+def estimated(p: float, half: float, m: int = 30) -> ProbabilityEstimate:
+    return ProbabilityEstimate(p, max(0.0, p - half), min(1.0, p + half), 0.95, p, m, 0, 3, 0, 0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("p", [0.025, 0.1, 0.5])
+def test_a_capacity_is_read_off_the_curve(p: float) -> None:
+    assert CURVE.capacity(p).level == pytest.approx(MEDIAN * math.exp(BETA * ndtri(p)), rel=0.01)
+    # A curve that falls is read from its upper end.
+    assert FALLING.capacity(p).level == pytest.approx(MEDIAN * math.exp(-BETA * ndtri(p)), rel=0.01)
+
+
+def test_a_curve_that_falls_back_has_the_capacity_of_its_first_rise() -> None:
+    bump = CURVE.probability.copy()
+    bump[10] = 0.2  # at 0.26 m/s
+    curve = Curve(LADDER, bump, 0.001)
+    level = curve.capacity(0.1).level
+    assert level is not None
+    assert LADDER.levels[9] < level < LADDER.levels[10]
+    assert curve.fall is not None
+    assert (curve.fall.start, curve.fall.size) == (pytest.approx(LADDER.levels[10]), pytest.approx(0.2, abs=0.01))
+    assert CURVE.fall is None
+    assert FALLING.fall is None
+    assert Curve(LADDER, bump, 0.3).fall is None, "a fall within the resolution is none"
+
+
+def test_a_capacity_that_the_ladder_does_not_reach_has_a_reason() -> None:
+    low = Curve(LADDER, 0.04 * CURVE.probability, 0.001)
+    assert low.capacity(0.1) == (None, "the curve stays below 10.0 % up to its last level, 4.64")
+    high = Curve(LADDER, 0.9 + 0.1 * CURVE.probability, 0.001)
+    assert high.capacity(0.1) == (None, "the curve exceeds 10.0 % already at its first level, 0.1")
+
+
+def test_the_fit_of_a_lognormal_curve_is_this_curve() -> None:
+    for curve in (CURVE, FALLING):
+        fit = fit_lognormal(curve)
+        assert fit is not None
+        assert (fit.median, fit.dispersion) == (pytest.approx(MEDIAN), pytest.approx(BETA))
+        assert fit.misfit < 1e-6
+
+
+def test_the_fit_of_another_curve_has_a_misfit() -> None:
+    curve = Curve(LADDER, 0.5 * lognormal(LADDER.levels, 0.5, 0.1) + 0.5 * lognormal(LADDER.levels, 2.0, 0.1), 0.001)
+    fit = fit_lognormal(curve)
+    assert fit is not None
+    differences = np.abs(fit.at(LADDER.levels) - curve.probability)
+    assert fit.misfit == pytest.approx(differences.max())
+    assert fit.misfit > 0.1
+    assert LADDER.levels[np.argmax(differences)] == fit.misfit_at
+
+
+def test_a_curve_without_a_median_is_not_fitted() -> None:
+    low = Curve(LADDER, 0.04 * CURVE.probability, 0.001)
+    assert fit_lognormal(low) is None
+    assert why_not_fitted(low) == "the curve does not extend from 0.1 to 0.5"
+    linear = Curve(Ladder.between("x", "", -1.0, 1.0, 4, is_log=False), np.linspace(0.0, 1.0, 5), 0.001)
+    assert why_not_fitted(linear) == "the ladder has levels that are not positive"
+
+
+def test_the_risk_under_a_power_law_is_its_closed_form() -> None:
+    slope, velocities = 2.0, np.array([0.3, 2.5])
+    rates = 4e-4 * velocities**-slope
+    risk = risk_of(CURVE, velocities, rates)
+    expected = 4e-4 * MEDIAN**-slope * math.exp(0.5 * (slope * BETA) ** 2)
+    assert risk.annual_rate == pytest.approx(expected, rel=0.005)
+    assert risk.in_50_years == pytest.approx(1.0 - math.exp(-50.0 * expected), rel=0.005)
+
+    def density(logarithm: float) -> float:
+        return slope * 4e-4 * math.exp(-slope * logarithm) * float(ndtr((logarithm - math.log(MEDIAN)) / BETA))
+
+    inside, _ = quad(density, math.log(0.3), math.log(2.5))
+    assert risk.outside == pytest.approx(1.0 - inside / expected, abs=0.005)
+    assert risk.beyond == pytest.approx(4e-4 * LADDER.levels[-1] ** -slope / expected, rel=0.02)
+
+
+def test_the_verified_levels_include_the_reported_capacities() -> None:
+    levels = levels_to_verify(CURVE, 250)
+    assert sum(size for _, size in levels) == 250
+    assert len(levels) == 8
+    assert [level for level, _ in levels] == sorted(level for level, _ in levels)
+    for p in (0.025, 0.1, 0.5):
+        assert CURVE.capacity(p).level in [level for level, _ in levels]
+    assert [size for _, size in levels_to_verify(CURVE, 25)] == [12, 13]
+    # A curve that hardly rises is verified at its last level.
+    low = Curve(LADDER, 0.005 * CURVE.probability, 0.001)
+    assert levels_to_verify(low, 25) == [(pytest.approx(LADDER.levels[-1]), 25)]
+    assert [level for level, _ in levels_to_verify(FALLING, 250)] == sorted(
+        (level for level, _ in levels_to_verify(FALLING, 250)), reverse=True
+    )
+
+
+@pytest.mark.parametrize("curve", [CURVE, FALLING])
+def test_capacities_get_intervals_from_the_verified_band(curve: Curve) -> None:
+    verified = tuple(
+        VerifiedLevel(level, estimated(float(curve.at(level)) + 0.01, 0.03, size))
+        for level, size in levels_to_verify(curve, 250)
+    )
+    for p in (0.1, 0.5):
+        interval = capacity_interval(curve, verified, p)
+        assert interval.reason == ""
+        # The band is the curve moved by −0.02, 0.01 and 0.04.
+        ends = sorted(level for move in (-0.02, 0.04) if (level := curve.capacity(p - move).level) is not None)
+        assert [interval.low, interval.high] == pytest.approx(ends, rel=0.005)
+        assert interval.middle == pytest.approx(curve.capacity(p - 0.01).level, rel=0.005)
+    unknown = capacity_interval(curve, verified, 0.025)
+    assert unknown.low is None or unknown.high is None
+    assert unknown.reason.startswith("the band from ")
+    assert capacity_interval(curve, (), 0.1).reason == NOT_VERIFIED
+    assert capacity_interval(curve, verified[:1], 0.1).reason == "only one level was verified"
+
+
+def test_each_level_is_verified_by_simulations_of_its_own() -> None:
+    space = DesignSpace((Parameter("x", 0.0, 1.0), Parameter("y", 0.0, 1.0)))
+    asked: list[Question] = []
+
+    def halved(X: Array) -> NDArray[np.bool_]:
+        return np.asarray(X[:, 1] > 0.5)
+
+    def estimate(question: Question, size: int) -> ProbabilityEstimate:
+        asked.append(question)
+        return estimated(0.1, 0.05, size)
+
+    levels = verify(CURVE, 100, lambda level: Question.of_space(space).at({"x": level}), estimate, halved)
+    assert [question.draw for question in asked] == [1, 2, 3]
+    assert [question.fixed["x"] for question in asked] == [one.level for one in levels]
+    assert len({question.digest for question in asked}) == 3
+
+
+def test_sequences_stand_for_a_distribution() -> None:
+    space = DesignSpace((Parameter("x", 0.1, 8.0, "", "lognormal", 1.0, 0.5), Parameter("y", 0.0, 1.0)))
+    question = as_rows(Question.of_space(space))
+    assert isinstance(question.space, WeightedRows)
+    X = question.designs(question.space.X)
+    assert X.shape == (2048, 2)
+    assert float((X[:, 1] < 0.25).mean()) == pytest.approx(0.25, abs=0.001)
+    assert as_rows(question) is question
+
+
+def test_an_interval_includes_the_error_of_the_sequences() -> None:
+    # A classifier that is always right leaves this error alone; it must cover the true probability, π/4.
+    space = DesignSpace(tuple(Parameter(name, 0.0, 1.0) for name in "xyz"))
+
+    def disc(X: Array) -> NDArray[np.bool_]:
+        return np.asarray(X[:, 1] ** 2 + X[:, 2] ** 2 < 1.0)
+
+    def exact(question: Question, size: int) -> ProbabilityEstimate:
+        assert isinstance(question.space, WeightedRows)
+        return estimated(float(disc(question.designs(question.space.X)).mean()), 0.0, size)
+
+    levels = verify(CURVE, 30, lambda level: Question.of_space(space).at({"x": level}), exact, disc)
+    for level in levels:
+        assert level.estimate.low < math.pi / 4.0 < level.estimate.high
+        assert level.estimate.high - level.estimate.low < 0.02
+
+
+# --- exports -----------------------------------------------------------------------------------------------------
+
+
+def points(theta: str) -> tuple[Array, Array]:
+    """The points of a multilinear CDF, as pelicun reads and checks them, after its rewriting with six digits."""
+    x, y = (np.array([float(f"{float(value):g}") for value in part.split(",")]) for part in theta.split("|"))
+    assert (y[0], y[-1]) == (0.0, 1.0)
+    assert not np.isclose(np.diff(x), 0.0).any()
+    assert not np.isclose(np.diff(y), 0.0).any()
+    assert (np.diff(x) > 0.0).all()
+    assert (np.diff(y) > 0.0).all()
+    return x, y
+
+
+@pytest.mark.parametrize(
+    "probability",
+    [
+        CURVE.probability,
+        0.7 * CURVE.probability,
+        np.where(LADDER.levels < 1.0, 0.0, 1.0),
+        np.where(LADDER.levels > 0.3, CURVE.probability, 0.05),
+        np.zeros(len(LADDER.levels)),
+        np.ones(len(LADDER.levels)),
+    ],
+)
+def test_pelicun_reads_the_curve_back(probability: Array) -> None:
+    x, y = points(multilinear(LADDER, probability))
+    assert np.interp(LADDER.levels, x, y) == pytest.approx(np.maximum.accumulate(probability), abs=1e-4)
+
+
+def test_the_tables_of_both_programs_have_a_limit_state_for_each_outcome() -> None:
+    # The classifier's boundaries may contradict each other by a little.
+    curves = {"impact": lognormal(LADDER.levels, 0.8) * 0.99, "failure": CURVE.probability}
+    (row,) = csv.DictReader(io.StringIO(pelicun_table(LADDER, curves, "bearing")))
+    assert (row["ID"], row["Demand-Type"], row["Demand-Unit"]) == ("bearing", "Peak Ground Velocity", "mps")
+    assert row["LS1-Family"] == row["LS2-Family"] == "multilinear_CDF"
+    for state in ("LS1", "LS2"):
+        points(row[f"{state}-Theta_0"])
+    name = "{http://openquake.org/xmlns/nrml/0.5}"
+    root = ElementTree.fromstring(openquake_model(LADDER, curves, "bearing"))
+    model = root.find(f"{name}fragilityModel")
+    assert model is not None
+    assert model.get("lossCategory") == "structural"
+    assert model.findtext(f"{name}limitStates") == "impact failure"
+    function = model.find(f"{name}fragilityFunction")
+    assert function is not None
+    assert (function.get("id"), function.get("format")) == ("bearing", "discrete")
+    levels = function.find(f"{name}imls")
+    assert levels is not None
+    assert levels.get("imt") == "PGV"
+    # OpenQuake's velocities are in cm/s.
+    assert np.array(str(levels.text).split(), float) == pytest.approx(100.0 * LADDER.levels, rel=1e-5)
+    shares = {poes.get("ls"): np.array(str(poes.text).split(), float) for poes in function.findall(f"{name}poes")}
+    assert shares["failure"] == pytest.approx(CURVE.probability, abs=1e-5)
+    assert (shares["impact"] >= shares["failure"]).all()
+    assert shares["impact"] == pytest.approx(np.maximum(curves["impact"], CURVE.probability), abs=1e-5)

@@ -1,0 +1,334 @@
+"""Fragility of a simulator whose capacity in peak ground velocity is lognormal, from a campaign that learned it."""
+
+import csv
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+from scipy.special import ndtr, ndtri
+
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
+from activefail.campaign.hazard import read_hazard
+from activefail.errors import InputError
+from activefail.opening import open_run
+from activefail.risk.fragility import FragilityFindings
+
+MEDIAN, BETA = 1.2, 0.3
+"""Of the peak ground velocity at failure [m/s]; damage begins at exp(−0.3) of it."""
+
+LIMIT = f"""
+import math
+
+def reserve(d):
+    velocity = {VELOCITY_PER_ACCELERATION * GRAVITY!r} * d["A_p"] * d["T_p"]
+    return math.log({MEDIAN} * d["r"] / velocity)
+"""
+
+CAMPAIGN = """
+seed = 3
+[simulator]
+python = "pulses:reserve"
+outcomes = ["safe", "damage", "failure"]
+margins = ["g"]
+levels = { g = [0.3, 0.0] }
+[sampling]
+initial = 20
+budget = 30
+[space]
+T_p = { distribution = "lognormal", median = 2.0, dispersion = 0.6, unit = "s" }
+A_p = { distribution = "lognormal", median = 0.3, dispersion = 0.8, unit = "g" }
+r = { distribution = "lognormal", median = 1.0, dispersion = 0.3 }
+"""
+
+HAZARD = """
+description = "a <site>"
+[pulse_period]
+median_s = 2.0
+dispersion = 0.4
+definition = "acceleration"
+[pgv]
+median_m_s = 0.8
+dispersion = 0.25
+"""
+
+UNCERTAIN = """
+[uncertainty]
+test_data = 0.24
+modelling = 0.32
+[curve]
+pgv_m_s = [0.5, 2.0]
+annual_rate = [1.6e-3, 1e-4]
+"""
+
+SLOPE, ADDED = 2.0, 0.4
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fragility")
+    (folder / "pulses.py").write_text(LIMIT)
+    (folder / "made.toml").write_text(CAMPAIGN)
+    (folder / "site.toml").write_text(HAZARD)
+    (folder / "uncertain.toml").write_text(HAZARD + UNCERTAIN)
+    result = activefail("run", folder / "made.toml", "--out", folder / "run")
+    assert result.code == 0, result.err
+    return folder
+
+
+@pytest.fixture(scope="module")
+def uncertain(ended: Path) -> FragilityFindings:
+    with open_run(ended / "run", code=ended) as opened:
+        return opened.fragility(ended / "uncertain.toml")
+
+
+def probability(levels: Any, median: float, beta: float) -> Any:
+    return ndtr(np.log(np.asarray(levels) / median) / beta)
+
+
+def test_the_curve_of_the_pulses_alone_is_that_of_the_limit_state(uncertain: FragilityFindings) -> None:
+    for one, median in zip(uncertain.boundaries, (MEDIAN * math.exp(-0.3), MEDIAN), strict=True):
+        assert one.alone is not None
+        assert one.alone.probability == pytest.approx(probability(one.alone.ladder.levels, median, BETA), abs=0.01)
+
+
+def test_added_uncertainty_convolves_the_curve(uncertain: FragilityFindings) -> None:
+    beta = math.hypot(BETA, ADDED)
+    levels = uncertain.ladder.levels
+    for one, median in zip(uncertain.boundaries, (MEDIAN * math.exp(-0.3), MEDIAN), strict=True):
+        assert one.curve.probability == pytest.approx(probability(levels, median, beta), abs=0.015)
+        assert one.curve.fall is None
+        fit = one.lognormal
+        assert fit is not None
+        assert fit.median == pytest.approx(median, rel=0.015)
+        assert fit.dispersion == pytest.approx(beta, rel=0.03)
+        assert fit.misfit < 0.02
+        for p in (0.025, 0.1, 0.5):
+            capacity, interval = one.capacity(p)
+            assert capacity.level == pytest.approx(median * math.exp(beta * ndtri(p)), rel=0.04)
+            assert (interval.low, interval.high) == (None, None)
+        assert uncertain.margin(one) == pytest.approx(median / 0.8, rel=0.02)
+
+
+def test_the_risk_is_the_integral_over_the_sites_rates(uncertain: FragilityFindings) -> None:
+    risk, beta = uncertain.boundaries[-1].risk, math.hypot(BETA, ADDED)
+    rate = 4e-4 * MEDIAN**-SLOPE * math.exp(0.5 * (SLOPE * beta) ** 2)
+    assert risk is not None
+    # Velocities above 4.2 m/s are counted with the last probability.
+    assert risk.annual_rate == pytest.approx(rate, rel=0.03)
+    assert 0.0 < risk.outside < 0.5
+
+
+def test_failures_are_attributed_to_the_pulses_that_cause_them(uncertain: FragilityFindings) -> None:
+    parts = uncertain.boundaries[-1].deaggregation
+    assert parts is not None
+    assert parts.of_failures is not None
+    assert parts.period_of_failures is not None
+    assert parts.velocity_of_failures is not None
+    under_hazard = float(ndtr(math.log(0.8 / MEDIAN) / math.sqrt(BETA**2 + ADDED**2 + 0.25**2)))
+    assert parts.probability == pytest.approx(under_hazard, abs=0.01)
+    assert parts.of_failures.sum() == pytest.approx(1.0)
+    assert parts.of_pulses.sum() == pytest.approx(1.0)
+    # The period does not matter, the velocity does.
+    assert parts.period_of_failures.median == pytest.approx(2.0, rel=0.1)
+    assert parts.velocity_of_pulses.median == pytest.approx(0.8, rel=0.03)
+    assert parts.velocity_of_failures.median > 1.05 * 0.8
+
+
+def test_the_period_enters_the_curve_against_the_amplitude(ended: Path) -> None:
+    with open_run(ended / "run", code=ended) as opened:
+        found = opened.fragility(ended / "site.toml", intensity="a_p")
+    one = found.boundaries[-1]
+    median = MEDIAN / (VELOCITY_PER_ACCELERATION * GRAVITY * 2.0)
+    expected = probability(found.ladder.levels, median, math.hypot(BETA, 0.4))
+    assert one.curve.probability == pytest.approx(expected, abs=0.015)
+    assert found.median == pytest.approx(0.8 / (VELOCITY_PER_ACCELERATION * GRAVITY * 2.0))
+    assert one.alone is None
+    assert one.risk is None
+
+
+def test_pulses_of_a_file_give_the_same_curve(ended: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows = "".join(
+        f"{T},{V},{w}\n"
+        for T, V, w in zip(rng.uniform(1, 4, 300), rng.uniform(0.4, 1.6, 300), rng.uniform(1, 2, 300), strict=True)
+    )
+    (tmp_path / "pulses.csv").write_text("T_p,PGV,weight\n" + rows)
+    (tmp_path / "rows.toml").write_text('samples = "pulses.csv"\n[uncertainty]\ntest_data = 0.3\n')
+    fixed = {"r": 1.1}
+    for intensity in ("pgv", "a_p"):
+        with open_run(ended / "run", code=ended) as opened:
+            found = opened.fragility(tmp_path / "rows.toml", fixed, intensity)
+        assert found.boundaries[-1].curve.resolution == 0.001
+        if intensity == "pgv":
+            # Eight nodes stand for the added uncertainty, so that the curve has steps.
+            expected = probability(found.ladder.levels, 1.1 * MEDIAN, 0.3)
+            assert found.boundaries[-1].curve.probability == pytest.approx(expected, abs=0.2)
+        parts = found.boundaries[-1].deaggregation
+        assert parts is not None
+        assert parts.of_pulses.sum() == pytest.approx(1.0)
+
+
+def test_both_property_bounds_are_shown_at_the_hazards_median(ended: Path, tmp_path: Path) -> None:
+    # The limit state has no friction; factors on variables that the campaign lacks change nothing.
+    (tmp_path / "bounds.toml").write_text(HAZARD + "[properties]\nmu_lower = 0.8\nmu_upper = 1.2\n")
+    result = activefail("fragility", ended / "run", "--code", ended, "--hazard", tmp_path / "bounds.toml", "--json")
+    numbers = json.loads(result.out)["outcomes"]["failure"]["at_hazard_median"]
+    assert numbers["probability"].keys() == {"lower", "nominal", "upper"}
+    assert numbers["probability"]["lower"] == pytest.approx(float(probability(0.8, MEDIAN, BETA)), abs=0.01)
+    assert numbers["interval"] is None
+    assert numbers["interval_reason"]
+
+
+def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_path: Path) -> None:
+    command = ("fragility", ended / "run", "--code", ended, "--hazard", ended / "uncertain.toml", "--verify", "60")
+    result = activefail(*command, "--out", tmp_path / "new" / "out", "--csv", tmp_path / "curves.csv")
+    assert result.code == 0, result.err
+    kept = sorted(path.name for path in (ended / "run" / "sets").iterdir())
+    assert "fragility against PGV [m/s], under a <site>" in result.out
+    assert "95 % confidence" in result.out
+    assert "each has 95 % confidence by itself" in result.out
+    again = activefail(*command, "--json")
+    assert sorted(path.name for path in (ended / "run" / "sets").iterdir()) == kept
+    numbers = json.loads(again.out)
+    failure, damage = numbers["outcomes"]["failure"], numbers["outcomes"]["damage"]
+    beta = math.hypot(BETA, ADDED)
+    for level in failure["verified"]:
+        assert level["low"] <= probability(level["level"], MEDIAN, beta) <= level["high"]
+    assert sum(level["simulations"] for level in failure["verified"]) == 60
+    assert damage["verified"] == []
+    assert damage["capacities"][1]["interval_reason"] == "not verified by simulations; --verify N gives an interval"
+    # Two levels are verified; the capacity at one of them has an interval, or the reason why it has not.
+    capacity = failure["capacities"][1]
+    assert capacity["confidence"] == 0.95
+    assert (capacity["low"] is None or capacity["high"] is None) == bool(capacity["interval_reason"])
+    files = {path.name for path in (tmp_path / "new" / "out").iterdir()}
+    assert files == {
+        "fragility.csv",
+        "fragility.json",
+        "fragility.png",
+        "fragility.svg",
+        "deaggregation.csv",
+        "pelicun.csv",
+        "openquake.xml",
+    }
+    assert json.loads((tmp_path / "new" / "out" / "fragility.json").read_text()) == numbers
+    with (tmp_path / "curves.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["kind"] for row in rows].count("verified") == 2
+    curve = [float(row["p_failure"]) for row in rows if row["kind"] == "ladder"]
+    assert curve == failure["curve"]
+    assert all(row["p_failure_low"] for row in rows if row["kind"] == "verified")
+    model = ElementTree.parse(tmp_path / "new" / "out" / "openquake.xml").getroot()[0]
+    assert model.findtext("{http://openquake.org/xmlns/nrml/0.5}limitStates") == "damage failure"
+    with (tmp_path / "new" / "out" / "deaggregation.csv").open(newline="") as file:
+        shares = [float(row["share_of_failures"]) for row in csv.DictReader(file) if row["outcome"] == "failure"]
+    assert sum(shares) == pytest.approx(1.0)
+
+
+def test_a_curve_against_any_variable_integrates_over_the_others(ended: Path, tmp_path: Path) -> None:
+    (tmp_path / "asked.toml").write_text('description = "one site"\n[space]\nT_p = { value = 2.0 }\n')
+    with open_run(ended / "run", code=ended) as opened:
+        found = opened.fragility(against="A_p", question=tmp_path / "asked.toml", bounds=(0.05, 3.0))
+        strength = opened.fragility(against="r", fixed={"T_p": 2.0})
+    one = found.boundaries[-1]
+    median = MEDIAN / (VELOCITY_PER_ACCELERATION * GRAVITY * 2.0)
+    assert one.curve.probability == pytest.approx(probability(found.ladder.levels, median, BETA), abs=0.01)
+    assert (found.ladder.levels[0], found.ladder.levels[-1]) == (pytest.approx(0.05), pytest.approx(3.0))
+    assert found.title == "one site"
+    falling = strength.boundaries[-1].curve
+    assert not falling.rises
+    # Fails where A_p exceeds the amplitude that r resists.
+    levels = falling.ladder.levels
+    assert falling.probability == pytest.approx(1.0 - probability(levels * median, 0.3, 0.8), abs=0.015)
+    level = falling.capacity(0.1).level
+    assert level == pytest.approx(0.3 * math.exp(-0.8 * ndtri(0.1)) / median, rel=0.05)
+
+
+def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: Path) -> None:
+    command = ("fragility", ended / "run", "--code", ended, "--against", "r", "--range", "0.5,2")
+    result = activefail(*command, "--out", tmp_path)
+    assert result.code == 0, result.err
+    assert "fragility against r, under the design measure" in result.out
+    assert "Integrated over T_p, A_p." in result.out
+    assert "intervals  none: every number is the classifier's" in result.out
+    assert not (tmp_path / "pelicun.csv").exists()
+    table = activefail(*command, "--csv", "-")
+    assert table.out.startswith("r,kind,outside_design_space,p_damage,")
+    verified = activefail(*command, "--verify", "20", "--json", "--outcome", "damage")
+    numbers = json.loads(verified.out)["outcomes"]
+    assert numbers["failure"]["verified"] == []
+    assert sum(level["simulations"] for level in numbers["damage"]["verified"]) == 20
+    assert numbers["failure"]["risk"] is None
+    assert numbers["failure"]["risk_reason"] == "a risk needs a hazard with annual rates"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], "hazard, against: one is required"),
+        (["--hazard", "site.toml", "--against", "r"], "against: cannot be combined with hazard."),
+        (["--hazard", "site.toml", "--range", "1,2"], "range: cannot be combined with hazard."),
+        (["--hazard", "site.toml", "--question", "site.toml"], "question: cannot be combined with hazard."),
+        (["--against", "r", "--intensity", "a_p"], "intensity: requires hazard"),
+        (["--against", "q"], "against: must be one of the uncertain variables, T_p, A_p, r, got 'q'."),
+        (["--against", "r", "--range", "2,1"], "range: `low < high` must hold, got 2,1."),
+        (["--against", "r", "--range", "2"], "--range: must be two numbers separated by a comma, got '2'."),
+        (["--against", "r", "--fixed", "fixed.toml"], "against: r has the value 1.1; leave it out of --fixed."),
+        (["--hazard", "site.toml", "--verify", "5"], "verify: must be at least 20, got 5."),
+        (["--hazard", "site.toml", "--outcome", "safe"], "outcome: must be one of damage, failure, got 'safe'."),
+        (["--hazard", "none.toml"], "none.toml: cannot be read"),
+        (["--hazard", "fixed.toml"], "fixed.toml:\n  r: unknown key"),
+        (["--hazard", "site.toml", "--bearing", "period.toml"], "T_p: is uncertain under a hazard"),
+        (["--against", "r", "--fixed", "pulse.toml"], "against: no variable besides r is uncertain"),
+        (["--hazard", "site.toml", "--csv", "-", "--json"], "--csv -: cannot be combined with --json"),
+        (["--hazard", "site.toml", "--out", "run/sets"], "is one of the run folder's own files"),
+    ],
+)
+def test_a_wrong_request_is_refused(
+    ended: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
+) -> None:
+    monkeypatch.chdir(ended)
+    Path("fixed.toml").write_text("r = 1.1\n")
+    Path("period.toml").write_text("T_p = 1.1\n")
+    Path("pulse.toml").write_text("T_p = 1.1\nA_p = 0.3\n")
+    refused(activefail("fragility", "run", "--code", ".", *options), message)
+
+
+def test_a_campaign_without_a_pulse_has_no_fragility_under_a_hazard(tmp_path: Path, ended: Path) -> None:
+    (tmp_path / "plain.py").write_text("def g(d):\n    return d['x'] - d['y']\n")
+    (tmp_path / "plain.toml").write_text(
+        'simulator = { python = "plain:g", margins = ["g"] }\nsampling = { initial = 12, budget = 12 }\n'
+        "[space]\nx = { low = 0, high = 1 }\ny = { low = 0, high = 1 }\n"
+    )
+    assert activefail("run", tmp_path / "plain.toml", "--out", tmp_path / "run").code == 0
+    with (
+        open_run(tmp_path / "run", code=tmp_path) as opened,
+        pytest.raises(InputError, match="needs the variable 'T_p'"),
+    ):
+        opened.fragility(read_hazard(ended / "site.toml"))
+
+
+def test_a_small_campaign_of_the_bearing_has_fragility_curves(tmp_path: Path, ended: Path) -> None:
+    shutil.copy(ended / "uncertain.toml", tmp_path)
+    (tmp_path / "made.toml").write_text(
+        'sampling = { initial = 40, budget = 40 }\n[classifier]\nfeatures = "design"\n[validation]\nsize = 20\n'
+    )
+    (tmp_path / "bearing.toml").write_text(
+        "T_b = 4.0\nmu = 0.06\nD_tot = 0.65\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45.0\nk = 2e9\n"
+    )
+    assert activefail("run", tmp_path / "made.toml", "--out", tmp_path / "run").code == 0
+    result = activefail(
+        "fragility", tmp_path / "run", "--bearing", tmp_path / "bearing.toml", "--hazard", tmp_path / "uncertain.toml",
+        "--verify", "20", "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert result.code == 0, result.err
+    assert "given      T_b 4, mu 0.06" in result.out
+    assert "its motion is planar, there is no vertical component, and its rims do not yield" in result.out
+    assert (tmp_path / "out" / "pelicun.csv").exists()
