@@ -147,12 +147,19 @@ class FragilityFindings:
     def _of_boundary(self, one: BoundaryFragility) -> dict[str, Any]:
         fall, fit, risk, why = one.curve.fall, one.lognormal, one.risk, self.why_no_risk
         return {
-            "curve": one.curve.probability.tolist(),
-            "curve_interval": None,
-            "curve_interval_reason": "only the verified levels have intervals" if one.verified else NOT_VERIFIED,
+            "curve": {
+                "probability": one.curve.probability.tolist(),
+                "interval": None,
+                "interval_reason": "only the verified levels have intervals" if one.verified else NOT_VERIFIED,
+            },
             "curve_of_pulses_alone": None
             if one.alone is None
-            else {"levels": one.alone.ladder.levels.tolist(), "probability": one.alone.probability.tolist()},
+            else {
+                "levels": one.alone.ladder.levels.tolist(),
+                "probability": one.alone.probability.tolist(),
+                "interval": None,
+                "interval_reason": WITHOUT_INTERVAL,
+            },
             "resolution": one.curve.resolution,
             "rises": one.curve.rises,
             "falls": None if fall is None else {"by": fall.size, "from": fall.start, "to": fall.end},
@@ -164,13 +171,15 @@ class FragilityFindings:
                 "dispersion": fit.dispersion,
                 "largest_misfit": fit.misfit,
                 "largest_misfit_at": fit.misfit_at,
+                "interval": None,
+                "interval_reason": "it describes the curve, which is the result",
             },
             "lognormal_reason": why_not_fitted(one.curve) or None,
             "verified": [_of_level(level) for level in one.verified],
             "at_hazard_median": None
             if one.at_median is None
             else {"probability": dict(one.at_median), "interval": None, "interval_reason": WITHOUT_INTERVAL},
-            "margin": self.margin(one),
+            "margin": self._of_margin(one),
             "risk": None
             if risk is None
             else {
@@ -195,6 +204,18 @@ class FragilityFindings:
             "verified": interval.middle,
             "low": interval.low,
             "high": interval.high,
+            "confidence": self.confidence if one.verified else None,
+            "interval_reason": interval.reason or None,
+        }
+
+    def _of_margin(self, one: BoundaryFragility) -> dict[str, Any] | None:
+        if (margin := self.margin(one)) is None or self.median is None:
+            return None
+        _, interval = one.capacity(0.5)
+        return {
+            "value": margin,
+            "low": None if interval.low is None else interval.low / self.median,
+            "high": None if interval.high is None else interval.high / self.median,
             "confidence": self.confidence if one.verified else None,
             "interval_reason": interval.reason or None,
         }

@@ -36,7 +36,7 @@ _RANGES = {"pgv": (0.1, 4.0), "a_p": (0.02, 2.0)}
 _STEPS = 40
 """Steps of the ladder of another variable."""
 
-_POINTS = {1: 256, 2: 1024}
+_POINTS = {1: 512, 2: 1024}
 _MORE_POINTS = 2048
 """Points that integrate over one, two, or more variables."""
 

@@ -175,6 +175,20 @@ def test_pulses_of_a_file_give_the_same_curve(ended: Path, tmp_path: Path) -> No
         assert parts.of_pulses.sum() == pytest.approx(1.0)
 
 
+def test_every_number_without_an_interval_gives_the_reason(uncertain: FragilityFindings) -> None:
+    def check(value: Any) -> int:
+        if isinstance(value, list):
+            return sum(map(check, value))
+        if not isinstance(value, dict):
+            return 0
+        without = [name for name in ("interval", "low", "high") if name in value and value[name] is None]
+        assert not without or value["interval_reason"]
+        return bool(without) + sum(map(check, value.values()))
+
+    # For each outcome: two curves, three capacities, the fit, the hazard's median, margin, risk and pulses.
+    assert check(json.loads(json.dumps(uncertain.as_json(), allow_nan=False))) == 2 * 10
+
+
 def test_both_property_bounds_are_shown_at_the_hazards_median(ended: Path, tmp_path: Path) -> None:
     # The limit state has no friction; factors on variables that the campaign lacks change nothing.
     (tmp_path / "bounds.toml").write_text(HAZARD + "[properties]\nmu_lower = 0.8\nmu_upper = 1.2\n")
@@ -223,7 +237,7 @@ def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_
         rows = list(csv.DictReader(file))
     assert [row["kind"] for row in rows].count("verified") == 2
     curve = [float(row["p_failure"]) for row in rows if row["kind"] == "ladder"]
-    assert curve == failure["curve"]
+    assert curve == failure["curve"]["probability"]
     assert all(row["p_failure_low"] for row in rows if row["kind"] == "verified")
     model = ElementTree.parse(tmp_path / "new" / "out" / "openquake.xml").getroot()[0]
     assert model.findtext("{http://openquake.org/xmlns/nrml/0.5}limitStates") == "damage failure"
