@@ -49,15 +49,15 @@ if TYPE_CHECKING:
     from activefail.loop.learning import Learned, Memory
     from activefail.record.batch import Batch
     from activefail.record.run_folder import FolderStore
-    from activefail.reliability.estimate import ProbabilityEstimate
     from activefail.report.evidence import Evidence
-    from activefail.risk.findings import DesignFindings
-    from activefail.risk.fragility import FragilityFindings
-    from activefail.risk.levels import Intensity
-    from activefail.risk.sensitivity import Begin, Sensitivity
+    from activefail.risk.design.findings import DesignFindings
+    from activefail.risk.fragility.findings import FragilityFindings
+    from activefail.risk.fragility.levels import Intensity
+    from activefail.risk.sensitivity.findings import Begin, Sensitivity
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
     from activefail.verification.error import ErrorEstimate
+    from activefail.verification.probability import Estimator
 
 
 _LARGEST_ID = 2**53
@@ -736,27 +736,14 @@ class Run:
         """
         from activefail.campaign.question import Question
         from activefail.findings.probability import ProbabilityFindings
-        from activefail.verification.probability import estimate_probability
 
         check_whole("simulations", simulations, 2)
         _check_confidence(confidence)
         outcome = self._boundary_named(outcome)
         asked = question if isinstance(question, Question) else self.asked(question, fixed)
-        self._check_initial_design("estimate")
-        history, classifier = self.history, self.classifier
-        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
-            estimate = estimate_probability(
-                self.campaign,
-                self.store,
-                pool,
-                classifier,
-                history.last_iteration,
-                outcome,
-                simulations,
-                confidence,
-                asked,
-            )
-        findings = ProbabilityFindings.of(self.campaign, history, classifier, outcome, estimate, asked)
+        with self._estimator(executor) as estimator:
+            estimate = estimator.sample(outcome, simulations, asked).estimate(confidence)
+        findings = ProbabilityFindings.of(self.campaign, self.history, estimator.classifier, outcome, estimate, asked)
         if self._write and question is None and fixed is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
@@ -793,49 +780,20 @@ class Run:
         Raises:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
-        from activefail.campaign.hazard import hazard_question, read_hazard
-        from activefail.campaign.question import Question
-        from activefail.risk.band import LEAST
-        from activefail.risk.fragility import Verification, bearing_fragility, general_fragility
-        from activefail.risk.levels import check_asked, standardised_boundaries, variable_ladder
-        from activefail.verification.probability import estimate_probability
+        from activefail.risk.fragility.findings import checked_ladder, fragility
 
-        check_asked(hazard, against, bounds, question, intensity)
         check_whole("verify", verify, 0)
-        if 0 < verify < LEAST:
-            raise InputError(f"verify: must be at least {LEAST}, got {verify}.")
         outcome = self._boundary_named(outcome)
         _check_confidence(confidence)
-        values = self.fixed_values(fixed)
-        if against in values:
-            raise InputError(f"against: {against} has the value {values[against]:g}; leave it out of --fixed.")
-        at_site = read_hazard(Path(hazard)) if isinstance(hazard, Path | str) else hazard
-        if at_site is not None:
-            asked, ladder = hazard_question(at_site, self.settings, self.space, values), None
-        else:
-            asked = question if isinstance(question, Question) else self.asked(question, values or None)
-            ladder = variable_ladder(asked, self.space, str(against), bounds)
-        self._check_initial_design("estimate")
-        learned = self.learn(stage)
-        boundaries = standardised_boundaries(learned.classifier, self.campaign.features)
-        with nullcontext(executor) if executor or not verify else self._local_executor() as pool, one_thread():
-
-            def estimate(at_level: Question, simulations: int) -> "ProbabilityEstimate":
-                assert pool is not None
-                return estimate_probability(
-                    self.campaign, self.store, pool, learned.classifier, self.history.last_iteration, outcome,
-                    simulations, confidence, at_level,
-                )  # fmt: skip
-
-            check = Verification(outcome, verify, confidence, estimate)
-            if at_site is not None:
-                return bearing_fragility(self.campaign, boundaries, at_site, values, intensity, check, stage)
-            assert ladder is not None
-            return general_fragility(self.campaign, boundaries, asked, ladder, check, stage)
+        site, asked = self._at_site(hazard, question, fixed)
+        ladder = checked_ladder(site, asked, self.space, intensity, against, bounds, verify)
+        with self._estimator(executor, stage, simulates=bool(verify)) as estimator:
+            return fragility(estimator, site, asked, intensity, ladder, outcome, verify, confidence, stage)
 
     def design(
         self,
         target: "float | str",
+        hazard: "Hazard | Path | str | None" = None,
         question: "Question | Path | str | None" = None,
         fixed: "Mapping[str, float] | Path | str | None" = None,
         free: "Sequence[str]" = (),
@@ -851,7 +809,8 @@ class Run:
         Args:
             target: largest acceptable probability of the (main) target boundary's outcome, or a worse one; a risk
                 category; or several, such as "failure=0.05,impact=0.3".
-            question: as for `probability`: a hazard file, a question file, or what `asked` returns.
+            hazard: a hazard, or its file.
+            question: without a hazard: other distributions of the variables, as for `probability`.
             fixed: values of variables: by name, or a TOML file.
             free: names of the variables that may change, within the campaign's ranges; D_tot by default. The first one
                 is made as small as the targets allow while the others are held.
@@ -865,28 +824,15 @@ class Run:
         Raises:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
-        from activefail.risk.search import search_design
+        from activefail.risk.design.designing import search_design
+        from activefail.risk.design.task import design_task, read_targets
 
         check_whole("simulations", simulations, 10)
-        self._check_initial_design("design")
-        values, classifier = self.fixed_values(fixed), self.classifier
-        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
-            return search_design(
-                self.campaign,
-                self.store,
-                pool,
-                classifier,
-                self.history.last_iteration,
-                str(target),
-                question,
-                values,
-                free,
-                cost,
-                confidence,
-                simulations,
-                chart,
-                stage,
-            )
+        requirements = read_targets(str(target), self.campaign.simulator.outcomes, self.boundary)
+        site, asked = self._at_site(hazard, question, fixed)
+        task = design_task(self.campaign, asked, requirements, free, cost, confidence, simulations)
+        with self._estimator(executor, stage) as estimator:
+            return search_design(estimator, task, site, chart, stage)
 
     def sensitivity(
         self,
@@ -916,29 +862,27 @@ class Run:
             InputError: if SALib is not installed, an argument is out of range, hazard and question are both given, a
                 file is invalid, or variables of the question are correlated.
         """
-        from activefail.campaign.hazard import Hazard, read_hazard
-        from activefail.campaign.question import Question
         from activefail.paper.p_values import variable_p_values
         from activefail.reliability.estimate import standardised_latent
-        from activefail.risk.sensitivity import hazard_sensitivity, length_scales, question_sensitivity, with_classifier
+        from activefail.risk.sensitivity.findings import (
+            hazard_sensitivity,
+            length_scales,
+            question_sensitivity,
+            with_classifier,
+        )
 
         outcome = self._boundary_named(outcome)
         _check_confidence(confidence)
-        if hazard is not None and question is not None:
-            raise InputError("hazard: cannot be combined with a question.")
-        if hazard is None:
-            asked = question if isinstance(question, Question) else self.asked(question, fixed)
-        else:
-            hazard = hazard if isinstance(hazard, Hazard) else read_hazard(Path(hazard))
-            values = self.fixed_values(fixed)
+        site, asked = self._at_site(hazard, question, fixed)
         latent = self.classifier.latent(outcome)
         standardised = standardised_latent(latent, self.features)
         with one_thread():
-            if hazard is None:
+            if site is None:
                 found = question_sensitivity(self.campaign, standardised, outcome, asked, samples, confidence, begin)
             else:
+                values = self.fixed_values(fixed)
                 found = hazard_sensitivity(
-                    self.campaign, standardised, outcome, hazard, values, samples, confidence, begin
+                    self.campaign, standardised, outcome, site, values, samples, confidence, begin
                 )
             severity = self.campaign.simulator.outcomes.index(outcome)
             p_values = variable_p_values(self.space, self.history, severity)
@@ -989,6 +933,53 @@ class Run:
         outcomes = read_estimates(self.folder, self.store.digest, self.campaign.simulator.outcomes) | {outcome: numbers}
         saved = {"record": self.store.digest, "outcomes": outcomes}
         self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
+
+    def _at_site(
+        self,
+        hazard: "Hazard | Path | str | None",
+        question: "Question | Path | str | None",
+        fixed: "Mapping[str, float] | Path | str | None",
+    ) -> "tuple[Hazard | None, Question]":
+        """The hazard and the question that it asks, or a question alone.
+
+        Raises:
+            InputError: if both are given, or a file is invalid.
+        """
+        from activefail.campaign.asked import check_designs_of
+        from activefail.campaign.hazard import hazard_question, is_hazard, read_hazard
+        from activefail.campaign.question import Question
+
+        if hazard is not None and question is not None:
+            raise InputError("question: cannot be combined with hazard.")
+        if isinstance(question, Path | str) and is_hazard(Path(question)):
+            hazard, question = question, None
+        if hazard is None:
+            if isinstance(question, Question):
+                return None, question.at(self.fixed_values(fixed))
+            return None, self.asked(question, fixed)
+        site = read_hazard(Path(hazard)) if isinstance(hazard, Path | str) else hazard
+        asked = hazard_question(site, self.settings, self.space, self.fixed_values(fixed))
+        check_designs_of(asked, self.campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else "")
+        return site, asked
+
+    @contextmanager
+    def _estimator(
+        self,
+        executor: "Executor | None",
+        stage: Callable[[str], None] = lambda _: None,
+        simulates: bool = True,
+    ) -> "Iterator[Estimator]":
+        """What estimates probabilities with the present classifier.
+
+        Raises:
+            InputError: if the initial design is not finished.
+        """
+        from activefail.verification.probability import Estimator
+
+        self._check_initial_design("estimate")
+        learned, last = self.learn(stage), self.history.last_iteration
+        with nullcontext(executor) if executor or not simulates else self._local_executor() as pool, one_thread():
+            yield Estimator(self.campaign, self.store, pool, learned.classifier, last)
 
     def _boundary_named(self, outcome: str | None) -> str:
         """The outcome of a boundary; that of the main target boundary if None.

@@ -125,7 +125,7 @@ def intervals(study, bearing, target, number):
 
 
 def designs(study, bearing, target, number):
-    found = study.run.design(target, study.question({**bearing, FREE: 0.65}), bearing).designed
+    found = study.run.design(target, study.hazard, fixed=bearing).designed
     value = found.values[FREE]
     rng = np.random.default_rng([number, 2])
     question = study.question({**bearing, FREE: value})
@@ -151,7 +151,7 @@ def designs(study, bearing, target, number):
 
 
 def curves(study, bearing, target, number):
-    from activefail.risk.lognormal import fitted_lognormal
+    from activefail.risk.fragility.lognormal import fitted_lognormal
 
     question = study.question({**bearing, FREE: study.required(bearing, target)})
     del target

@@ -113,6 +113,7 @@ def test_the_commands_of_the_sensitivity_run_with_its_files(tmp_path, monkeypatc
     assert {"sensitivity.md", "one_at_a_time.svg"} <= {path.name for path in Path("runs/sensitivity").iterdir()}
     assert Path("indices.csv").is_file()
 
+
 def test_the_fragility_of_the_page_on_design_can_be_shown(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = section(ROOT / "docs" / "design.md", "## Fragility")

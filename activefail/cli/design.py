@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage
-from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.record.layout import check_output
 from activefail.visible import visible
@@ -59,13 +58,12 @@ def design(
     code: Code = None,
 ) -> None:
     """Find the smallest design whose probability of failure meets a target, and verify it."""
-    if hazard is not None and question is not None:
-        raise InputError("--hazard: cannot be combined with --question.")
     check_output("--out", out)
     with opened_run(folder, write=True, code=code) as opened:
         findings = opened.design(
             target,
-            hazard or question,
+            hazard,
+            question,
             fixed,
             [name.strip() for name in free.split(",")] if free else (),
             cost or "",

@@ -23,7 +23,7 @@ from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.risk.fragility import FragilityFindings
+    from activefail.risk.fragility.findings import FragilityFindings
 
 
 def fragility(
@@ -84,8 +84,8 @@ def fragility(
         )
         show_unseen(opened.summary)
         outcomes = opened.campaign.simulator.outcomes
-    from activefail.risk.files import write_curves
-    from activefail.risk.wording import lines
+    from activefail.risk.fragility.files import write_curves
+    from activefail.risk.fragility.wording import lines
 
     if csv is not None:
         with table_output("--csv", csv) as target:
@@ -115,7 +115,7 @@ def _written(found: "FragilityFindings", folder: Path) -> list[Path]:
     """Write everything to a folder; returns the files."""
     from activefail.figures.fragility import plot_fragility_findings
     from activefail.figures.style import save_figure
-    from activefail.risk.files import write_files
+    from activefail.risk.fragility.files import write_files
 
     with writing_to(folder):
         folder.mkdir(parents=True, exist_ok=True)

@@ -73,7 +73,7 @@ def _draw(summary: "HazardSummary", space: "DesignSpace | None", out: Path) -> N
 
 
 def _show(summary: "HazardSummary") -> None:
-    from activefail.risk.task import RISK_CATEGORIES
+    from activefail.risk.design.task import RISK_CATEGORIES
 
     read = summary.hazard
     settings = read.settings

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, styled
-from activefail.risk.findings import DesignFindings
+from activefail.risk.design.findings import DesignFindings
 from activefail.space import DesignSpace
 
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY_BLUE)

@@ -9,8 +9,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from activefail.figures.marks import outcome_colour, outcome_marker
 from activefail.figures.style import BLACK, VERMILION, styled
 from activefail.findings.quantities import plain, quantity, words
-from activefail.risk.deaggregation import Deaggregation
-from activefail.risk.fragility import BoundaryFragility, FragilityFindings
+from activefail.risk.fragility.deaggregation import Deaggregation
+from activefail.risk.fragility.findings import BoundaryFragility, FragilityFindings
 
 
 def plot_fragility_findings(findings: FragilityFindings) -> Figure:

@@ -6,8 +6,8 @@ from matplotlib.figure import Figure
 
 from activefail.figures.style import BLUE, GREY, ORANGE, VERMILION, styled
 from activefail.findings.quantities import Quantity, significant
-from activefail.risk.sensitivity import Move
-from activefail.risk.sobol import Index
+from activefail.risk.sensitivity.findings import Move
+from activefail.risk.sensitivity.sobol import Index
 
 
 def plot_indices(indices: Sequence[Index], confidence: float, quantities: Mapping[str, Quantity]) -> Figure:

@@ -11,7 +11,7 @@ from activefail.figures.style import save_figure
 from activefail.files import make_folder, replacing, target_of
 from activefail.report.page import page_environment
 from activefail.report.picture import picture
-from activefail.risk.findings import DesignFindings
+from activefail.risk.design.findings import DesignFindings
 
 PAGE, NUMBERS, VALUES, CHART = "design.html", "design.json", "design.toml", "required"
 """Names of the files."""

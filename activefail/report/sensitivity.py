@@ -11,8 +11,8 @@ from activefail.figures.sensitivity import plot_indices, plot_moves
 from activefail.figures.style import save_figure
 from activefail.files import replacing, writing_to
 from activefail.findings.quantities import Quantity, custom_quantity, plain, quantity, significant
-from activefail.risk.sensitivity import HIGH, LOW, Sensitivity
-from activefail.risk.sobol import Estimate
+from activefail.risk.sensitivity.findings import HIGH, LOW, Sensitivity
+from activefail.risk.sensitivity.sobol import Estimate
 from activefail.shares import percent
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import or_worse, visible

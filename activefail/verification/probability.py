@@ -13,6 +13,7 @@ from activefail.record.store import Store
 from activefail.reliability.estimate import (
     Plan,
     ProbabilityEstimate,
+    Standardised,
     estimated,
     integrated,
     plan_common,
@@ -47,68 +48,51 @@ class Sampled:
         return estimated(self.plan, self.beyond, self.answered, confidence)
 
 
-def sample_probability(
-    campaign: Campaign,
-    store: Store,
-    executor: Executor,
-    classifier: Classifier,
-    iteration: int,
-    outcome: str,
-    simulations: int,
-    question: Question,
-) -> Sampled:
-    """Simulate fresh designs for the probability of an outcome or a more severe one.
+@dataclass(frozen=True, eq=False)
+class Estimator:
+    """Estimates probabilities with a frozen classifier and fresh simulations, which are kept in the run folder.
 
-    Args:
+    Attributes:
         campaign: the campaign.
         store: holds the fresh simulations.
-        executor: runs those that are not stored yet.
+        executor: runs those that are not stored yet; None where nothing is simulated.
         classifier: of the iteration.
         iteration: the last one of the record.
-        outcome: its name.
-        simulations: number of fresh simulations; at least 2.
-        question: the distribution of the variables.
-
-    Raises:
-        SimulationError: if none of the simulations gives an outcome.
     """
-    severity = campaign.simulator.outcomes.index(outcome)
-    plan = planned(campaign, classifier, iteration, outcome, simulations, question)
-    name = name_of_estimate(severity, iteration, simulations, question.digest)
-    outcomes = simulated_outcomes(campaign, store, executor, name, question.designs(plan.designs))
-    assert outcomes is not None  # no stop was requested
-    return _sampled(plan, outcomes, severity)
 
+    campaign: Campaign
+    store: Store
+    executor: Executor | None
+    classifier: Classifier
+    iteration: int
 
-def estimate_probability(
-    campaign: Campaign,
-    store: Store,
-    executor: Executor,
-    classifier: Classifier,
-    iteration: int,
-    outcome: str,
-    simulations: int,
-    confidence: float,
-    question: Question,
-) -> ProbabilityEstimate:
-    """The probability of an outcome or a more severe one, with the classifier of an iteration.
+    def standardised(self, outcome: str) -> Standardised:
+        """The latent of an outcome's boundary as a function of designs."""
+        return standardised_latent(self.classifier.latent(outcome), self.campaign.features)
 
-    Args:
-        campaign: the campaign.
-        store: holds the fresh simulations.
-        executor: runs those that are not stored yet.
-        classifier: of the iteration.
-        iteration: the last one of the record.
-        outcome: its name.
-        simulations: number of fresh simulations; at least 2.
-        confidence: of the interval.
-        question: the distribution of the variables.
+    def plan(self, outcome: str, simulations: int, question: Question) -> Plan:
+        """The fresh simulations that `sample` makes."""
+        return planned(self.campaign, self.classifier, self.iteration, outcome, simulations, question)
 
-    Raises:
-        SimulationError: if none of the simulations gives an outcome.
-    """
-    sampled = sample_probability(campaign, store, executor, classifier, iteration, outcome, simulations, question)
-    return sampled.estimate(confidence)
+    def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
+        """Simulate fresh designs for the probability of an outcome or a more severe one.
+
+        Args:
+            outcome: its name.
+            simulations: number of fresh simulations; at least 2.
+            question: the distribution of the variables.
+
+        Raises:
+            SimulationError: if none of the simulations gives an outcome.
+        """
+        assert self.executor is not None
+        severity = self.campaign.simulator.outcomes.index(outcome)
+        plan = self.plan(outcome, simulations, question)
+        name = name_of_estimate(severity, self.iteration, simulations, question.digest)
+        designs = question.designs(plan.designs)
+        outcomes = simulated_outcomes(self.campaign, self.store, self.executor, name, designs)
+        assert outcomes is not None  # no stop was requested
+        return _sampled(plan, outcomes, severity)
 
 
 def stored_estimate(
@@ -125,7 +109,10 @@ def stored_estimate(
     It simulates nothing.
 
     Args:
-        campaign, store, classifier, iteration, outcome, confidence, question: as for `estimate_probability`.
+        campaign, store, classifier, iteration: as for `Estimator`.
+        outcome: its name.
+        confidence: of the interval.
+        question: the distribution of the variables.
     """
     severity = campaign.simulator.outcomes.index(outcome)
     for simulations in estimate_sizes(store, severity, iteration, question.digest):

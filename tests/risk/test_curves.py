@@ -14,11 +14,18 @@ from scipy.special import ndtr, ndtri
 from activefail.campaign.question import Question
 from activefail.parameter import Parameter
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.band import NOT_VERIFIED, VerifiedLevel, as_rows, capacity_interval, levels_to_verify, verify
-from activefail.risk.curve import Curve, Ladder
-from activefail.risk.exports import multilinear, openquake_model, pelicun_table
-from activefail.risk.lognormal import fit_lognormal, why_not_fitted
-from activefail.risk.rates import risk_of
+from activefail.risk.fragility.band import (
+    NOT_VERIFIED,
+    VerifiedLevel,
+    as_rows,
+    capacity_interval,
+    levels_to_verify,
+    verify,
+)
+from activefail.risk.fragility.curve import Curve, Ladder
+from activefail.risk.fragility.exports import multilinear, openquake_model, pelicun_table
+from activefail.risk.fragility.lognormal import fit_lognormal, why_not_fitted
+from activefail.risk.fragility.rates import risk_of
 from activefail.space import Array, DesignSpace
 from activefail.weighted import WeightedRows
 

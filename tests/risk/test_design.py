@@ -15,9 +15,9 @@ from activefail.campaign.question import Question
 from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.reliability.estimate import expected_half_width, plan_common
-from activefail.risk.design import cheapest
-from activefail.risk.required import least_value
-from activefail.risk.task import DesignTask, Requirement, read_targets
+from activefail.risk.design.required import least_value
+from activefail.risk.design.search import cheapest
+from activefail.risk.design.task import DesignTask, Requirement, read_targets
 from activefail.run import Run
 from activefail.space import Array, DesignSpace
 
@@ -77,7 +77,7 @@ def run(folder: Path) -> Iterator[Run]:
 def test_a_design_meets_its_target_and_is_hardly_larger_than_the_smallest_that_does(
     run: Run, folder: Path, target: float
 ) -> None:
-    found = run.design(target, folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
+    found = run.design(target, None, folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
     assert found.status == "verified"
     assert needed(target) < found.values["capacity"] < 1.12 * needed(target)
     assert found.last.estimates[0].high <= target
@@ -85,7 +85,7 @@ def test_a_design_meets_its_target_and_is_hardly_larger_than_the_smallest_that_d
 
 
 def test_the_same_search_reads_its_simulations_again(run: Run, folder: Path) -> None:
-    asked = (0.1, folder / "site.toml", {"friction": 1.0}, ["capacity"])
+    asked = (0.1, None, folder / "site.toml", {"friction": 1.0}, ["capacity"])
     first = run.design(*asked).as_json()
     stored = run.store.set_names()
     assert run.design(*asked).as_json() == first
@@ -96,14 +96,14 @@ def test_several_free_variables_are_searched_for_the_least_cost(run: Run, folder
     # capacity √friction is what counts: with a cost that is steep in friction, the least friction is cheapest, and with
     # one that is steep in capacity, the largest.
     for cost, friction in (("capacity * friction", 0.5), ("capacity", 1.5)):
-        found = run.design(0.1, folder / "site.toml", free=["capacity", "friction"], cost=cost).designed
+        found = run.design(0.1, question=folder / "site.toml", free=["capacity", "friction"], cost=cost).designed
         assert found.status == "verified"
         assert found.values["friction"] == pytest.approx(friction, abs=0.03)
         assert needed(0.1, friction) < 1.03 * found.values["capacity"] < 1.15 * needed(0.1, friction)
 
 
 def test_each_outcome_may_have_a_target_and_the_hardest_decides(run: Run, folder: Path) -> None:
-    found = run.design("failure=0.1,damage=0.1", folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
+    found = run.design("failure=0.1,damage=0.1", None, folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
     assert found.status == "verified"
     assert needed(0.1, share=0.6) < found.values["capacity"] < 1.1 * needed(0.1, share=0.6)
     assert [estimate.high <= 0.1 for estimate in found.last.estimates] == [True, True]
@@ -178,6 +178,8 @@ def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder:
         folder / "site.toml",
         "--fixed",
         out / "design.toml",
+        "--simulations",
+        350,
         "--json",
     )
     assert again.code == 0, again.err
@@ -188,7 +190,7 @@ def test_the_command_writes_a_page_numbers_and_values_for_other_commands(folder:
 
 def test_a_chart_gives_the_required_value_for_each_target(run: Run, folder: Path) -> None:
     (folder / "two.toml").write_text(QUESTION + "friction = { value = 1.0 }\n")
-    chart = run.design(0.1, folder / "site.toml", {"friction": 1.0}, ["capacity"], chart=True).chart
+    chart = run.design(0.1, None, folder / "site.toml", {"friction": 1.0}, ["capacity"], chart=True).chart
     assert chart is None  # a chart takes two variables beside the required one
 
 

@@ -18,7 +18,7 @@ from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
 from activefail.campaign.hazard import read_hazard
 from activefail.errors import InputError
 from activefail.opening import open_run
-from activefail.risk.fragility import FragilityFindings
+from activefail.risk.fragility.findings import FragilityFindings
 
 MEDIAN, BETA = 1.2, 0.3
 """Of the peak ground velocity at failure [m/s]; damage begins at exp(−0.3) of it."""
@@ -189,15 +189,10 @@ def test_every_number_without_an_interval_gives_the_reason(uncertain: FragilityF
     assert check(json.loads(json.dumps(uncertain.as_json(), allow_nan=False))) == 2 * 10
 
 
-def test_both_property_bounds_are_shown_at_the_hazards_median(ended: Path, tmp_path: Path) -> None:
-    # The limit state has no friction; factors on variables that the campaign lacks change nothing.
+def test_a_property_bound_of_a_variable_that_the_campaign_lacks_is_refused(ended: Path, tmp_path: Path) -> None:
     (tmp_path / "bounds.toml").write_text(HAZARD + "[properties]\nmu_lower = 0.8\nmu_upper = 1.2\n")
     result = activefail("fragility", ended / "run", "--code", ended, "--hazard", tmp_path / "bounds.toml", "--json")
-    numbers = json.loads(result.out)["outcomes"]["failure"]["at_hazard_median"]
-    assert numbers["probability"].keys() == {"lower", "nominal", "upper"}
-    assert numbers["probability"]["lower"] == pytest.approx(float(probability(0.8, MEDIAN, BETA)), abs=0.01)
-    assert numbers["interval"] is None
-    assert numbers["interval_reason"]
+    refused(result, "properties.mu_lower: cannot be applied")
 
 
 def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_path: Path) -> None:

@@ -9,24 +9,29 @@ import numpy as np
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import Hazard, hazard_question
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
+from activefail.errors import InputError
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.band import NOT_VERIFIED, Interval, Side, VerifiedLevel, capacity_interval, verify
-from activefail.risk.curve import Capacity, Curve, Ladder
-from activefail.risk.deaggregation import Deaggregation, deaggregated
-from activefail.risk.levels import (
+from activefail.risk.fragility.band import LEAST, NOT_VERIFIED, Interval, Side, VerifiedLevel, capacity_interval, verify
+from activefail.risk.fragility.curve import Capacity, Curve, Ladder
+from activefail.risk.fragility.deaggregation import Deaggregation, deaggregated
+from activefail.risk.fragility.levels import (
     Boundaries,
     Intensity,
     answer,
+    check_asked,
     curves_on,
     intensity_ladder,
     median_intensity,
     question_at,
+    standardised_boundaries,
+    variable_ladder,
 )
-from activefail.risk.lognormal import Lognormal, fit_lognormal, why_not_fitted
-from activefail.risk.rates import YEARS, Risk, risk_of
+from activefail.risk.fragility.lognormal import Lognormal, fit_lognormal, why_not_fitted
+from activefail.risk.fragility.rates import YEARS, Risk, risk_of
 from activefail.shares import percent
 from activefail.simulators.bearing import DfpSimulator
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
+from activefail.verification.probability import Estimator
 
 Bound = Literal["lower", "nominal", "upper"]
 
@@ -257,6 +262,77 @@ class Verification:
     simulations: int
     confidence: float
     estimate: Callable[[Question, int], ProbabilityEstimate]
+
+
+def checked_ladder(
+    hazard: Hazard | None,
+    question: Question,
+    space: DesignSpace,
+    intensity: Intensity,
+    against: str | None,
+    bounds: tuple[float, float] | None,
+    simulations: int,
+) -> Ladder | None:
+    """The levels of a variable; None with a hazard, whose intensity has levels of its own.
+
+    Args:
+        hazard: None for the question alone.
+        question: the hazard's, or another one.
+        space: of the campaign.
+        intensity: "pgv" or "a_p", with a hazard.
+        against: the variable, without a hazard.
+        bounds: of the variable's levels; those of the campaign if None.
+        simulations: fresh ones that verify the curve; 0 for none.
+
+    Raises:
+        InputError: naming the argument, the rule and the value.
+    """
+    check_asked(hazard, against, bounds, intensity)
+    if 0 < simulations < LEAST:
+        raise InputError(f"verify: must be at least {LEAST}, got {simulations}.")
+    if against is None:
+        return None
+    if against in question.fixed:
+        raise InputError(f"against: {against} has the value {question.fixed[against]:g}; leave it out of --fixed.")
+    return variable_ladder(question, space, against, bounds)
+
+
+def fragility(
+    estimator: Estimator,
+    hazard: Hazard | None,
+    question: Question,
+    intensity: Intensity,
+    ladder: Ladder | None,
+    outcome: str,
+    simulations: int,
+    confidence: float,
+    stage: Callable[[str], None] = lambda _: None,
+) -> FragilityFindings:
+    """The fragility under a hazard, against its intensity, or under a question, against a variable.
+
+    Args:
+        estimator: simulates.
+        hazard: at one of its property bounds; None for the question alone.
+        question: the hazard's, or another one.
+        intensity: "pgv" or "a_p", with a hazard.
+        ladder: levels of the variable, without a hazard (see `checked_ladder`).
+        outcome: whose curve is verified.
+        simulations: fresh ones that verify it; 0 for none.
+        confidence: of the intervals.
+        stage: called with each stage of the work.
+    """
+    campaign = estimator.campaign
+
+    def estimate(at_level: Question, fresh: int) -> ProbabilityEstimate:
+        return estimator.sample(outcome, fresh, at_level).estimate(confidence)
+
+    verification = Verification(outcome, simulations, confidence, estimate)
+    boundaries = standardised_boundaries(estimator.classifier, campaign.features)
+    if hazard is not None:
+        values = {name: value for name, value in question.fixed.items() if name in campaign.space.names}
+        return bearing_fragility(campaign, boundaries, hazard, values, intensity, verification, stage)
+    assert ladder is not None
+    return general_fragility(campaign, boundaries, question, ladder, verification, stage)
 
 
 def bearing_fragility(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.question import Question
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.curve import Curve, first_above
+from activefail.risk.fragility.curve import Curve, first_above
 from activefail.space import Array
 from activefail.weighted import WeightedRows
 

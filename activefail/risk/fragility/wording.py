@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-from activefail.risk.band import Interval
-from activefail.risk.curve import Capacity
-from activefail.risk.deaggregation import Deaggregation
-from activefail.risk.fragility import CAPACITIES, BoundaryFragility, FragilityFindings
-from activefail.risk.lognormal import why_not_fitted
-from activefail.risk.rates import YEARS
+from activefail.risk.fragility.band import Interval
+from activefail.risk.fragility.curve import Capacity
+from activefail.risk.fragility.deaggregation import Deaggregation
+from activefail.risk.fragility.findings import CAPACITIES, BoundaryFragility, FragilityFindings
+from activefail.risk.fragility.lognormal import why_not_fitted
+from activefail.risk.fragility.rates import YEARS
 from activefail.shares import percent
 from activefail.visible import or_worse, visible
 

@@ -8,21 +8,16 @@ from typing import Literal
 
 import numpy as np
 
-from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
-from activefail.execution.executor import Executor
-from activefail.record.store import Store
 from activefail.reliability.estimate import (
     ProbabilityEstimate,
     Standardised,
     expected_half_width,
-    standardised_latent,
 )
+from activefail.risk.design.task import LOOKS, DesignTask
 from activefail.risk.model import POINTS, classifier_probability
-from activefail.risk.task import LOOKS, DesignTask
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier
-from activefail.verification.probability import Sampled, planned, sample_probability
+from activefail.verification.probability import Estimator, Sampled
 
 _GRID = 13
 """Values of the first free variable at which a line is scanned."""
@@ -159,15 +154,7 @@ class _Model:
         return self._known[key]
 
 
-def find_design(
-    campaign: Campaign,
-    store: Store,
-    executor: Executor,
-    classifier: Classifier,
-    iteration: int,
-    task: DesignTask,
-    stage: Callable[[str], None] = lambda _: None,
-) -> Designed:
+def find_design(estimator: Estimator, task: DesignTask, stage: Callable[[str], None] = lambda _: None) -> Designed:
     """Find the cheapest design that meets its targets, and verify it.
 
     The classifier proposes a design whose probabilities lie below the targets, by as much as the verification needs.
@@ -176,27 +163,19 @@ def find_design(
     design never verify it. The looks share the probability of a false result.
 
     Args:
-        campaign: the campaign.
-        store: holds the fresh simulations.
-        executor: runs them.
-        classifier: of the last iteration.
-        iteration: the last one of the record.
+        estimator: simulates.
         task: what the design must meet.
         stage: called with each stage of the work.
     """
-    model = _Model(
-        task, tuple(standardised_latent(classifier.latent(one.outcome), campaign.features) for one in task.requirements)
-    )
+    model = _Model(task, tuple(estimator.standardised(one.outcome) for one in task.requirements))
 
     def asked(candidate: Candidate, look: int) -> Question:
         return task.question.at(candidate.values).drawn(look)
 
     def half_widths(candidate: Candidate) -> Array:
         """Expected half widths of the intervals, (r,)."""
-        plans = [
-            planned(campaign, classifier, iteration, one.outcome, task.simulations_of(0), asked(candidate, _IMAGINED))
-            for one in task.requirements
-        ]
+        question, simulations = asked(candidate, _IMAGINED), task.simulations_of(0)
+        plans = [estimator.plan(one.outcome, simulations, question) for one in task.requirements]
         return np.array([expected_half_width(plan, task.of_interval(0), np.random.default_rng(0)) for plan in plans])
 
     stage("searching a design under the classifier")
@@ -210,19 +189,8 @@ def find_design(
         stage(f"searching a design for look {number + 1}")
         candidate = cheapest(task, model, aims)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
-        sampled = tuple(
-            sample_probability(
-                campaign,
-                store,
-                executor,
-                classifier,
-                iteration,
-                one.outcome,
-                simulations,
-                asked(candidate, number + 1),
-            )
-            for one in task.requirements
-        )
+        question = asked(candidate, number + 1)
+        sampled = tuple(estimator.sample(one.outcome, simulations, question) for one in task.requirements)
         look = Look(candidate, sampled, confidence)
         looks.append(look)
         estimates = np.array([estimate.probability for estimate in look.estimates])

@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from activefail.risk.curve import Ladder
-from activefail.risk.levels import UNITS
+from activefail.risk.fragility.curve import Ladder
+from activefail.risk.fragility.levels import UNITS
 from activefail.space import Array
 
 PELICUN, OPENQUAKE = "pelicun.csv", "openquake.xml"

@@ -7,9 +7,9 @@ from typing import Any
 
 from activefail.csv_table import Target, writing
 from activefail.files import replacing, target_of
-from activefail.risk.deaggregation import Deaggregation
-from activefail.risk.exports import OPENQUAKE, PELICUN, openquake_model, pelicun_table, why_no_exports
-from activefail.risk.fragility import FragilityFindings
+from activefail.risk.fragility.deaggregation import Deaggregation
+from activefail.risk.fragility.exports import OPENQUAKE, PELICUN, openquake_model, pelicun_table, why_no_exports
+from activefail.risk.fragility.findings import FragilityFindings
 
 CURVES, DEAGGREGATION, FINDINGS = "fragility.csv", "deaggregation.csv", "fragility.json"
 """Names of the tables and of the findings."""

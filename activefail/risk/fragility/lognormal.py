@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from activefail.risk.curve import Curve
+from activefail.risk.fragility.curve import Curve
 from activefail.space import Array
 
 _LEAST, _MOST = 0.1, 0.5

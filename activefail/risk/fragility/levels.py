@@ -13,7 +13,7 @@ from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
 from activefail.features import FeatureMap
-from activefail.risk.curve import Curve, Ladder
+from activefail.risk.fragility.curve import Curve, Ladder
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.visible import visible
@@ -49,7 +49,7 @@ _STEEP, _HALVINGS = 0.05, 2
 """Change of a probability for which a step of a ladder is halved, and how often."""
 
 
-def check_asked(hazard: object, against: object, bounds: object, question: object, intensity: str) -> None:
+def check_asked(hazard: object, against: object, bounds: object, intensity: str) -> None:
     """Check which arguments of a fragility are given.
 
     Raises:
@@ -61,7 +61,7 @@ def check_asked(hazard: object, against: object, bounds: object, question: objec
             "probability is shown."
         )
     if hazard is not None:
-        for name, value in (("against", against), ("range", bounds), ("question", question)):
+        for name, value in (("against", against), ("range", bounds)):
             if value is not None:
                 raise InputError(f"{name}: cannot be combined with hazard.")
     elif intensity != "pgv":

@@ -9,9 +9,9 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
 from activefail.findings.probability import rounded_up
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.design import Designed
-from activefail.risk.required import RequiredChart
-from activefail.risk.task import LOOKS
+from activefail.risk.design.required import RequiredChart
+from activefail.risk.design.search import Designed
+from activefail.risk.design.task import LOOKS
 from activefail.shares import percent
 from activefail.visible import or_worse, visible
 

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 from activefail.acquisition.population import integration_points
 from activefail.campaign.hazard import Hazard
 from activefail.campaign.question import PERIOD, PGV, Question
-from activefail.risk.levels import Boundaries, weighted_quantiles
+from activefail.risk.fragility.levels import Boundaries, weighted_quantiles
 from activefail.space import Array
 
 _POINTS, _WITH_UNCERTAINTY = 4096, 512

@@ -1,0 +1,86 @@
+"""Search a design from what a user states: targets, a hazard or a question, and which variables may change."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import FRICTION, Hazard, hazard_question
+from activefail.campaign.question import Question
+from activefail.risk.design.findings import BEARING_PERIOD, DesignFindings
+from activefail.risk.design.required import RequiredChart, required_chart
+from activefail.risk.design.search import Designed, find_design
+from activefail.risk.design.task import RISK_CATEGORIES, DesignTask
+from activefail.risk.model import classifier_probability
+from activefail.verification.probability import Estimator
+
+_ACROSS, _LINES = 6, 3
+"""Values of the two variables of a chart."""
+
+_MIDDLE = (0.1, 0.9)
+"""Shares of a range between which a chart's values lie."""
+
+
+def search_design(
+    estimator: Estimator,
+    task: DesignTask,
+    hazard: Hazard | None = None,
+    with_chart: bool = False,
+    stage: Callable[[str], None] = lambda _: None,
+) -> DesignFindings:
+    """Find a design and verify it, with the chart of required values if it is wanted (see `Run.design`).
+
+    Args:
+        estimator: simulates.
+        task: what the design must meet.
+        hazard: of the task's question; None for another question.
+        with_chart: whether to compute the chart.
+        stage: called with each stage of the work.
+    """
+    campaign = estimator.campaign
+    found = find_design(estimator, task, stage)
+    chart = _chart(estimator, found, stage) if with_chart else None
+    return DesignFindings(
+        campaign,
+        found,
+        hazard,
+        found.question.share_outside(campaign.space),
+        _at_upper_bounds(estimator, found, hazard),
+        chart,
+    )
+
+
+def _at_upper_bounds(estimator: Estimator, found: Designed, hazard: Hazard | None) -> tuple[float, ...]:
+    """The classifier's probabilities at the upper property bounds; nothing without such bounds."""
+    if hazard is None or not hazard.at_bound("upper").factors:
+        return ()
+    campaign = estimator.campaign
+    values = {name: value for name, value in found.question.fixed.items() if name in campaign.space.names}
+    question = hazard_question(hazard.at_bound("upper"), campaign.settings, campaign.space, values)
+    return tuple(
+        classifier_probability(estimator.standardised(one.outcome), question) for one in found.task.requirements
+    )
+
+
+def _chart(estimator: Estimator, found: Designed, stage: Callable[[str], None]) -> RequiredChart | None:
+    """The chart of the required first free variable against two others; None if there are no two others."""
+    task, campaign = found.task, estimator.campaign
+    names = _axes_of_chart(campaign, task, found.question)
+    if len(names) < 2:
+        return None
+    ranges = {p.name: (p.low, p.high) for p in campaign.space.parameters}
+    at = {name: low + np.array(_MIDDLE) * (high - low) for name, (low, high) in ranges.items()}
+    across, lines = names[:2]
+    x = np.linspace(ranges[across][0], ranges[across][1], _ACROSS)
+    values = np.unique(np.append(np.linspace(at[lines][0], at[lines][1], _LINES), found.question.fixed[lines]))
+    one = task.requirements[0]
+    of_categories = list(RISK_CATEGORIES.values()) if any(one.target == p for p in RISK_CATEGORIES.values()) else []
+    targets = np.array(sorted({one.target, *of_categories}, reverse=True))
+    standardised = estimator.standardised(one.outcome)
+    return required_chart(task, found.values, standardised, (across, x), (lines, values), targets, stage)
+
+
+def _axes_of_chart(campaign: Campaign, task: DesignTask, question: Question) -> list[str]:
+    """Variables that have a value, the most telling ones of a bearing first."""
+    certain = [name for name in campaign.space.names if name in question.fixed and name != task.free[0]]
+    return sorted(certain, key=lambda name: (name != BEARING_PERIOD, name != FRICTION, name not in task.free))

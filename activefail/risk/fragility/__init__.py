@@ -1,0 +1,1 @@
+"""Fragility: probabilities against an intensity or any variable, verified, fitted, and exported."""

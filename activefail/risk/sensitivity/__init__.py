@@ -1,0 +1,1 @@
+"""Sensitivity: which variables move a probability."""
