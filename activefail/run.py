@@ -765,7 +765,7 @@ class Run:
         """The probability of each outcome, or a more severe one, against the intensity of pulses or any variable.
 
         Args:
-            hazard: a hazard file (docs/design.md): curves of a bearing against the intensity of its pulses.
+            hazard: a hazard file (docs/hazard.md): curves of a bearing against the intensity of its pulses.
             fixed: values of variables, such as those of the bearing: by name, or a TOML file.
             intensity: with a hazard: "pgv", the peak ground velocity, or "a_p", the amplitude.
             against: without a hazard: the variable; the question's others are integrated out.

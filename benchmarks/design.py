@@ -80,7 +80,7 @@ class Study:
         question = self.question({**bearing, FREE: 0.65})
         U, grid = question.space.sobol(512, np.random.default_rng(0)), np.linspace(*RANGE, 9)
         P = [ndtr(self.standardised(question.at({FREE: value}).designs(U))).mean() for value in grid]
-        last = max(k for k in range(9) if P[k] > target)
+        last = max((k for k in range(8) if P[k] > target), default=0)
         return float(np.interp(-np.log(target), -np.log(P[last : last + 2]), grid[last : last + 2]))
 
     def failed(self, question, X):

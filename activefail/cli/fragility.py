@@ -30,7 +30,7 @@ def fragility(
     folder: RunFolder,
     hazard: Annotated[
         Path | None,
-        typer.Option(help="Hazard file: a bearing's curves against its pulses (docs/design.md).", show_default=False),
+        typer.Option(help="Hazard file: a bearing's curves against its pulses (docs/hazard.md).", show_default=False),
     ] = None,
     fixed: Fixed = None,
     intensity: Annotated[

@@ -29,7 +29,7 @@ def sensitivity(
     hazard: Annotated[
         Path | None,
         typer.Option(
-            help="Hazard file (docs/design.md): what moves the probability of a design; pulses are integrated out.",
+            help="Hazard file (docs/hazard.md): what moves the probability of a design; pulses are integrated out.",
             show_default=False,
         ),
     ] = None,

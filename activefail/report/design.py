@@ -58,7 +58,7 @@ def render_design(findings: DesignFindings) -> str:
         {
             "values": ", ".join(f"{name} = {value:.4g}" for name, value in look.candidate.values.items()),
             "model": ", ".join(f"{share:.3g}" for share in look.candidate.model.tolist()),
-            "confidence": f"{100.0 * look.confidence:g} %",
+            "confidence": f"{100.0 * look.of_bound:.3g} %",
             "estimates": look.estimates,
         }
         for look in designed.looks

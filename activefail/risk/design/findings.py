@@ -88,7 +88,9 @@ class DesignFindings:
         )
         sentences.append(
             "Free variables stay within the campaign's ranges. The looks share the probability of a false result, "
-            f"{100.0 * (1.0 - task.confidence):.3g} %, so their intervals have a higher confidence than the result."
+            f"{100.0 * (1.0 - task.confidence):.3g} %: "
+            + " and ".join(f"{100.0 * (1.0 - task.of_bound(look)):.3g} %" for look in range(len(LOOKS)))
+            + "."
         )
         sentences.append(
             "The design is the smallest beyond which the classifier's probability stays below its aim. A smaller one "
@@ -135,12 +137,12 @@ class DesignFindings:
             "confidence": task.confidence,
             "simulations": designed.simulations,
             "requirements": requirements,
-            "confidence_of_interval": designed.last.confidence,
+            "confidence_of_each_bound": designed.last.of_bound,
             "looks": [
                 {
                     "values": dict(look.candidate.values),
                     "classifier_probability": look.candidate.model.tolist(),
-                    "confidence": look.confidence,
+                    "confidence_of_each_bound": look.of_bound,
                     "estimates": [_estimate_json(estimate) for estimate in look.estimates],
                 }
                 for look in designed.looks
@@ -161,7 +163,7 @@ class DesignFindings:
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts for a terminal."""
         designed, units = self.designed, {p.name: p.unit for p in self.campaign.space.parameters}
-        task = designed.task
+        task, bound = designed.task, f"{100.0 * designed.last.of_bound:.3g} %"
         outcomes = self.campaign.simulator.outcomes
         lines = [
             ("design", ", ".join(_value(name, value, units.get(name, "")) for name, value in self.bearing.items()))
@@ -173,9 +175,9 @@ class DesignFindings:
             lines.append(
                 (
                     "verified" if designed.status == "verified" else "estimate",
-                    f"P({visible(or_worse(one.outcome, outcomes))}) = {estimate.probability:.3g}, interval "
-                    f"{estimate.low:.3g} to {rounded_up(estimate.high)} ({100.0 * designed.last.confidence:g} %), "
-                    f"target {one.target:g}; classifier {model:.3g}",
+                    f"P({visible(or_worse(one.outcome, outcomes))}) = {estimate.probability:.3g}, between "
+                    f"{estimate.low:.3g} and {rounded_up(estimate.high)}, each bound with {bound} confidence; target "
+                    f"{one.target:g}; classifier {model:.3g}",
                 )
             )
         failed = sum(estimate.unanswered for look in designed.looks for estimate in look.estimates)

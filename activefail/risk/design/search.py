@@ -63,17 +63,17 @@ class Look:
     Attributes:
         candidate: the design.
         sampled: (r,) the simulations of each requirement.
-        confidence: of the intervals.
+        of_bound: confidence of each bound of the intervals.
     """
 
     candidate: Candidate
     sampled: tuple[Sampled, ...]
-    confidence: float
+    of_bound: float
 
     @cached_property
     def estimates(self) -> tuple[ProbabilityEstimate, ...]:
         """The probability of each requirement's outcome."""
-        return tuple(sampled.estimate(self.confidence) for sampled in self.sampled)
+        return tuple(sampled.estimate(2.0 * self.of_bound - 1.0) for sampled in self.sampled)
 
     @property
     def simulations(self) -> int:
@@ -176,7 +176,9 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Callable[[str], N
         """Expected half widths of the intervals, (r,)."""
         question, simulations = asked(candidate, _IMAGINED), task.simulations_of(0)
         plans = [estimator.plan(one.outcome, simulations, question) for one in task.requirements]
-        return np.array([expected_half_width(plan, task.of_interval(0), np.random.default_rng(0)) for plan in plans])
+        return np.array(
+            [expected_half_width(plan, 2.0 * task.of_bound(0) - 1.0, np.random.default_rng(0)) for plan in plans]
+        )
 
     stage("searching a design under the classifier")
     candidate = cheapest(task, model, task.targets)
@@ -184,14 +186,14 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Callable[[str], N
     half = half_widths(candidate)
     looks: list[Look] = []
     for number, plan in enumerate(LOOKS):
-        simulations, confidence = task.simulations_of(number), task.of_interval(number)
+        simulations = task.simulations_of(number)
         aims = np.maximum(task.targets - plan.safety * half, 0.2 * task.targets) / correction
         stage(f"searching a design for look {number + 1}")
         candidate = cheapest(task, model, aims)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
         question = asked(candidate, number + 1)
         sampled = tuple(estimator.sample(one.outcome, simulations, question) for one in task.requirements)
-        look = Look(candidate, sampled, confidence)
+        look = Look(candidate, sampled, task.of_bound(number))
         looks.append(look)
         estimates = np.array([estimate.probability for estimate in look.estimates])
         if number + 1 < len(LOOKS):
@@ -208,7 +210,7 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Callable[[str], N
 
 def _half_widths_of_next(task: DesignTask, look: Look, number: int) -> Array:
     """Expected half widths of the intervals of the look after `number`, (r,)."""
-    next_confidence = task.of_interval(number + 1)
+    next_confidence = 2.0 * task.of_bound(number + 1) - 1.0
     ratio = math.sqrt(task.simulations_of(number) / task.simulations_of(number + 1))
     estimates = [sampled.estimate(next_confidence) for sampled in look.sampled]
     return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])

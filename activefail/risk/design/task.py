@@ -91,12 +91,9 @@ class DesignTask:
         """The largest acceptable probabilities, (r,)."""
         return np.array([requirement.target for requirement in self.requirements])
 
-    def of_interval(self, look: int) -> float:
-        """Confidence of the two-sided interval of a look, from 0 on.
-
-        Its upper end alone may err, and all looks together as often as `confidence` allows.
-        """
-        return 1.0 - 2.0 * (1.0 - self.confidence) * LOOKS[look].error
+    def of_bound(self, look: int) -> float:
+        """Confidence of the upper bound of a look, from 0 on; all looks together keep `confidence`."""
+        return 1.0 - (1.0 - self.confidence) * LOOKS[look].error
 
     def simulations_of(self, look: int) -> int:
         """Fresh simulations of a look, from 0 on, for each requirement."""
