@@ -1,0 +1,159 @@
+"""Intervals of a probability that is not rare: which estimator covers, and at what cost (docs/decisions/0019).
+
+    python experiments/intervals.py --campaign runs/bearing --bearings 20
+
+The campaign is one of campaigns/bearing.toml, finished. Bearings of Table 1 are drawn until D_tot can be chosen such
+that the classifier's probability is 10 or 2.5 % under a hazard (M 7, PGV 1 m/s). The outcomes of 8,000 pulses of each
+are simulated once; estimates then draw 250 of them, 100 times. Printed for each target and estimator: the coverage of
+nominal 95 % intervals (mean and worst bearing), and how many more simulations Monte Carlo needs for the same width. The
+last table is a calculation: plans of two looks with 500 simulations that verify at least 97 % of designs.
+"""
+
+import argparse
+import itertools
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import norm
+
+from activefail import open_run, simulate
+from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.reliability import estimate as reliability
+from activefail.reliability.estimate import estimated, integrated, plan_estimate, standardised_latent
+from activefail.weighted import WeightedRows
+
+TARGETS, PULSES, SIMULATIONS, REPEATS = (0.10, 0.025), 8000, 250, 100
+EDGES = (0.005, 0.02, 0.08, 0.25)
+
+
+def pools(folder, count, rng):
+    """For each target, bearings with the latent's mean/sd and the failures of their pulses."""
+    run = open_run(folder)
+    standardised = standardised_latent(run.classifier.latent("failure"), run.campaign.features)
+    hazard = hazard_of({"magnitude": {"M": 7.0}, "pgv": {"median_m_s": 1.0, "dispersion": 0.25}}, Path("hazard.toml"))
+    names, low, high, grid = run.space.names[:7], run.space.low[:7], run.space.high[:7], np.linspace(0.45, 0.85, 9)
+    found = {target: [] for target in TARGETS}
+    while any(len(rows) < count for rows in found.values()):
+        bearing = dict(zip(names, (low + (high - low) * rng.random(7)).tolist(), strict=True))
+        question = hazard_question(hazard, run.settings, run.space, bearing)
+        U = question.space.sobol(512, np.random.default_rng(0))
+        P = np.array([ndtr(standardised(question.at({"D_tot": D}).designs(U))).mean() for D in grid])
+        for target, rows in found.items():
+            last = np.flatnonzero((P[:-1] > target) & (P[1:] <= target))
+            if not len(last) or len(rows) == count:
+                continue
+            k = last[-1]
+            D = float(np.interp(-np.log(target), -np.log(P[k : k + 2]), grid[k : k + 2]))
+            X = question.at({"D_tot": D}).designs(question.space.from_unit(rng.random((PULSES, 2))))
+            rows.append((standardised(X), simulate(X).outcome == 2))
+    return found
+
+
+def by_importance(weight, wider):
+    """The package's estimator with another prior weight and factor of the standard deviation."""
+
+    def interval(z, failed, rng):
+        reliability._PRIOR_WEIGHT, reliability._WIDER = weight, wider
+        rows = WeightedRows(("row",), np.arange(len(z), dtype=float)[:, None], np.ones(len(z)))
+
+        def of_rows(numbers):
+            return z[numbers[:, 0].astype(int)]
+
+        plan = plan_estimate(of_rows, rows, integrated(of_rows, rows, rng), SIMULATIONS, rng)
+        chosen = plan.designs[:, 0].astype(int)
+        found = estimated(plan, failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
+        return found.low, found.high
+
+    return interval
+
+
+def by_strata(a, b, by_doubt):
+    """Strata of the classifier's doubt and its side, with Beta posteriors of their mistakes.
+
+    Args:
+        a, b: of the prior.
+        by_doubt: whether the stratum's expected share of mistakes q is added: Beta(a + q, b + 1 - q).
+    """
+
+    def interval(z, failed, rng):
+        doubt = np.minimum(ndtr(z), ndtr(-z))
+        stratum = np.searchsorted(EDGES, doubt, side="right") + 5 * (z > 0.0)
+        volume = np.bincount(stratum, minlength=10) / len(z)
+        q = np.bincount(stratum, weights=doubt, minlength=10) / np.maximum(1.0, volume * len(z))
+        neyman = volume * np.sqrt(np.maximum(q, 1e-4) * (1.0 - q))
+        shares = SIMULATIONS * (0.7 * neyman / neyman.sum() + 0.3 * volume)
+        n = np.floor(shares).astype(int)
+        n[np.argsort(n - shares)[: SIMULATIONS - n.sum()]] += 1
+        wrong = np.zeros(10)
+        for k in range(10):
+            rows = np.flatnonzero(stratum == k)
+            n[k] = n[k] if len(rows) else 0
+            chosen = rng.choice(rows, n[k]) if n[k] else rows[:0]
+            wrong[k] = (failed[chosen] != (z[chosen] > 0.0)).sum()
+        more = q if by_doubt else 0.0 * q
+        shares = rng.beta(a + more + wrong, b + (1.0 - more) * by_doubt + n - wrong, (4000, 10))
+        total = volume[5:].sum() + shares @ (volume * np.repeat([1.0, -1.0], 5))
+        return np.quantile(total, 0.025), np.quantile(total, 0.975)
+
+    return interval
+
+
+ESTIMATORS = {
+    "importance, prior of 12": by_importance(12.0, 2.0),
+    "importance, prior of 16": by_importance(16.0, 2.0),
+    "importance, not widened": by_importance(12.0, 1.0),
+    "strata, prior (0.2+q, 1.5-q)": by_strata(0.2, 0.5, by_doubt=True),
+    "strata, Jeffreys": by_strata(0.5, 0.5, by_doubt=False),
+}
+
+
+def plans(rng, draws=20_000, bias=0.045, error=0.043):
+    """Plans of two looks: aims, shares of simulations and of the error, and how far below the target designs end."""
+    off, first, second = bias * rng.standard_normal(draws), rng.standard_normal(draws), rng.standard_normal(draws)
+    lines = []
+    for n, alpha, k1, k2 in itertools.product(
+        (200, 250, 300, 350), (0.01, 0.025, 0.04), (1.0, 1.3, 1.5), (1.2, 1.4, 1.7, 2.0)
+    ):
+        sd1, sd2 = error * np.sqrt(250 / n), error * np.sqrt(250 / (500 - n))
+        half1, half2 = norm.isf(alpha) * sd1, norm.isf(0.05 - alpha) * sd2
+        P1 = off - k1 * half1
+        seen = P1 + sd1 * first
+        # The ratio of the estimate to the classifier's probability corrects the second proposal.
+        P2 = off - k2 * half2 - (seen + k1 * half1)
+        accepted1 = seen + half1 <= 0.0
+        accepted = accepted1 | (P2 + sd2 * second + half2 <= 0.0)
+        P = np.where(accepted1, P1, P2)[accepted]
+        if accepted.mean() >= 0.97:
+            lines.append((-P.mean() - np.median(P), n, alpha, k1, k2, accepted.mean(), -np.median(P), -P.mean()))
+    return sorted(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--campaign", type=Path, required=True)
+    parser.add_argument("--bearings", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=42)
+    options = parser.parse_args()
+    for target, rows in pools(options.campaign, options.bearings, np.random.default_rng(options.seed)).items():
+        off = np.array([ndtr(z).mean() / failed.mean() - 1.0 for z, failed in rows])
+        print(
+            f"P = {100 * target:g} %, {len(rows)} bearings: the classifier's probability is off by "
+            f"{100 * off.std():.1f} % (standard deviation), {100 * off.min():.0f} to {100 * off.max():.0f} %, too low for {(off < 0.0).sum()}"
+        )
+        for name, estimator in ESTIMATORS.items():
+            covers, gains = [], []
+            for number, (z, failed) in enumerate(rows):
+                rng, P = np.random.default_rng(number), failed.mean()
+                ends = np.array([estimator(z, failed, rng) for _ in range(REPEATS)])
+                covers.append(((ends[:, 0] <= P) & (ends[:, 1] >= P)).mean())
+                half = 0.5 * (ends[:, 1] - ends[:, 0]).mean()
+                gains.append(1.96**2 * P * (1.0 - P) / SIMULATIONS / half**2)
+            print(f"  {name:30s} cover {np.mean(covers):.3f}, worst {min(covers):.2f}; x MC {np.median(gains):.1f}")
+    print("plans of two looks: n of the first, its share of 5 %, both aims, verified, median and mean below the target")
+    for _, n, alpha, k1, k2, verified, median, mean in plans(np.random.default_rng(0))[:6]:
+        print(f"  {n}, {alpha}, {k1}, {k2}: {verified:.3f}, {100 * median:.1f} %, {100 * mean:.1f} %")
+
+
+if __name__ == "__main__":
+    main()
