@@ -139,7 +139,8 @@ def main():
         off = np.array([ndtr(z).mean() / failed.mean() - 1.0 for z, failed in rows])
         print(
             f"P = {100 * target:g} %, {len(rows)} bearings: the classifier's probability is off by "
-            f"{100 * off.std():.1f} % (standard deviation), {100 * off.min():.0f} to {100 * off.max():.0f} %, too low for {(off < 0.0).sum()}"
+            f"{100 * off.std():.1f} % (standard deviation), "
+            f"{100 * off.min():.0f} to {100 * off.max():.0f} %, too low for {(off < 0.0).sum()}"
         )
         for name, estimator in ESTIMATORS.items():
             covers, gains = [], []
