@@ -87,7 +87,13 @@ class Question:
         return np.column_stack([columns[name] * self.factors.get(name, 1.0) for name in self.variables])
 
     def at(self, values: Mapping[str, float]) -> "Question":
-        """The question with these values of variables, which are no longer uncertain."""
+        """The question with these values of variables, which are no longer uncertain.
+
+        Raises:
+            InputError: if a value is that of the amplitude, which follows from the peak ground velocity.
+        """
+        if AMPLITUDE in values and PGV in {*self.space.names, *self.fixed}:
+            raise InputError(f"{AMPLITUDE}: cannot have a value, because it follows from {PGV}.")
         fixed = {name: value for name, value in self.fixed.items() if name not in values} | dict(values)
         space = self.space
         for name in values:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage
+from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage, show_unseen
 from activefail.files import writing_to
 from activefail.record.layout import check_output
 from activefail.visible import visible
@@ -72,6 +72,7 @@ def design(
             chart and out is not None,
             show_stage,
         )
+        show_unseen(opened.summary)
     if out is not None:
         from activefail.report.design import write_design
 

@@ -46,9 +46,11 @@ _INTEGRATION, _ROUNDS, _ACCURACY = 50_000, 20, 0.01
 that ends the integration."""
 
 
-_SEQUENCES, _SEQUENCE, _COMMON_ACCURACY = 8, 1024, 0.02
-"""Randomised Sobol' sequences and their length, for an outcome that is not rare, and the relative standard error of
-their mean above which it is."""
+_SEQUENCES, _SEQUENCE_LENGTHS = 8, (1024, 4096)
+"""Randomised Sobol' sequences for an outcome that is not rare, and their lengths, the second if the first is short."""
+
+_COMMON_ACCURACY = 0.03
+"""Relative standard error of their mean above which the outcome is rare."""
 
 _IMAGINED = 32
 """Imagined sets of outcomes that predict the width of an interval."""
@@ -183,13 +185,14 @@ def plan_common(standardised: Standardised, space: DesignSpace, m: int, rng: np.
 
     The same randomised Sobol' sequences integrate the classifier's probability and hold the designs to simulate.
     """
-    X = np.concatenate([space.sobol(_SEQUENCE, rng) for _ in range(_SEQUENCES)])
-    z = standardised(X)
-    means = (z > 0.0).reshape(_SEQUENCES, _SEQUENCE).mean(axis=1)
-    integral = Integral(float(means.mean()), float(means.std(ddof=1) / np.sqrt(_SEQUENCES)))
-    if not integral.probability or integral.standard_error > _COMMON_ACCURACY * integral.probability:
-        return None
-    return _planned(X, np.ones(len(X)), z, integral, m, rng, is_exact=False)
+    for length in _SEQUENCE_LENGTHS:
+        X = np.concatenate([space.sobol(length, rng) for _ in range(_SEQUENCES)])
+        z = standardised(X)
+        means = (z > 0.0).reshape(_SEQUENCES, length).mean(axis=1)
+        integral = Integral(float(means.mean()), float(means.std(ddof=1) / np.sqrt(_SEQUENCES)))
+        if integral.probability and integral.standard_error <= _COMMON_ACCURACY * integral.probability:
+            return _planned(X, np.ones(len(X)), z, integral, m, rng, is_exact=False)
+    return None
 
 
 def _planned(

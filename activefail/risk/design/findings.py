@@ -13,6 +13,7 @@ from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.search import Designed
 from activefail.risk.design.task import LOOKS
 from activefail.shares import percent
+from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import or_worse, visible
 
 BEARING_PERIOD = "T_b"
@@ -79,9 +80,8 @@ class DesignFindings:
         if self.hazard is not None:
             kept = [name for name in kept if name not in ("T_p", "A_p")]
         if kept:
-            sentences.append(
-                f"{', '.join(kept)} have no value: they vary by the distributions of the question, or of the campaign."
-            )
+            what = "have no value and vary" if len(kept) > 1 else "has no value and varies"
+            sentences.append(f"{', '.join(kept)} {what} as the question or the campaign says.")
         sentences.append(
             f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design space, "
             "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
@@ -92,11 +92,27 @@ class DesignFindings:
             + " and ".join(f"{100.0 * (1.0 - task.of_bound(look)):.3g} %" for look in range(len(LOOKS)))
             + "."
         )
+        kind = "smallest" if task.cost_text == task.free[0] else "cheapest"
+        if self.designed.last.candidate.is_between:
+            sentences.append(
+                f"The probability rises again on both sides of this design: it is the {kind} of the range around the "
+                "safest one."
+            )
+        else:
+            sentences.append(
+                f"The design is the {kind} beyond which the classifier's probability stays below its aim. Another one "
+                "may meet the target too, because failure is not monotone."
+            )
+        if any(share > one.target for one, share in zip(task.requirements, self.at_upper, strict=False)):
+            sentences.append(
+                "At the upper property bounds the classifier's probability exceeds the target. The verification holds "
+                "at the lower ones alone."
+            )
         sentences.append(
-            "The design is the smallest beyond which the classifier's probability stays below its aim. A smaller one "
-            "may meet the target too, because failure is not monotone."
+            "The bounds presume a classifier that is seldom wrong where it is sure: failures scattered there are found "
+            "only if a fresh simulation meets one."
         )
-        if self.lateral_force is not None:
+        if isinstance(self.campaign.simulator, DfpSimulator):
             sentences.append("The model has rims that do not yield, plane motion, and no vertical ground motion.")
         return sentences
 
@@ -109,13 +125,13 @@ class DesignFindings:
                 return "The design meets its target: the upper bound from fresh simulations lies below it."
             case "not verified":
                 return (
-                    f"Not verified: {len(designed.looks)} looks did not show that the target is met. The last design "
-                    "is the nearest; more simulations may show it."
+                    f"Not verified: {len(designed.looks)} looks did not show that this design meets the target. More "
+                    "simulations may show it."
                 )
             case _:
                 return (
-                    "Out of reach: no design within the ranges meets the target under the classifier. This one comes "
-                    "nearest."
+                    "Out of reach: the classifier finds no design within the ranges that meets the target, and "
+                    "simulations show that the nearest one, this one, does not."
                 )
 
     def as_json(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from activefail.risk.model import classifier_probability
 from activefail.space import Array
 
 _POINTS = 256
-"""Points of an integral of the chart: its lines are read off by eye."""
+"""Least points of an integral of the chart: its lines are read off by eye."""
 
 _ALONG = 11
 """Values of the required variable."""
@@ -64,6 +64,7 @@ def required_chart(
     """
     name = task.free[0]
     grid = np.linspace(task.low[name], task.high[name], _ALONG)
+    points = max(_POINTS, task.points // 4)
     required = np.full((len(targets), len(lines[1]), len(across[1])), np.nan)
     for m, value in enumerate(lines[1].tolist()):
         stage(f"drawing the chart: {lines[0]} = {value:.3g}")
@@ -71,7 +72,7 @@ def required_chart(
             shown = {**held, across[0]: x, lines[0]: value}
             P = np.array(
                 [
-                    classifier_probability(standardised, task.question.at({**shown, name: g}), _POINTS)
+                    classifier_probability(standardised, task.question.at({**shown, name: g}), points)
                     for g in grid.tolist()
                 ]
             )

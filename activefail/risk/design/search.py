@@ -15,18 +15,21 @@ from activefail.reliability.estimate import (
     expected_half_width,
 )
 from activefail.risk.design.task import LOOKS, DesignTask
-from activefail.risk.model import POINTS, classifier_probability
+from activefail.risk.model import classifier_probability
 from activefail.space import Array
 from activefail.verification.probability import Estimator, Sampled
 
 _GRID = 13
 """Values of the first free variable at which a line is scanned."""
 
-_COARSE_GRID, _COARSE_POINTS = 7, 256
-"""The same, and points of an integral, while other free variables are searched."""
+_COARSE_GRID, _COARSER = 7, 4
+"""The same, and divisor of the points of an integral, while other free variables are searched."""
 
 _SAMPLED, _REFINED = 16, 30
 """Lines that begin the search over each further free variable, and most lines of its refinement."""
+
+_FINE_LINES, _APART = 6, 0.02
+"""Best lines of a search that are judged again with all points, and their least distance in units of the ranges."""
 
 _FINE = 2e-4
 """Accuracy of the first free variable, in units of its range."""
@@ -49,11 +52,13 @@ class Candidate:
         values: of the free variables.
         model: (r,) the classifier's probabilities.
         is_feasible: whether these meet the aims; if not, no design does and this one comes nearest.
+        is_between: whether the probabilities exceed the aims again on both sides of the first free variable.
     """
 
     values: Mapping[str, float]
     model: Array
     is_feasible: bool
+    is_between: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +100,8 @@ class Designed:
     Attributes:
         task: what was asked.
         looks: at candidates; the last one is the result.
-        status: "verified"; "not verified" if every look exceeded a target; "out of reach" if no design meets the
-            targets under the classifier, and the result is the nearest.
+        status: "verified"; "not verified" if every look's upper bound exceeded a target; "out of reach" if simulations
+            show that the nearest design under the classifier exceeds a target.
         costs: confidence -> value of the first free variable that it would take, the others held; NaN if out of range.
     """
 
@@ -145,7 +150,7 @@ class _Model:
         self._task, self._standardised = task, standardised
         self._known: dict[tuple[object, ...], Array] = {}
 
-    def __call__(self, values: Mapping[str, float], points: int = POINTS) -> Array:
+    def __call__(self, values: Mapping[str, float], points: int) -> Array:
         """The probability of each requirement's outcome, (r,)."""
         key = (*values.items(), points)
         if key not in self._known:
@@ -201,7 +206,10 @@ def find_design(estimator: Estimator, task: DesignTask, stage: Callable[[str], N
         correction = np.clip(estimates / np.maximum(candidate.model, _LEAST), 0.25, 4.0)
         if look.meets(task.targets):
             break
-        if not candidate.is_feasible and np.any(estimates > task.targets):
+        # The nearest design: if even its lower bound exceeds a target, another look cannot help.
+        if not candidate.is_feasible and any(
+            estimate.low > target for estimate, target in zip(look.estimates, task.targets, strict=True)
+        ):
             return Designed(task, tuple(looks), "out of reach", {})
     status: Status = "verified" if looks[-1].meets(task.targets) else "not verified"
     stage("computing what other confidences would cost")
@@ -230,8 +238,8 @@ def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:
 def cheapest(task: DesignTask, model: Callable[..., Array], aims: Array) -> Candidate:
     """The cheapest design whose probabilities under the classifier meet the aims, (r,).
 
-    On each line along the first free variable, the design is the cheapest of the interval around the safest point in
-    which the probabilities stay below the aims: a failure probability need not fall with every increase of a variable.
+    On each line along the first free variable it is the cheapest value beyond which the probabilities stay below the
+    aims, up to the safer end of the range: a failure probability need not fall with every increase of a variable.
     Further free variables are searched by a Sobol' sample of lines and the simplex method [NelderMead1965].
     """
     if len(task.free) == 1:
@@ -241,21 +249,26 @@ def cheapest(task: DesignTask, model: Callable[..., Array], aims: Array) -> Cand
 
     others = task.free[1:]
     low, high = (np.array([side[name] for name in others]) for side in (task.low, task.high))
-    seen: list[tuple[float, Candidate, Array]] = []
+    seen: list[tuple[bool, float, dict[str, float], Array]] = []
+
+    def excess(found: Candidate) -> float:
+        return float(np.max(np.log(np.maximum(found.model, _LEAST) / aims)))
 
     def price(u: Array) -> float:
-        values = low + np.clip(u, 0.0, 1.0) * (high - low)
-        found = _on_line(task, model, dict(zip(others, values.tolist(), strict=True)), aims, coarse=True)
-        excess = float(np.max(np.log(np.maximum(found.model, _LEAST) / aims)))
-        # Any feasible design is better than all others; these are ordered by how far off they are.
-        result = math.atan(task.cost(found.values)) if found.is_feasible else 10.0 + excess
-        seen.append((result, found, np.clip(u, 0.0, 1.0)))
-        return result
+        u = np.clip(u, 0.0, 1.0)
+        held = dict(zip(others, (low + u * (high - low)).tolist(), strict=True))
+        found = _on_line(task, model, held, aims, coarse=True)
+        value = task.cost(found.values) if found.is_feasible else excess(found)
+        seen.append((not found.is_feasible, value, held, u))
+        # For the simplex alone: any feasible design is better than all others.
+        return value / scale if found.is_feasible else 1e9 * (1.0 + value)
 
+    middle = {name: 0.5 * (task.low[name] + task.high[name]) for name in task.free}
+    scale = max(abs(task.cost(middle)), 1e-300)
     count = 2 ** math.ceil(math.log2(_SAMPLED * len(others)))
     for u in qmc.Sobol(len(others), rng=np.random.default_rng(0)).random(count):
         price(u)
-    start = min(seen, key=lambda one: one[0])[2]
+    start = min(seen, key=lambda one: one[:2])[3]
     step = np.where(start > 0.5, -0.15, 0.15)
     simplex = np.vstack([start, start + np.diag(step)])
     minimize(
@@ -264,43 +277,64 @@ def cheapest(task: DesignTask, model: Callable[..., Array], aims: Array) -> Cand
         method="Nelder-Mead",
         options={"initial_simplex": simplex, "maxfev": _REFINED * len(others), "xatol": 0.005, "fatol": 1e-6},
     )
-    best = min(seen, key=lambda one: one[0])[1]
-    return _on_line(task, model, {name: best.values[name] for name in others}, aims)
+    # With more points the best of these lines may be infeasible, above all where the first variable is at its limit.
+    fine: list[Candidate] = []
+    tried: list[Array] = []
+    for _, _, held, u in sorted(seen, key=lambda one: one[:2]):
+        # The simplex leaves many lines beside each other, which would all fail for the same reason.
+        if any(np.abs(u - other).max() < _APART for other in tried):
+            continue
+        tried.append(u)
+        fine.append(_on_line(task, model, held, aims))
+        if fine[-1].is_feasible:
+            return fine[-1]
+        if len(fine) == _FINE_LINES:
+            break
+    return min(fine, key=excess)
 
 
 def _on_line(
     task: DesignTask, model: Callable[..., Array], held: Mapping[str, float], aims: Array, coarse: bool = False
 ) -> Candidate:
     """The cheapest design along the first free variable, the others held; the safest one if none meets the aims."""
-    from scipy.optimize import brentq
+    from scipy.optimize import brentq, minimize_scalar
 
     name = task.free[0]
     low, high = task.low[name], task.high[name]
-    points, size = (_COARSE_POINTS, _COARSE_GRID) if coarse else (POINTS, _GRID)
+    points, size = (task.points // _COARSER, _COARSE_GRID) if coarse else (task.points, _GRID)
 
-    def candidate(x: float, is_feasible: bool = True) -> Candidate:
-        values = {name: x, **held}
-        return Candidate(values, model(values, points), is_feasible)
+    def probabilities(x: float) -> Array:
+        return model({name: x, **held}, points)
 
     def excess(x: float) -> float:
         """Largest logarithm of a probability over its aim."""
-        return float(np.max(np.log(np.maximum(candidate(x).model, _LEAST) / aims)))
+        return float(np.max(np.log(np.maximum(probabilities(x), _LEAST) / aims)))
+
+    def cost(x: float) -> float:
+        return task.cost({name: x, **held})
 
     grid = np.linspace(low, high, size)
     excesses = np.array([excess(float(x)) for x in grid])
-    safest = int(np.argmin(excesses))
-    if excesses[safest] > 0.0:
-        return candidate(float(grid[safest]), is_feasible=False)
-    first = last = safest
+    first = last = int(np.argmin(excesses))
+    if excesses[first] > 0.0:
+        x = float(grid[first])
+        return Candidate({name: x, **held}, probabilities(x), is_feasible=False)
+    safer_end = 0 if excesses[0] < excesses[-1] else size - 1
+    if excesses[safer_end] <= 0.0:
+        first = last = safer_end
     while first > 0 and excesses[first - 1] <= 0.0:
         first -= 1
     while last < size - 1 and excesses[last + 1] <= 0.0:
         last += 1
-    ends = [float(x) for x in grid[first : last + 1]]
-    for inside, outside in ((first, first - 1), (last, last + 1)):
+    ends = [float(grid[first]), float(grid[last])]
+    for side, (inside, outside) in enumerate(((first, first - 1), (last, last + 1))):
         if 0 <= outside < size:
             root = float(brentq(excess, grid[inside], grid[outside], xtol=_FINE * (high - low)))
             # On the safe side of the root's tolerance.
             root += math.copysign(_FINE * (high - low), grid[inside] - grid[outside])
-            ends.append(min(max(root, low), high))
-    return min((candidate(x) for x in ends), key=lambda one: task.cost(one.values))
+            ends[side] = min(max(root, low), high)
+    values = [*ends, *(float(x) for x in grid[first : last + 1])]
+    if ends[0] < ends[1]:
+        values.append(float(minimize_scalar(cost, bounds=(ends[0], ends[1]), method="bounded").x))
+    x = min(values, key=cost)
+    return Candidate({name: x, **held}, probabilities(x), is_feasible=True, is_between=first > 0 and last < size - 1)

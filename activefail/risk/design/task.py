@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.question import Question
+from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.errors import InputError
 from activefail.expressions import parse_expression
+from activefail.risk.model import POINTS
 from activefail.space import Array
 from activefail.visible import visible
 
@@ -40,6 +41,9 @@ class LookPlan(NamedTuple):
 
 LOOKS = (LookPlan(0.6, 0.8, 1.5), LookPlan(0.4, 0.2, 1.4))
 """The looks. Of plans with two looks that verify 98 % of all designs, about the one with the smallest designs."""
+
+_POINTS_BEYOND = 25
+"""Points of an integral that a probability at its target puts beyond the boundary."""
 
 _LEAST_TARGET = 1e-3
 """Least target: a smaller probability takes other points than those of a distribution's bulk."""
@@ -90,6 +94,11 @@ class DesignTask:
     def targets(self) -> Array:
         """The largest acceptable probabilities, (r,)."""
         return np.array([requirement.target for requirement in self.requirements])
+
+    @property
+    def points(self) -> int:
+        """Points that integrate a probability: enough for the smallest target, a power of two."""
+        return max(POINTS, 2 ** math.ceil(math.log2(_POINTS_BEYOND / min(self.targets))))
 
     def of_bound(self, look: int) -> float:
         """Confidence of the upper bound of a look, from 0 on; all looks together keep `confidence`."""
@@ -168,6 +177,10 @@ def design_task(
             raise InputError(f"free: {visible(name)!r} is not a variable; the variables are {', '.join(space.names)}.")
         if names.count(name) > 1:
             raise InputError(f"free: names {name!r} twice.")
+    if PGV in {*question.space.names, *question.fixed}:
+        for name in (PERIOD, AMPLITUDE):
+            if name in names:
+                raise InputError(f"free: {name} is of the pulse, which is uncertain; name variables of the design.")
     if not 0.5 <= confidence < 1.0:
         raise InputError(f"confidence: must be at least 0.5 and below 1, got {confidence}.")
     if set(question.space.names) <= set(names):
