@@ -152,18 +152,31 @@ function begin() {
     }
   }
 
-  async function verify() {
-    find("verify").disabled = true;
-    askedAt = version;
+  // Shows why an action failed, and lets the visitor verify again.
+  async function attempted(action) {
     try {
-      job = await ask("verify", request());
-      sessionStorage.setItem(LAST, job.id);
-      await follow();
+      await action();
     } catch (error) {
       find("job").textContent = error.message;
     } finally {
       find("verify").disabled = false;
       find("stop").hidden = find("running").hidden = true;
+    }
+  }
+
+  async function verify() {
+    find("verify").disabled = true;
+    askedAt = version;
+    job = await ask("verify", request());
+    sessionStorage.setItem(LAST, job.id);
+    await follow();
+  }
+
+  async function stop() {
+    try {
+      await ask("stop", { id: job.id });
+    } catch (error) {
+      find("job").textContent = error.message;
     }
   }
 
@@ -179,9 +192,9 @@ function begin() {
   }
 
   if (find("verify")) {
-    find("verify").addEventListener("click", verify);
-    find("stop").addEventListener("click", () => ask("stop", { id: job.id }));
-    if (sessionStorage.getItem(LAST)) followEarlier();
+    find("verify").addEventListener("click", () => attempted(verify));
+    find("stop").addEventListener("click", stop);
+    if (sessionStorage.getItem(LAST)) attempted(followEarlier);
   }
   showPeriods();
   showTarget();

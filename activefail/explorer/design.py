@@ -216,10 +216,10 @@ class DesignAnswers:
         low, high = self._range
         grid = np.linspace(low, high, _ALONG)
         P = np.array([self._probability(asked.site, asked.bearing, x, points) for x in grid.tolist()])
-        towards_safety = slice(None) if P[-1] <= P[0] else slice(None, None, -1)
-        value = least_value(grid[towards_safety], P[towards_safety], asked.target)
+        value = least_value(grid, P, asked.target)
         is_met = bool(np.isfinite(value))
-        at = value if is_met else float(grid[int(np.argmin(P))])
+        # A smaller one may meet the target where a larger one does not: failure is not monotone.
+        at = value if is_met else high if P.min() <= asked.target else float(grid[int(np.argmin(P))])
         probability = self._probability(asked.site, asked.bearing, at, points)
         hazard, outside = _hazard(asked.site), self._outside(asked.site, asked.bearing)
         return {
@@ -246,7 +246,7 @@ class DesignAnswers:
             watch: told of the progress; ends the work when it must stop.
 
         Raises:
-            Stopped: if it must stop.
+            StoppedError: if it must stop.
             SimulationError: if no simulation gives an outcome.
         """
         campaign, findings = self.campaign, self._answers.findings
@@ -301,8 +301,8 @@ class DesignAnswers:
         if not is_met:
             low, high = (significant(end) for end in self._range)
             return (
-                f"No {self._quantity.text} from {low} to {self._quantity_text(high)} meets the target. {event} is "
-                f"least, {percent(probability)}, at {here}."
+                f"No {self._quantity.text} from {low} to {self._quantity_text(high)} meets the target and stays below "
+                f"it from there on. {event} = {percent(probability)} at {here}."
             )
         if at in self._range:
             return f"Already {here}, an end of its range, meets the target: {event} = {percent(probability)} there."

@@ -1,8 +1,8 @@
 """The explorer's server: two pages and the requests that they make, on the standard library's HTTP server.
 
-It changes nothing and reads only its own files. At most one verification runs in the background. It answers only requests whose Host header names this machine and whose
+It changes nothing and reads only its own files. It answers only requests whose Host header names this machine and whose
 Origin, if present, is its own page, so that no other site can send requests on a visitor's behalf. Beyond the loopback
-interface a request also needs the token.
+interface a request also needs the token. At most one verification runs in the background.
 
 Each connection has a thread, and their number is bounded. Browsers keep idle connections open, so at the limit the
 server closes the one that has been idle longest. The number of questions in progress is bounded too: any further
@@ -32,7 +32,7 @@ from activefail import __version__
 from activefail.errors import InputError
 from activefail.explorer.answers import Answer, Answers
 from activefail.explorer.design import DesignAnswers
-from activefail.explorer.verification import AlreadyRunning, Verifications
+from activefail.explorer.verification import AlreadyRunningError, Verifications
 
 LONGEST_BODY = 4096
 """Longest question [bytes]; a design has about a hundred."""
@@ -165,7 +165,7 @@ class ExplorerServer(ThreadingHTTPServer):
 
         Raises:
             InputError: if the question is invalid, or the explorer does not verify this campaign.
-            AlreadyRunning: if another verification is running.
+            AlreadyRunningError: if another verification is running.
         """
         asked = design.asked(question)
         if reason := design.no_verification():
@@ -324,7 +324,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             answer = handler(question)
-        except AlreadyRunning as error:
+        except AlreadyRunningError as error:
             self._refuse(HTTPStatus.CONFLICT, str(error))
             return
         except InputError as error:

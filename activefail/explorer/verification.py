@@ -17,11 +17,11 @@ STEPS = 1 + 2 * len(LOOKS)
 """Most stages of a verification: the first search for a design, then a search and simulations for each look."""
 
 
-class AlreadyRunning(InputError):
+class AlreadyRunningError(InputError):
     """Another verification is running."""
 
 
-class Stopped(Exception):
+class StoppedError(Exception):
     """A visitor stopped the verification."""
 
 
@@ -46,10 +46,10 @@ class Watch:
         """Go on, unless it must stop.
 
         Raises:
-            Stopped: if it must.
+            StoppedError: if it must.
         """
         if self._stop.is_set():
-            raise Stopped
+            raise StoppedError
 
     def stage(self, text: str) -> None:
         """Begin a stage; raises as `check` does."""
@@ -101,8 +101,8 @@ class Verification:
     def __init__(self, work: Callable[[Watch], dict[str, Any]]) -> None:
         self.id = secrets.token_urlsafe(12)
         self._work, self._watch = work, Watch()
-        self._state, self._result, self._error = "running", None, ""
-        self._result: dict[str, Any] | None
+        self._state, self._error = "running", ""
+        self._result: dict[str, Any] | None = None
         # The process does not wait for it.
         self._thread = threading.Thread(target=self._run, name="verification", daemon=True)
 
@@ -140,7 +140,7 @@ class Verification:
         try:
             self._result = self._work(self._watch)
             self._state = "done"
-        except Stopped:
+        except StoppedError:
             self._state = "stopped"
         except ActivefailError as error:
             self._error, self._state = str(error), "failed"
@@ -161,11 +161,11 @@ class Verifications:
         """Start a verification; its progress.
 
         Raises:
-            AlreadyRunning: if another one is running.
+            AlreadyRunningError: if another one is running.
         """
         with self._lock:
             if self._last is not None and self._last.is_running:
-                raise AlreadyRunning("Another verification is running; wait for its end.")
+                raise AlreadyRunningError("Another verification is running; wait for its end.")
             self._last = Verification(work)
             self._last.start()
             return self._last.progress()

@@ -125,9 +125,7 @@ def stored_estimate(
     return None
 
 
-def planned(
-    campaign: Campaign, of_designs: Standardised, iteration: int, simulations: int, question: Question
-) -> Plan:
+def planned(campaign: Campaign, of_designs: Standardised, iteration: int, simulations: int, question: Question) -> Plan:
     """The fresh simulations that estimate a probability under a question, from the latent as a function of designs."""
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
