@@ -60,7 +60,7 @@ class Slider(NamedTuple):
     start: float
 
 
-MAGNITUDE = Slider("magnitude", "M", "", "magnitude; gives the periods (Shahi and Baker 2011)", 5.5, 8.0, 7.0)
+MAGNITUDE = Slider("magnitude", "M", "", "magnitude, by the relation shahi-baker-2011", 5.5, 8.0, 7.0)
 MEDIAN_PERIOD = Slider("median_period", "T_p", "s", "median period of the pulses", 0.25, 8.0, 2.7)
 _PERIODS = (MAGNITUDE, MEDIAN_PERIOD)
 _SPREADS = (
