@@ -32,6 +32,7 @@ from activefail.findings.failure import FailureFindings
 from activefail.findings.prediction import Prediction, interval, predict
 from activefail.findings.quantities import plain, words
 from activefail.findings.results import Findings, at_the_boundary
+from activefail.reliability.estimate import Standardised
 from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
@@ -55,17 +56,37 @@ def _listed(values: Array, digits: int) -> list[Any]:
     return listed
 
 
+def checked_number(name: str, value: Any, low: float, high: float) -> float:
+    """A number in a request.
+
+    Raises:
+        InputError: naming the quantity, the rule and the value.
+    """
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    # Compare before converting: this rejects NaN, and an integer may be too large for a float.
+    if not (is_number and low <= value <= high):
+        raise InputError(f"{name}: must lie between {low:g} and {high:g}, got {value!r}.")
+    return float(value)
+
+
 class Answers:
-    """Answers about one campaign; thread-safe."""
+    """Answers about one campaign; thread-safe.
+
+    Attributes:
+        findings: of the campaign.
+        campaign, space, outcomes: of the findings.
+        quantities: the variables, as shown to a reader.
+        drawing: held while a figure is drawn.
+    """
 
     def __init__(self, findings: Findings, failure: FailureFindings | None = None) -> None:
-        self._findings, self._failure = findings, failure
+        self.findings, self._failure = findings, failure
         self.campaign = findings.campaign
         self.space = findings.campaign.space
         self.outcomes = findings.campaign.simulator.outcomes
-        self._quantities = quantities.variables(findings.campaign)
+        self.quantities = quantities.variables(findings.campaign)
         # All threads share the classifier and matplotlib's settings; separate locks, as predictions need no drawing.
-        self.next_turn, self._learning, self._drawing = threading.Lock(), threading.Lock(), threading.Lock()
+        self.next_turn, self._learning, self.drawing = threading.Lock(), threading.Lock(), threading.Lock()
         middle = self.space.from_unit(np.full(self.space.dimension, 0.5)).tolist()
         # Compile and load everything before the first request.
         self.predict(middle)
@@ -85,14 +106,10 @@ class Answers:
         """
         if not isinstance(values, list) or len(values) != self.space.dimension:
             raise InputError(f"point: must be a list of {self.space.dimension} numbers, got {values!r}.")
-        for parameter, value in zip(self.space.parameters, values, strict=True):
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            # Compare before converting: this rejects NaN, and an integer may be too large for a float.
-            if not (is_number and parameter.low <= value <= parameter.high):
-                raise InputError(
-                    f"{parameter.name}: must lie between {parameter.low:g} and {parameter.high:g}, got {value!r}."
-                )
-        return [float(value) for value in values]
+        return [
+            checked_number(parameter.name, value, parameter.low, parameter.high)
+            for parameter, value in zip(self.space.parameters, values, strict=True)
+        ]
 
     def variable(self, name: Any) -> int:
         """The column of a variable in a request.
@@ -106,7 +123,7 @@ class Answers:
 
     def about(self) -> Answer:
         """The data that the page contains from the start."""
-        settings, findings = self.campaign.settings, self._findings
+        settings, findings = self.campaign.settings, self.findings
         influence = findings.influence
         presets = [("the middle of the space", self.space.from_unit(np.full(self.space.dimension, 0.5)))]
         if self._failure is not None and self._failure.point is not None:
@@ -129,7 +146,7 @@ class Answers:
                     "low": parameter.low,
                     "high": parameter.high,
                 }
-                for parameter, quantity in zip(self.space.parameters, self._quantities, strict=True)
+                for parameter, quantity in zip(self.space.parameters, self.quantities, strict=True)
             ],
             "outcomes": [
                 {"name": name, "text": words(name), "colour": outcome_colour(self.outcomes, index)}
@@ -145,7 +162,7 @@ class Answers:
     @property
     def failure(self) -> dict[str, Any] | None:
         """Numbers and pictures of the probability of failure, if the campaign says something of it."""
-        return failure_section(self._findings, self._failure)
+        return failure_section(self.findings, self._failure)
 
     @contextmanager
     def turn(self) -> Iterator[None]:
@@ -157,17 +174,29 @@ class Answers:
         finally:
             self._learning.release()
 
+    def in_turns(self, standardised: Standardised) -> Standardised:
+        """A latent as a function of designs in parts, between which other threads get their turn."""
+
+        def of_parts(X: Array) -> Array:
+            parts = []
+            for part in np.array_split(X, max(1, math.ceil(len(X) / _AT_ONCE))):
+                with self.turn():
+                    parts.append(standardised(part))
+            return np.concatenate(parts)
+
+        return of_parts
+
     def _predict(self, rows: Array) -> Prediction:
         """Predict many designs, (n, d), in parts, between which other threads get their turn."""
         parts = []
         for part in np.array_split(rows, math.ceil(len(rows) / _AT_ONCE)):
             with self.turn():
-                parts.append(astuple(predict(self.campaign, self._findings.classifier, part)))
+                parts.append(astuple(predict(self.campaign, self.findings.classifier, part)))
         return Prediction(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     def predict(self, point: Sequence[float]) -> Answer:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
-        classifier = self._findings.classifier
+        classifier = self.findings.classifier
         with self.turn():
             F = self.campaign.features(np.array([point]))
             moments = [latent.moments(F) for latent in classifier.latents]
@@ -210,9 +239,9 @@ class Answers:
         values = (
             prediction.high - prediction.low if uncertain else prediction.probabilities[:, self.outcomes.index(shown)]
         )
-        title = f"P({plain(words(shown))})" if not uncertain else f"uncertainty of P({plain(self._findings.beyond)})"
-        with self._drawing:
-            axes_of = self._quantities[x], self._quantities[y]
+        title = f"P({plain(words(shown))})" if not uncertain else f"uncertainty of P({plain(self.findings.beyond)})"
+        with self.drawing:
+            axes_of = self.quantities[x], self.quantities[y]
             figure = plot_variable_plane(axes_of, (along_x, along_y), values.reshape(grid_x.shape), title, uncertain)
             svg = inline(figure, "plane", f"{title} in the plane of {self.space.names[x]} and {self.space.names[y]}")
         return {"svg": str(svg), "axes": _place(figure.axes[0], figure.axes[0])}
@@ -223,18 +252,18 @@ class Answers:
         rows = np.tile(np.array(point), (len(values), 1))
         rows[:, along] = values
         prediction = self._predict(rows)
-        with self._drawing:
+        with self.drawing:
             figure = plot_fragility(
                 values,
                 prediction.beyond,
                 prediction.low,
                 prediction.high,
-                self._quantities[along],
-                plain(self._findings.beyond),
+                self.quantities[along],
+                plain(self.findings.beyond),
                 point[along],
                 outcome_colour(self.outcomes, self.campaign.severity),
             )
-            svg = inline(figure, "fragility", f"P({self._findings.beyond}) against {self.space.names[along]}")
+            svg = inline(figure, "fragility", f"P({self.findings.beyond}) against {self.space.names[along]}")
         return {"svg": str(svg)}
 
     def simulate(self, point: Sequence[float]) -> Answer:
@@ -283,7 +312,7 @@ class Answers:
             InputError: if the campaign's simulator has no bearing to show, or the response holds no motion.
         """
         _, response = self._simulated(point)
-        with self._drawing:
+        with self.drawing:
             figure = plot_histories(response, width=3.6 if narrow else 5.2)
             svg = inline(figure, "histories", "Displacement, ground acceleration, uplift and tilt over time")
             first, last = figure.axes[0], figure.axes[-1]

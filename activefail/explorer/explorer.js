@@ -1,106 +1,16 @@
-"use strict";
 // The page of `activefail explore`: sends the design to the server and shows its answers.
 
-const about = JSON.parse(document.getElementById("about").textContent);
-const find = (id) => document.getElementById(id);
+import { about, ask, find, latest, share, showDrawing, sliders, withSubscripts } from "/common.js";
+
 const variables = about.variables;
-const STEPS = 1000;
-let point = about.presets[0].point.slice();
-
-// --- text and numbers ----------------------------------------------------------------------------------------------
-
-function withSubscripts(text) {
-  const span = document.createElement("span");
-  text.split(/(_[A-Za-z0-9]+)/).forEach((part) => {
-    if (part.startsWith("_")) {
-      const sub = document.createElement("sub");
-      sub.textContent = part.slice(1);
-      span.append(sub);
-    } else span.append(part);
-  });
-  return span;
-}
-
-function number(value) {
-  const size = Math.abs(value);
-  if (size !== 0 && (size < 1e-3 || size >= 1e5)) {
-    const [mantissa, exponent] = value.toExponential(2).split("e");
-    const raised = [...String(Number(exponent))].map((c) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(c)]).join("");
-    return `${mantissa}·10${raised}`.replace(/^-/, "−");
-  }
-  return (size === 0 ? "0" : Number(value.toPrecision(3)).toString()).replace(/^-/, "−");
-}
-
-// In a form that can be typed in again.
-function plain(value) {
-  const size = Math.abs(value);
-  const short = Number(value.toPrecision(6));
-  return size !== 0 && (size < 1e-3 || size >= 1e6) ? short.toExponential().replace("e+", "e") : short.toString();
-}
-
-const share = (p) => (p < 0.005 ? "< 0.01" : p > 0.995 ? "> 0.99" : p.toFixed(2));
-
-// --- requests ------------------------------------------------------------------------------------------------------
-
-async function ask(question, data) {
-  const start = performance.now();
-  const response = await fetch(`/api/${question}`, {
-    method: "POST",
-    headers: { "Content-Type": "application/json" },
-    body: JSON.stringify(data),
-  });
-  if (response.status === 503) {
-    // The server is busy and says when to retry.
-    const seconds = Number(response.headers.get("Retry-After")) || 1;
-    await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
-    return ask(question, data);
-  }
-  const answer = await response.json();
-  if (!response.ok) throw new Error(answer.error || response.statusText);
-  document.body.dataset[`${question}Ms`] = (performance.now() - start).toFixed(1);
-  return answer;
-}
-
-function showError(error) {
-  find("status").textContent = `No answer: ${error.message}`;
-}
-
-// Runs one request at a time; of those made meanwhile only the last runs.
-function latest(run) {
-  let busy = false;
-  let pending = false;
-  return async function start() {
-    if (busy) {
-      pending = true;
-      return;
-    }
-    busy = true;
-    try {
-      do {
-        pending = false;
-        await run();
-      } while (pending);
-      if (find("status").textContent.startsWith("No answer")) find("status").textContent = "";
-    } catch (error) {
-      showError(error);
-    } finally {
-      busy = false;
-    }
-  };
-}
+const point = about.presets[0].point.slice();
 
 // --- the design ----------------------------------------------------------------------------------------------------
 
-const toStep = (i) => Math.round((STEPS * (point[i] - variables[i].low)) / (variables[i].high - variables[i].low));
 const column = (name) => variables.findIndex((v) => v.name === name);
 
 function showPoint() {
-  variables.forEach((v, i) => {
-    const text = `${number(point[i])}${v.unit ? ` ${v.unit}` : ""}`;
-    find(`v${i}`).value = toStep(i);
-    find(`v${i}`).setAttribute("aria-valuetext", text);
-    find(`t${i}`).value = plain(point[i]);
-  });
+  show();
   placeMarker();
 }
 
@@ -115,23 +25,7 @@ function moved(changed) {
   fragility();
 }
 
-function set(i, value) {
-  const v = variables[i];
-  point[i] = Math.min(v.high, Math.max(v.low, value));
-}
-
-function typed(i, text) {
-  const v = variables[i];
-  const value = text.trim() === "" ? NaN : Number(text.replace("−", "-"));
-  if (value >= v.low && value <= v.high) {
-    find("status").textContent = "";
-    set(i, value);
-    moved([i]);
-  } else {
-    find("status").textContent = `${v.text}: a number from ${plain(v.low)} to ${plain(v.high)}, not “${text}”.`;
-    showPoint();
-  }
-}
+const { show, set } = sliders(variables, point, moved);
 
 // --- prediction ----------------------------------------------------------------------------------------------------
 
@@ -184,12 +78,6 @@ const predict = latest(async () => {
 const hasPlane = find("plane") !== null;
 let axes = null;
 const planeColumns = () => (hasPlane ? [column(find("plane-x").value), column(find("plane-y").value)] : []);
-
-// Parses the server's SVG instead of writing it into the page; the page's policy blocks scripts in it.
-function showDrawing(place, svg) {
-  const parsed = new DOMParser().parseFromString(svg, "image/svg+xml").documentElement;
-  place.replaceChildren(document.importNode(parsed, true));
-}
 
 const plane = latest(async () => {
   if (!hasPlane) return;
@@ -386,16 +274,8 @@ const simulate = latest(async () => {
 // --- start ---------------------------------------------------------------------------------------------------------
 
 document.querySelectorAll("[data-subscript]").forEach((place) => place.replaceChildren(withSubscripts(place.textContent)));
-variables.forEach((v, i) => {
-  find(`v${i}`).addEventListener("input", (event) => {
-    set(i, v.low + (Number(event.target.value) / STEPS) * (v.high - v.low));
-    moved([i]);
-  });
-  find(`t${i}`).addEventListener("change", (event) => typed(i, event.target.value));
-});
 find("preset").addEventListener("change", (event) => {
-  point = about.presets[Number(event.target.value)].point.slice();
-  point.forEach((value, i) => set(i, value));
+  about.presets[Number(event.target.value)].point.forEach((value, i) => set(i, value));
   moved();
 });
 if (hasPlane) {

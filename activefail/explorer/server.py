@@ -1,8 +1,8 @@
-"""The explorer's server: one page and the requests that it makes, on the standard library's HTTP server.
+"""The explorer's server: two pages and the requests that they make, on the standard library's HTTP server.
 
 It changes nothing and reads only its own files. It answers only requests whose Host header names this machine and whose
 Origin, if present, is its own page, so that no other site can send requests on a visitor's behalf. Beyond the loopback
-interface a request also needs the token.
+interface a request also needs the token. At most one verification runs in the background.
 
 Each connection has a thread, and their number is bounded. Browsers keep idle connections open, so at the limit the
 server closes the one that has been idle longest. The number of questions in progress is bounded too: any further
@@ -31,6 +31,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from activefail import __version__
 from activefail.errors import InputError
 from activefail.explorer.answers import Answer, Answers
+from activefail.explorer.design import DesignAnswers
+from activefail.explorer.verification import AlreadyRunningError, Verifications
 
 LONGEST_BODY = 4096
 """Longest question [bytes]; a design has about a hundred."""
@@ -67,6 +69,15 @@ def page(about: Answer, failure: dict[str, Any] | None = None) -> str:
         about: the data that the page contains from the start.
         failure: numbers and pictures of the probability of failure; None without one.
     """
+    return _rendered("explorer.html.j2", about=about, failure=failure)
+
+
+def design_page(about: Answer) -> str:
+    """Render the page Design of a campaign from the data that it contains from the start."""
+    return _rendered("design.html.j2", about=about)
+
+
+def _rendered(template: str, **values: Any) -> str:
     environment = Environment(
         loader=PackageLoader("activefail.explorer", "."),
         autoescape=True,
@@ -74,17 +85,18 @@ def page(about: Answer, failure: dict[str, Any] | None = None) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("explorer.html.j2").render(about=about, failure=failure, version=__version__)
+    return environment.get_template(template).render(version=__version__, **values)
 
 
 class ExplorerServer(ThreadingHTTPServer):
-    """Serves the page of a campaign and answers its questions.
+    """Serves the pages of a campaign and answers their questions.
 
     Attributes:
         token: required of visitors; empty on the loopback interface.
         turns: limits the questions in progress.
-        page, files: responses to GET: the page, and its script and style by path.
+        pages, files: responses to GET by path: the pages, and their scripts and style.
         questions: handlers of POST, by path.
+        verifications: in the background.
 
     Raises:
         InputError: if the address cannot be served.
@@ -101,12 +113,18 @@ class ExplorerServer(ThreadingHTTPServer):
         self._fewer = threading.Condition()
         self.turns = threading.BoundedSemaphore(MOST_QUESTIONS)
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(24)
-        self.page = page(answers.about(), answers.failure).encode()
-        package = files("activefail.explorer")
-        self.files = {
-            "/explorer.js": ("text/javascript; charset=utf-8", package.joinpath("explorer.js").read_bytes()),
-            "/explorer.css": ("text/css; charset=utf-8", package.joinpath("explorer.css").read_bytes()),
+        design = DesignAnswers(answers)
+        self.pages = {
+            "/": page(answers.about(), answers.failure).encode(),
+            "/design": design_page(design.about()).encode(),
         }
+        package = files("activefail.explorer")
+        kinds = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8"}
+        self.files = {
+            f"/{name}": (kinds[name.rpartition(".")[2]], package.joinpath(name).read_bytes())
+            for name in ("common.js", "explorer.js", "design.js", "explorer.css")
+        }
+        self.verifications = Verifications()
         self.questions: dict[str, Callable[[dict[str, Any]], Answer]] = {
             "/api/predict": lambda question: answers.predict(answers.point(question.get("point"))),
             "/api/plane": lambda question: answers.plane(
@@ -122,6 +140,12 @@ class ExplorerServer(ThreadingHTTPServer):
             "/api/histories": lambda question: answers.histories(
                 answers.point(question.get("point")), question.get("narrow") is True
             ),
+            "/api/design": lambda question: design.required(
+                design.asked(question, ("refined",)), question.get("refined") is True
+            ),
+            "/api/verify": lambda question: self._verify(design, question),
+            "/api/progress": lambda question: self.verifications.of(question.get("id")).progress(),
+            "/api/stop": lambda question: self._stop(question),
         }
         bound = host.strip("[]")
         if ":" in bound:
@@ -135,6 +159,29 @@ class ExplorerServer(ThreadingHTTPServer):
             raise InputError(f"--host: {host!r} is not an address: {error}.") from None
         except OverflowError:
             raise InputError(f"--port: must lie between 0 and 65535, got {port}.") from None
+
+    def _verify(self, design: DesignAnswers, question: dict[str, Any]) -> Answer:
+        """Start a verification.
+
+        Raises:
+            InputError: if the question is invalid, or the explorer does not verify this campaign.
+            AlreadyRunningError: if another verification is running.
+        """
+        asked = design.asked(question)
+        if reason := design.no_verification():
+            raise InputError(reason)
+        return self.verifications.start(lambda watch: design.verified(asked, watch))
+
+    def _stop(self, question: dict[str, Any]) -> Answer:
+        """Ask a verification to stop; its progress."""
+        verification = self.verifications.of(question.get("id"))
+        verification.stop()
+        return verification.progress()
+
+    def server_close(self) -> None:
+        """Stop listening, and stop the verification."""
+        super().server_close()
+        self.verifications.stop()
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept the next connection.
@@ -229,17 +276,17 @@ class _Handler(BaseHTTPRequestHandler):
         self.server.heard_from(self.connection)
 
     def do_GET(self) -> None:
-        """Serve the page and its two files."""
+        """Serve the pages and their files."""
         if not self._may_ask():
             return
         url = urlsplit(self.path)
-        if url.path == "/":
+        if url.path in self.server.pages:
             if self.server.token and "token" in parse_qs(url.query):
                 # Move the token to a cookie: addresses are copied and logged.
                 cookie = f"{_COOKIE}={self.server.token}; HttpOnly; SameSite=Strict; Path=/"
-                self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": "/", "Set-Cookie": cookie})
+                self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", {"Location": url.path, "Set-Cookie": cookie})
             else:
-                self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page)
+                self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.pages[url.path])
         elif url.path in self.server.files:
             self._send(HTTPStatus.OK, *self.server.files[url.path])
         else:
@@ -277,6 +324,9 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             answer = handler(question)
+        except AlreadyRunningError as error:
+            self._refuse(HTTPStatus.CONFLICT, str(error))
+            return
         except InputError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
             return

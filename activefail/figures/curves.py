@@ -106,3 +106,30 @@ def plot_fragility(
         axes.set(xlabel=along.axis, ylabel=f"P({beyond}) [–]", xlim=(values[0], values[-1]), ylim=(-0.02, 1.02))
         figure.legend(loc="outside upper center", ncols=3)
     return figure
+
+
+def plot_required_value(
+    values: Array, probability: Array, target: float, required: float, along: Quantity, beyond: str, colour: str
+) -> Figure:
+    """A probability against the variable that must be chosen, (n,) each, with a target and the value that it requires.
+
+    Args:
+        values: of the variable.
+        probability: without interval.
+        target: largest acceptable probability.
+        required: value that meets it; NaN if none does.
+        along: the variable.
+        beyond: the event of the probability, as mathtext.
+        colour: of the curve.
+    """
+    with styled():
+        figure = Figure(figsize=(5.0, 3.6), layout="constrained")
+        axes = figure.add_subplot()
+        axes.plot(values, 100.0 * probability, color=colour, linewidth=1.8, marker=".", label=f"P({beyond})")
+        axes.axhline(100.0 * target, color=GREY, linewidth=1.0, linestyle="--", label="target")
+        if np.isfinite(required):
+            axes.axvline(required, color=BLACK, linestyle=":", label="required")
+        top = 100.0 * min(1.0, 1.1 * max(float(probability.max()), 1.5 * target))
+        axes.set(xlabel=along.axis, ylabel=f"P({beyond}) [%]", xlim=(values[0], values[-1]), ylim=(0.0, top))
+        figure.legend(loc="outside upper center", ncols=3)
+    return figure

@@ -72,7 +72,7 @@ class Estimator:
 
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan:
         """The fresh simulations that `sample` makes."""
-        return planned(self.campaign, self.classifier, self.iteration, outcome, simulations, question)
+        return planned(self.campaign, self.standardised(outcome), self.iteration, simulations, question)
 
     def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
         """Simulate fresh designs for the probability of an outcome or a more severe one.
@@ -115,8 +115,9 @@ def stored_estimate(
         question: the distribution of the variables.
     """
     severity = campaign.simulator.outcomes.index(outcome)
+    of_designs = standardised_latent(classifier.latent(outcome), campaign.features)
     for simulations in estimate_sizes(store, severity, iteration, question.digest):
-        plan = planned(campaign, classifier, iteration, outcome, simulations, question)
+        plan = planned(campaign, of_designs, iteration, simulations, question)
         name = name_of_estimate(severity, iteration, simulations, question.digest)
         outcomes = stored_outcomes(store, name, question.designs(plan.designs))
         if outcomes is not None:
@@ -124,14 +125,11 @@ def stored_estimate(
     return None
 
 
-def planned(
-    campaign: Campaign, classifier: Classifier, iteration: int, outcome: str, simulations: int, question: Question
-) -> Plan:
-    """The fresh simulations that estimate a probability under a question."""
+def planned(campaign: Campaign, of_designs: Standardised, iteration: int, simulations: int, question: Question) -> Plan:
+    """The fresh simulations that estimate a probability under a question, from the latent as a function of designs."""
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
         rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
-    of_designs = standardised_latent(classifier.latent(outcome), campaign.features)
 
     def standardised(X: Array) -> Array:
         return of_designs(question.designs(X))

@@ -1,0 +1,139 @@
+// What the explorer's pages share: text and numbers, sliders, requests, and drawings.
+
+export const about = JSON.parse(document.getElementById("about").textContent);
+export const find = (id) => document.getElementById(id);
+
+// --- text and numbers ----------------------------------------------------------------------------------------------
+
+export function withSubscripts(text) {
+  const span = document.createElement("span");
+  text.split(/(_[A-Za-z0-9]+)/).forEach((part) => {
+    if (part.startsWith("_")) {
+      const sub = document.createElement("sub");
+      sub.textContent = part.slice(1);
+      span.append(sub);
+    } else span.append(part);
+  });
+  return span;
+}
+
+export function number(value) {
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 1e-3 || size >= 1e5)) {
+    const [mantissa, exponent] = value.toExponential(2).split("e");
+    const raised = [...String(Number(exponent))].map((c) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(c)]).join("");
+    return `${mantissa}·10${raised}`.replace(/^-/, "−");
+  }
+  return (size === 0 ? "0" : Number(value.toPrecision(3)).toString()).replace(/^-/, "−");
+}
+
+// In a form that can be typed in again.
+export function plain(value) {
+  const size = Math.abs(value);
+  const short = Number(value.toPrecision(6));
+  return size !== 0 && (size < 1e-3 || size >= 1e6) ? short.toExponential().replace("e+", "e") : short.toString();
+}
+
+export const share = (p) => (p < 0.005 ? "< 0.01" : p > 0.995 ? "> 0.99" : p.toFixed(2));
+
+// --- sliders -------------------------------------------------------------------------------------------------------
+
+const STEPS = 1000;
+
+// Sliders v0, v1, … with number fields t0, t1, … for some quantities. `values` is changed in place; `moved` is called
+// with the indices of what a visitor has changed.
+export function sliders(quantities, values, moved) {
+  const toStep = (i) => Math.round((STEPS * (values[i] - quantities[i].low)) / (quantities[i].high - quantities[i].low));
+
+  function show() {
+    quantities.forEach((v, i) => {
+      const text = `${number(values[i])}${v.unit ? ` ${v.unit}` : ""}`;
+      find(`v${i}`).value = toStep(i);
+      find(`v${i}`).setAttribute("aria-valuetext", text);
+      find(`t${i}`).value = plain(values[i]);
+    });
+  }
+
+  function set(i, value) {
+    values[i] = Math.min(quantities[i].high, Math.max(quantities[i].low, value));
+  }
+
+  function typed(i, text) {
+    const v = quantities[i];
+    const value = text.trim() === "" ? NaN : Number(text.replace("−", "-"));
+    if (value >= v.low && value <= v.high) {
+      find("status").textContent = "";
+      set(i, value);
+      moved([i]);
+    } else {
+      find("status").textContent = `${v.text}: a number from ${plain(v.low)} to ${plain(v.high)}, not “${text}”.`;
+      show();
+    }
+  }
+
+  quantities.forEach((v, i) => {
+    find(`v${i}`).addEventListener("input", (event) => {
+      set(i, v.low + (Number(event.target.value) / STEPS) * (v.high - v.low));
+      moved([i]);
+    });
+    find(`t${i}`).addEventListener("change", (event) => typed(i, event.target.value));
+  });
+  return { show, set };
+}
+
+// --- requests ------------------------------------------------------------------------------------------------------
+
+export async function ask(question, data) {
+  const start = performance.now();
+  const response = await fetch(`/api/${question}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/json" },
+    body: JSON.stringify(data),
+  });
+  if (response.status === 503) {
+    // The server is busy and says when to retry.
+    const seconds = Number(response.headers.get("Retry-After")) || 1;
+    await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+    return ask(question, data);
+  }
+  const answer = await response.json();
+  if (!response.ok) throw new Error(answer.error || response.statusText);
+  document.body.dataset[`${question}Ms`] = (performance.now() - start).toFixed(1);
+  return answer;
+}
+
+function showError(error) {
+  find("status").textContent = `No answer: ${error.message}`;
+}
+
+// Runs one request at a time; of those made meanwhile only the last runs.
+export function latest(run) {
+  let busy = false;
+  let pending = false;
+  return async function start() {
+    if (busy) {
+      pending = true;
+      return;
+    }
+    busy = true;
+    try {
+      do {
+        pending = false;
+        await run();
+      } while (pending);
+      if (find("status").textContent.startsWith("No answer")) find("status").textContent = "";
+    } catch (error) {
+      showError(error);
+    } finally {
+      busy = false;
+    }
+  };
+}
+
+// --- drawings ----------------------------------------------------------------------------------------------------------
+
+// Parses the server's SVG instead of writing it into the page; the page's policy blocks scripts in it.
+export function showDrawing(place, svg) {
+  const parsed = new DOMParser().parseFromString(svg, "image/svg+xml").documentElement;
+  place.replaceChildren(document.importNode(parsed, true));
+}

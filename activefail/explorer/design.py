@@ -1,0 +1,387 @@
+"""Answers of the page Design: the displacement capacity that a target requires, under the classifier and verified."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard, hazard_of, hazard_question
+from activefail.campaign.question import AMPLITUDE, PERIOD, Question, check_pulse
+from activefail.errors import InputError
+from activefail.execution.local import local_executor
+from activefail.explorer.answers import Answer, Answers, checked_number
+from activefail.explorer.verification import STEPS, Watch, WatchedExecutor
+from activefail.figures.curves import plot_required_value
+from activefail.figures.marks import outcome_colour
+from activefail.figures.svg import inline
+from activefail.findings.quantities import Quantity, plain, significant
+from activefail.record.memory import MemoryStore
+from activefail.reliability.estimate import Standardised, standardised_latent
+from activefail.risk.design.findings import DesignFindings
+from activefail.risk.design.required import least_value
+from activefail.risk.design.search import find_design
+from activefail.risk.design.task import RISK_CATEGORIES, SIMULATIONS, Requirement, design_task
+from activefail.risk.model import classifier_probability
+from activefail.shares import percent
+from activefail.space import Array
+from activefail.verification.probability import Estimator
+from activefail.visible import visible
+
+_ALONG = 9
+"""Values of the displacement capacity on the curve."""
+
+_AT_ONCE, _REFINED = 128, 1024
+"""Points of an integral: at once, and when the sliders rest."""
+
+_LEAST_TARGET, _LARGEST_TARGET = 0.001, 0.9
+
+
+class Slider(NamedTuple):
+    """A number that a visitor chooses.
+
+    Attributes:
+        name: in requests.
+        text: plain text with `_` before a subscript.
+        unit: empty for a dimensionless number.
+        meaning: a few words.
+        low, high: its range.
+        start: where it stands at first.
+    """
+
+    name: str
+    text: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    start: float
+
+
+MAGNITUDE = Slider("magnitude", "M", "", "magnitude, by the relation shahi-baker-2011", 5.5, 8.0, 7.0)
+MEDIAN_PERIOD = Slider("median_period", "T_p", "s", "median period of the pulses", 0.25, 8.0, 2.7)
+_PERIODS = (MAGNITUDE, MEDIAN_PERIOD)
+_SPREADS = (
+    Slider("period_dispersion", "β of T_p", "", "dispersion of the periods", 0.05, 1.0, 0.56),
+    Slider("median_pgv", "PGV", "m/s", "median peak ground velocity", 0.1, 3.0, 1.0),
+    Slider("pgv_dispersion", "β of PGV", "", "dispersion of the peak ground velocities", 0.05, 1.0, 0.25),
+)
+_FRICTION_BOUND = Slider("mu_lower", "factor on μ", "", "lower bound of the friction", 0.5, 1.0, 0.8)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A checked request.
+
+    Attributes:
+        site: numbers of the hazard, by name.
+        bearing: values of the other variables, by name.
+        target: largest acceptable probability.
+    """
+
+    site: tuple[tuple[str, float], ...]
+    bearing: tuple[tuple[str, float], ...]
+    target: float
+
+
+@dataclass(frozen=True, eq=False)
+class _InTurns(Estimator):
+    """An estimator whose predictions leave other visitors their turns, and end when its watch says so."""
+
+    answers: Answers
+    watch: Watch
+
+    def standardised(self, outcome: str) -> Standardised:
+        """The latent of an outcome's boundary as a function of designs."""
+        of_designs = standardised_latent(self.classifier.latent(outcome), self.campaign.features)
+
+        def watched(X: Array) -> Array:
+            self.watch.predicted(len(X))
+            return of_designs(X)
+
+        return self.answers.in_turns(watched)
+
+
+class DesignAnswers:
+    """Answers of the page Design about one campaign; thread-safe.
+
+    Attributes:
+        missing: why the campaign has no such page, as a sentence; empty if it has one.
+    """
+
+    def __init__(self, answers: Answers) -> None:
+        self._answers, self.campaign, self.space = answers, answers.campaign, answers.space
+        self._boundary = answers.findings.boundary
+        self.missing = self._missing()
+        latent = answers.findings.classifier.latent(self._boundary)
+        self._standardised = answers.in_turns(standardised_latent(latent, self.campaign.features))
+        # What visitors ask for is close to what they asked for before, and a target alone changes no curve.
+        self._question = lru_cache(64)(self._question_of)
+        self._outside = lru_cache(64)(self._outside_of)
+        self._probability = lru_cache(4096)(self._probability_of)
+
+    def _missing(self) -> str:
+        needs = "The page Design needs a pulse, T_p [s] and A_p [g], and the displacement capacity D_tot."
+        try:
+            check_pulse(self.space, "design")
+        except InputError:
+            return f"{needs} This campaign has the variables {visible(', '.join(self.space.names))}."
+        if CAPACITY not in self.space.names:
+            return f"{needs} In this campaign D_tot is not a variable."
+        return ""
+
+    @property
+    def verifies(self) -> bool:
+        """Whether the explorer simulates: it runs activefail's own bearing model only, no code of a run folder."""
+        return self._answers.simulates
+
+    @property
+    def _quantity(self) -> Quantity:
+        return self._answers.quantities[self.space.names.index(CAPACITY)]
+
+    @property
+    def _others(self) -> tuple[Slider, ...]:
+        """The sliders of the site but for that of the periods."""
+        return (*_SPREADS, _FRICTION_BOUND) if FRICTION in self.space.names else _SPREADS
+
+    @property
+    def _bearing(self) -> tuple[Slider, ...]:
+        """The sliders of the other variables, from the middle of the space."""
+        middle = self.space.from_unit(np.full(self.space.dimension, 0.5)).tolist()
+        return tuple(
+            Slider(p.name, shown.text, shown.unit, shown.meaning, p.low, p.high, value)
+            for p, shown, value in zip(self.space.parameters, self._answers.quantities, middle, strict=True)
+            if p.name not in (PERIOD, AMPLITUDE, CAPACITY)
+        )
+
+    def about(self) -> Answer:
+        """The data that the page contains from the start."""
+        about = self._answers.about()
+        answer: Answer = {"title": about["title"], "simulations": about["simulations"], "missing": self.missing}
+        if self.missing:
+            return answer
+        return answer | {
+            "periods": [slider._asdict() for slider in _PERIODS],
+            "site": [slider._asdict() for slider in self._others],
+            "bearing": [slider._asdict() for slider in self._bearing],
+            "targets": [
+                {"text": f"{100.0 * p:g} % (risk category {name})", "value": p} for name, p in RISK_CATEGORIES.items()
+            ],
+            "low": _LEAST_TARGET,
+            "high": _LARGEST_TARGET,
+            "required": self._quantity.text,
+            "unit": self._quantity.unit,
+            "beyond": self._answers.findings.beyond,
+            "unverified": self.no_verification(),
+            "most": SIMULATIONS,
+            "steps": STEPS,
+        }
+
+    def asked(self, request: dict[str, Any], more: tuple[str, ...] = ()) -> Asked:
+        """Check a request.
+
+        Args:
+            request: its values.
+            more: further keys that it may have.
+
+        Raises:
+            InputError: naming the key, the rule and the value.
+        """
+        if self.missing:
+            raise InputError(self.missing)
+        _check_keys("request", request, ("site", "bearing", "target"), more)
+        site, bearing = request["site"], request["bearing"]
+        for name, values in (("site", site), ("bearing", bearing)):
+            if not isinstance(values, dict):
+                raise InputError(f"{name}: must be a JSON object.")
+        given = [slider for slider in _PERIODS if slider.name in site]
+        if len(given) != 1:
+            raise InputError(f"site: must have either {MAGNITUDE.name} or {MEDIAN_PERIOD.name}.")
+        return Asked(
+            _checked("site", site, (given[0], *self._others)),
+            _checked("bearing", bearing, self._bearing),
+            checked_number("target", request["target"], _LEAST_TARGET, _LARGEST_TARGET),
+        )
+
+    def required(self, asked: Asked, refined: bool = False) -> Answer:
+        """The displacement capacity that a target requires under the classifier, and the curve that it is read off.
+
+        Args:
+            asked: the request.
+            refined: whether to take more time for a more accurate answer.
+        """
+        points = _REFINED if refined else _AT_ONCE
+        low, high = self._range
+        grid = np.linspace(low, high, _ALONG)
+        P = np.array([self._probability(asked.site, asked.bearing, x, points) for x in grid.tolist()])
+        value = least_value(grid, P, asked.target)
+        is_met = bool(np.isfinite(value))
+        # A smaller one may meet the target where a larger one does not: failure is not monotone.
+        at = value if is_met else high if P.min() <= asked.target else float(grid[int(np.argmin(P))])
+        probability = self._probability(asked.site, asked.bearing, at, points)
+        hazard, outside = _hazard(asked.site), self._outside(asked.site, asked.bearing)
+        return {
+            "required": value if is_met else None,
+            "probability": probability,
+            "at": at,
+            "text": self._sentence(is_met, at, probability, asked.target),
+            "grid": grid.tolist(),
+            "curve": P.tolist(),
+            "points": points,
+            "refined": refined,
+            "median_period": hazard.median_period,
+            "outside": outside,
+            "outside_text": percent(outside),
+            "notes": self._notes(hazard),
+            "svg": self._drawn(grid, P, asked.target, value),
+        }
+
+    def verified(self, asked: Asked, watch: Watch) -> Answer:
+        """Search the design and verify it, as `activefail design` does; nothing is stored.
+
+        Args:
+            asked: the request.
+            watch: told of the progress; ends the work when it must stop.
+
+        Raises:
+            StoppedError: if it must stop.
+            SimulationError: if no simulation gives an outcome.
+        """
+        campaign, findings = self.campaign, self._answers.findings
+        question, hazard = self._question(asked.site, asked.bearing), _hazard(asked.site)
+        task = design_task(campaign, question, (Requirement(self._boundary, asked.target),), (CAPACITY,))
+        last = int(findings.iteration[-1])
+        with WatchedExecutor(local_executor(campaign.simulator), watch) as executor:
+            estimator = _InTurns(
+                campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, watch
+            )
+            designed = find_design(estimator, task, watch.stage, with_costs=False)
+        found = DesignFindings(campaign, designed, hazard, designed.question.share_outside(self.space))
+        numbers = found.as_json()
+        kept = ("status", "target", "probability", "low", "high", "confidence", "simulations", "confidence_of_interval")
+        value = designed.values[CAPACITY]
+        return {key: numbers[key] for key in kept} | {
+            "verdict": found.verdict,
+            "value": value,
+            "text": self._estimated(value, numbers),
+            "assumptions": found.assumptions,
+        }
+
+    def no_verification(self) -> str:
+        """Why the explorer verifies nothing; empty if it does."""
+        if self.verifies:
+            return ""
+        return (
+            "The explorer simulates only activefail's own bearing model, so it cannot verify this design. "
+            "`activefail design` does, where its simulations run on this machine."
+        )
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        column = self.space.names.index(CAPACITY)
+        return float(self.space.low[column]), float(self.space.high[column])
+
+    def _question_of(self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...]) -> Question:
+        return hazard_question(_hazard(site), self.campaign.settings, self.space, dict(bearing))
+
+    def _outside_of(self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...]) -> float:
+        # D_tot stays within its range.
+        return self._question(site, bearing).at({CAPACITY: self._range[1]}).share_outside(self.space)
+
+    def _probability_of(
+        self, site: tuple[tuple[str, float], ...], bearing: tuple[tuple[str, float], ...], at: float, points: int
+    ) -> float:
+        return classifier_probability(self._standardised, self._question(site, bearing).at({CAPACITY: at}), points)
+
+    def _sentence(self, is_met: bool, at: float, probability: float, target: float) -> str:
+        event = f"P({self._answers.findings.beyond})"
+        here = f"{self._quantity.text} = {self._with_unit(at)}"
+        if not is_met:
+            low, high = (significant(end) for end in self._range)
+            return (
+                f"No {self._quantity.text} from {low} to {self._quantity_text(high)} meets the target and stays below "
+                f"it from there on. {event} = {percent(probability)} at {here}."
+            )
+        if at in self._range:
+            return f"Already {here}, an end of its range, meets the target: {event} = {percent(probability)} there."
+        return f"The target {100.0 * target:g} % requires {here}. {event} = {percent(probability)} there."
+
+    def _estimated(self, value: float, numbers: Mapping[str, Any]) -> str:
+        return (
+            f"{self._quantity.text} = {self._with_unit(value)}: P({self._answers.findings.beyond}) = "
+            f"{percent(numbers['probability'])}, interval {percent(numbers['low'])} to {percent(numbers['high'])} "
+            f"({100.0 * numbers['confidence_of_interval']:.3g} %), from {numbers['simulations']} fresh simulations."
+        )
+
+    def _with_unit(self, value: float) -> str:
+        return self._quantity_text(significant(value))
+
+    def _quantity_text(self, number: str) -> str:
+        return f"{number} {self._quantity.unit}".strip()
+
+    def _notes(self, hazard: Hazard) -> list[str]:
+        return [
+            "These numbers are the classifier's and have no interval; a verification by fresh simulations has one.",
+            "The periods are those of the acceleration pulse, T_p; published periods of the velocity pulse are divided "
+            "by 1.22.",
+            *hazard.assumptions,
+        ]
+
+    def _drawn(self, grid: Array, P: Array, target: float, value: float) -> str:
+        answers = self._answers
+        with answers.drawing:
+            figure = plot_required_value(
+                grid,
+                P,
+                target,
+                value,
+                self._quantity,
+                plain(answers.findings.beyond),
+                outcome_colour(answers.outcomes, self.campaign.severity),
+            )
+            alternative = f"P({answers.findings.beyond}) against {CAPACITY}, with the target"
+            return str(inline(figure, "required", alternative))
+
+
+def _hazard(site: tuple[tuple[str, float], ...]) -> Hazard:
+    """The hazard with these numbers."""
+    of = dict(site)
+    values: dict[str, Any] = {
+        "description": "the site of the page",
+        "pgv": {"median_m_s": of["median_pgv"], "dispersion": of["pgv_dispersion"]},
+    }
+    if MAGNITUDE.name in of:
+        values["magnitude"] = {"M": of[MAGNITUDE.name], "dispersion": of["period_dispersion"]}
+    else:
+        values["pulse_period"] = {
+            "median_s": of[MEDIAN_PERIOD.name],
+            "dispersion": of["period_dispersion"],
+            "definition": "acceleration",
+        }
+    if _FRICTION_BOUND.name in of:
+        values["properties"] = {_FRICTION_BOUND.name: of[_FRICTION_BOUND.name]}
+    return hazard_of(values, Path("site"))
+
+
+def _checked(name: str, values: dict[str, Any], sliders: tuple[Slider, ...]) -> tuple[tuple[str, float], ...]:
+    """The numbers of all these sliders.
+
+    Raises:
+        InputError: naming the key, the rule and the value.
+    """
+    _check_keys(name, values, tuple(slider.name for slider in sliders))
+    return tuple(
+        (slider.name, checked_number(f"{name}.{slider.name}", values[slider.name], slider.low, slider.high))
+        for slider in sliders
+    )
+
+
+def _check_keys(name: str, values: dict[str, Any], needed: tuple[str, ...], more: tuple[str, ...] = ()) -> None:
+    for key in values:
+        if key not in (*needed, *more):
+            raise InputError(f"{name}: has the unknown key {visible(key)[:40]!r}; it takes {', '.join(needed)}.")
+    for key in needed:
+        if key not in values:
+            raise InputError(f"{name}: needs the key {key!r}.")

@@ -1,0 +1,373 @@
+"""The page Design answers what the classifier says, and verifies it as the command `design` does."""
+
+import json
+import shutil
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from campaign.stub import Disc, disc
+from explorer.conftest import served
+from explorer.test_server import ask, request
+from patience import PATIENCE, until
+from report.test_report import ran
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.hazard import hazard_question, read_hazard
+from activefail.campaign.settings import parse_settings
+from activefail.errors import InputError, SimulationError
+from activefail.explorer.answers import Answers
+from activefail.explorer.design import DesignAnswers
+from activefail.explorer.server import design_page
+from activefail.explorer.verification import StoppedError, Verification, Watch
+from activefail.findings.results import findings_of
+from activefail.loop.learning import current_classifier
+from activefail.opening import open_run
+from activefail.record.run_folder import FolderStore
+from activefail.reliability.estimate import standardised_latent
+from activefail.risk.design.required import least_value
+from activefail.risk.model import classifier_probability
+from activefail.simulators.interface import Results
+from activefail.space import Array
+from activefail.surrogate.threads import one_thread
+
+BEARING = {"T_b": 4.0, "mu": 0.06, "h_sl_ratio": 0.6, "h_rim_ratio": 0.1, "p": 45.0, "k": 2e9}
+SITE = {"magnitude": 7.0, "period_dispersion": 0.56, "median_pgv": 0.7, "pgv_dispersion": 0.25, "mu_lower": 0.8}
+REQUEST = {"site": SITE, "bearing": BEARING, "target": 0.1}
+HAZARD = """
+magnitude = { M = 7.0, dispersion = 0.56 }
+pgv = { median_m_s = 0.7, dispersion = 0.25 }
+properties = { mu_lower = 0.8 }
+"""
+
+
+def by_period(median: float) -> dict[str, float]:
+    """The site with the median period in place of the magnitude."""
+    return {"median_period": median} | {name: value for name, value in SITE.items() if name != "magnitude"}
+
+
+@pytest.fixture(scope="module")
+def design(answers: Answers) -> DesignAnswers:
+    return DesignAnswers(answers)
+
+
+@pytest.fixture(scope="module")
+def hazard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("site") / "site.toml"
+    path.write_text(HAZARD)
+    return path
+
+
+# --- at once ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_the_required_value_and_its_curve_are_those_of_the_classifier(design, findings, hazard, refined):
+    reply = design.required(design.asked(REQUEST), refined)
+    campaign = findings.campaign
+    latent = standardised_latent(findings.classifier.latent("failure"), campaign.features)
+    question = hazard_question(read_hazard(hazard), campaign.settings, campaign.space, BEARING)
+
+    def probability(at: float) -> float:
+        return classifier_probability(latent, question.at({"D_tot": at}), reply["points"])
+
+    curve = [probability(at) for at in reply["grid"]]
+    assert reply["curve"] == pytest.approx(curve)
+    assert (reply["grid"][0], reply["grid"][-1]) == (0.45, 0.85)
+    required = least_value(np.array(reply["grid"]), np.array(curve), 0.1)
+    assert reply["required"] == pytest.approx(required)
+    assert reply["probability"] == pytest.approx(probability(required))
+    assert reply["outside"] == pytest.approx(question.share_outside(campaign.space), abs=0.01)
+    assert reply["median_period"] == pytest.approx(read_hazard(hazard).median_period)
+    assert any("no interval" in note for note in reply["notes"])
+    assert any("friction × 0.8" in note for note in reply["notes"])
+    assert reply["svg"].startswith("<svg")
+    json.dumps(reply, allow_nan=False)
+
+
+def test_a_refined_answer_has_more_points(design):
+    asked = design.asked(REQUEST)
+    assert design.required(asked, refined=True)["points"] > design.required(asked)["points"]
+
+
+def test_the_median_period_is_that_of_the_acceleration_and_takes_the_place_of_the_magnitude(design):
+    reply = design.required(design.asked(REQUEST | {"site": by_period(1.5)}))
+    assert reply["median_period"] == 1.5
+    assert reply["curve"] != design.required(design.asked(REQUEST))["curve"]
+
+
+def test_a_target_alone_changes_no_curve_and_takes_one_new_probability(design):
+    design.required(design.asked(REQUEST))
+    known = design._probability.cache_info().misses
+    reply = design.required(design.asked(REQUEST | {"target": 0.08}))
+    assert design._probability.cache_info().misses <= known + 1
+    assert reply["text"].startswith(("The target 8 % requires D_tot = ", "No D_tot", "Already"))
+
+
+def test_a_target_out_of_reach_says_so_with_the_least_probability(design):
+    strong = SITE | {"median_pgv": 3.0}
+    reply = design.required(design.asked(REQUEST | {"site": strong, "target": 0.001}))
+    assert reply["required"] is None
+    assert reply["probability"] == pytest.approx(min(reply["curve"]))
+    assert reply["text"].startswith("No D_tot from 0.450 to 0.850 m meets the target and stays below it from ")
+
+
+def test_a_target_that_the_smallest_value_meets_says_that_it_is_an_end_of_the_range(design):
+    weak = SITE | {"median_pgv": 0.1, "pgv_dispersion": 0.05}
+    reply = design.required(design.asked(REQUEST | {"site": weak, "target": 0.9}))
+    assert reply["required"] == 0.45
+    assert reply["text"].startswith("Already D_tot = 0.450 m, an end of its range, meets the target")
+
+
+# --- verified -----------------------------------------------------------------------------------------------------
+
+
+def test_a_verification_is_that_of_the_command_and_changes_no_run_folder(design, findings, hazard, tmp_path):
+    before = {path: path.stat().st_mtime_ns for path in findings.folder.rglob("*")}
+    watch = Watch()
+    reply = design.verified(design.asked(REQUEST), watch)
+    assert {path: path.stat().st_mtime_ns for path in findings.folder.rglob("*")} == before
+    shutil.copytree(findings.folder, tmp_path / "run")
+    with open_run(tmp_path / "run", write=True) as run:
+        expected = run.design(0.1, hazard, fixed=BEARING)
+    numbers = expected.as_json()
+    assert reply["status"] == numbers["status"]
+    assert reply["value"] == pytest.approx(numbers["bearing"]["D_tot"])
+    for key in ("probability", "low", "high", "simulations", "confidence_of_interval"):
+        assert reply[key] == pytest.approx(numbers[key])
+    assert reply["verdict"] == expected.verdict
+    assert reply["assumptions"] == expected.assumptions
+    assert watch.simulations == reply["simulations"]
+    assert watch.predictions > 1000
+    assert 1 < watch.step <= 5
+    json.dumps(reply, allow_nan=False)
+
+
+def test_a_verification_stops_between_two_predictions(design):
+    watch = Watch()
+    watch.stage = lambda text: watch.stop()  # type: ignore[method-assign]
+    with pytest.raises(StoppedError):
+        design.verified(design.asked(REQUEST), watch)
+    assert watch.predictions == 0
+
+
+def test_a_verification_stops_between_two_simulations(design):
+    watch = Watch()
+    counted = watch.simulated
+
+    def simulated(n: int) -> None:
+        watch.stop()
+        counted(n)
+
+    watch.simulated = simulated  # type: ignore[method-assign]
+    with pytest.raises(StoppedError):
+        design.verified(design.asked(REQUEST), watch)
+    assert watch.simulations == 0
+
+
+def ended(work: Any) -> dict[str, Any]:
+    """The last progress of a verification that does this work."""
+    verification = Verification(work)
+    verification.start()
+    until(lambda: not verification.is_running, "its end")
+    return verification.progress()
+
+
+def test_a_verification_tells_why_it_has_no_result(capfd):
+    def broken(watch: Watch) -> dict[str, Any]:
+        raise SimulationError("None of the simulations gave an outcome.")
+
+    def wrong(watch: Watch) -> dict[str, Any]:
+        raise RuntimeError("a secret of the machine")
+
+    first, second = ended(broken), ended(wrong)
+    assert (first["state"], first["error"]) == ("failed", "None of the simulations gave an outcome.")
+    assert (second["state"], second["error"]) == ("failed", "The explorer failed; its terminal shows the error.")
+    assert "a secret of the machine" in capfd.readouterr().err
+
+
+# --- requests -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def server(answers: Answers):
+    with served(answers) as running:
+        yield running
+
+
+@pytest.mark.parametrize("path", ["design", "verify"])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"target": float("nan")}, "target: must lie between 0.001 and 0.9, got nan"),
+        ({"target": 0.0}, "target: must lie between"),
+        ({"target": "0.1"}, "target: must lie between"),
+        ({"target": True}, "target: must lie between"),
+        ({"target": 10**400}, "target: must lie between"),
+        ({"site": [1.0]}, "site: must be a JSON object"),
+        ({"site": SITE | {"magnitude": 1e308}}, "site.magnitude: must lie between 5.5 and 8"),
+        ({"site": SITE | {"median_pgv": float("inf")}}, "site.median_pgv: must lie between 0.1 and 3"),
+        ({"site": SITE | {"median_pgv": None}}, "site.median_pgv: must lie between"),
+        ({"site": SITE | {"median_period": 2.0}}, "site: must have either magnitude or median_period"),
+        ({"site": {}}, "site: must have either magnitude or median_period"),
+        ({"site": {"magnitude": 7.0}}, "site: needs the key 'period_dispersion'"),
+        ({"site": SITE | {"samples": "../../etc/passwd"}}, "site: has the unknown key 'samples'"),
+        ({"bearing": BEARING | {"T_b": 9.0}}, "bearing.T_b: must lie between 2.5 and 5.5, got 9.0"),
+        ({"bearing": BEARING | {"D_tot": 0.6}}, "bearing: has the unknown key 'D_tot'"),
+        ({"bearing": BEARING | {"A_p": 0.5}}, "bearing: has the unknown key 'A_p'"),
+        ({"bearing": {"T_b": 4.0}}, "bearing: needs the key 'mu'"),
+        ({"simulations": 10**9}, "request: has the unknown key 'simulations'"),
+        ({"x" * 1000: 1}, "request: has the unknown key"),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_refused_in_words(server, path, change, says):
+    answer = ask(server, path, REQUEST | change)
+    assert answer.status == 400
+    assert says in answer.json["error"]
+    assert len(answer.json["error"]) < 1000
+    assert "Traceback" not in answer.text
+
+
+def test_the_page_and_its_answers_are_served_to_this_page_alone(server):
+    page = request(server, path="/design")
+    assert page.status == 200
+    assert "The bearing" in page.text
+    assert "Content-Security-Policy" in page.headers
+    assert ask(server, "design", REQUEST).json["required"] == pytest.approx(
+        ask(server, "design", REQUEST | {"refined": False}).json["required"]
+    )
+    for path in ("design", "verify", "progress", "stop"):
+        assert ask(server, path, REQUEST, Origin="http://evil.example").status == 403
+        assert ask(server, path, REQUEST, Content_Type="text/plain").status == 415
+        assert request(server, path=f"/api/{path}").status == 404
+
+
+@pytest.mark.parametrize("name", [None, 1, "", "x", "é", ["x"]])
+@pytest.mark.parametrize("path", ["progress", "stop"])
+def test_only_the_last_verification_is_known_by_its_id(server, path, name):
+    answer = ask(server, path, {"id": name})
+    assert answer.status == 400
+    assert "id: must be that of the last verification" in answer.json["error"]
+
+
+def test_beyond_this_machine_the_page_needs_the_token_too(answers):
+    with served(answers, "0.0.0.0") as abroad:
+        assert request(abroad, path="/design").status == 403
+        assert request(abroad, path="/common.js").status == 403
+        assert ask(abroad, "verify", REQUEST).status == 403
+        answer = request(abroad, path=f"/design?token={abroad.token}")
+        assert (answer.status, answer.headers["Location"]) == (303, "/design")
+
+
+def test_one_verification_runs_at_a_time_and_ends_when_it_is_stopped_or_the_server_ends(answers, monkeypatch):
+    begun, watches = threading.Semaphore(0), []
+
+    def verified(self: DesignAnswers, asked: Any, watch: Watch) -> dict[str, Any]:
+        watch.stage("waiting")
+        watches.append(watch)
+        begun.release()
+        until(lambda: watch.check(), "a stop")
+        return {}
+
+    monkeypatch.setattr(DesignAnswers, "verified", verified)
+    with served(answers) as server:
+        first = ask(server, "verify", REQUEST)
+        assert first.status == 200
+        assert begun.acquire(timeout=PATIENCE)
+        second = ask(server, "verify", REQUEST)
+        assert (second.status, second.json["error"]) == (
+            409,
+            "Another verification is running; wait for its end.",
+        )
+        name = {"id": first.json["id"]}
+        running = ask(server, "progress", name).json
+        assert (running["state"], running["text"], running["step"], running["result"]) == (
+            "running",
+            "waiting",
+            1,
+            None,
+        )
+        assert ask(server, "predict", {"point": [4.0, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9, 2.5, 0.5]}).status == 200
+        assert ask(server, "stop", name).status == 200
+        until(lambda: ask(server, "progress", name).json["state"] == "stopped", "its end")
+        third = ask(server, "verify", REQUEST)
+        assert third.status == 200
+        assert begun.acquire(timeout=PATIENCE)
+        assert ask(server, "progress", name).status == 400
+    assert len(watches) == 2
+    with pytest.raises(StoppedError):
+        watches[1].check()
+
+
+# --- other campaigns ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sliding(Disc):
+    """Broken where the displacement of the pulse exceeds the capacity; columns D_tot, T_p, A_p."""
+
+    def run(self, X: Array) -> Results:
+        """Answer designs, (n, 3)."""
+        broken = 0.2 * X[:, 2] * X[:, 1] ** 2 > X[:, 0]
+        return Results(broken.astype(np.int8), broken.astype(np.int8), np.zeros((len(X), 1)), np.zeros(len(X)))
+
+
+SLIDING = """
+seed = 1
+sampling = { initial = 16, budget = 20, batch = 4 }
+classifier.features = "design"
+classifier.learns = "outcomes"
+acquisition.boundary = "broken"
+space.D_tot = { low = 0.2, high = 1.0, unit = "m" }
+space.T_p = { low = 0.5, high = 5.0, unit = "s" }
+space.A_p = { low = 0.1, high = 0.8, unit = "g" }
+"""
+
+
+def answers_of(campaign: Campaign, folder: Path) -> Answers:
+    ran(folder, campaign)
+    with FolderStore.open(folder, campaign.schema, write=False) as store, one_thread():
+        return Answers(findings_of(folder, campaign, store, current_classifier(campaign, store, write=False)))
+
+
+def test_a_campaign_without_a_pulse_has_a_sentence_in_place_of_the_page(tmp_path):
+    answers = answers_of(disc(), tmp_path / "run")
+    design = DesignAnswers(answers)
+    text = design_page(design.about())
+    assert "The page Design needs a pulse, T_p [s] and A_p [g], and the displacement capacity D_tot." in text
+    assert "This campaign has the variables x, y." in text
+    assert 'type="range"' not in text
+    with pytest.raises(InputError, match="needs a pulse"):
+        design.asked(REQUEST)
+    with served(answers) as server:
+        assert request(server, path="/design").status == 200
+        assert ask(server, "design", REQUEST).status == 400
+
+
+def test_code_of_a_run_folder_is_not_run_to_verify(tmp_path):
+    answers = answers_of(Campaign.of(parse_settings(SLIDING, "sliding"), simulator=Sliding()), tmp_path / "run")
+    design = DesignAnswers(answers)
+    text = design_page(design.about())
+    assert 'id="verify"' not in text
+    assert "The explorer simulates only activefail&#39;s own bearing model" in text
+    site = {name: value for name, value in SITE.items() if name != "mu_lower"}
+    asked = {"site": site, "bearing": {}, "target": 0.1}
+    with served(answers) as server:
+        assert ask(server, "design", asked).status == 200
+        answer = ask(server, "verify", asked)
+    assert answer.status == 400
+    assert "cannot verify this design" in answer.json["error"]
+
+
+def test_the_page_shows_a_hostile_name_as_text_and_labels_every_control(design):
+    text = design_page(design.about())
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+    sliders = text.count('type="range"')
+    assert sliders == 2 + 4 + 6
+    for number in range(sliders):
+        assert f'<label for="v{number}">' in text
+    assert text.count("<script") == 2
