@@ -28,6 +28,9 @@ PERIOD, AMPLITUDE = "T_p", "A_p"
 """The variables of a pulse: period [s] and amplitude [g]."""
 
 
+_OF_CAMPAIGN = "the campaign's distributions"
+
+
 @dataclass(frozen=True, eq=False)
 class Question:
     """A distribution of a campaign's variables: some are uncertain, the others have values.
@@ -51,6 +54,11 @@ class Question:
     draw: int = 0
     is_own: bool = False
     assumptions: tuple[str, ...] = ()
+
+    @property
+    def is_of_campaign(self) -> bool:
+        """Whether the uncertain variables have the campaign's own distributions."""
+        return self.is_own or self.title == _OF_CAMPAIGN
 
     @classmethod
     def of_space(cls, space: DesignSpace) -> "Question":
@@ -155,7 +163,7 @@ def question_of(settings: CampaignSettings, space: DesignSpace, fixed: Mapping[s
     """
     if settings.question is None:
         if fixed:
-            return asked_of("the campaign's distributions", settings, space, {}, fixed)
+            return asked_of(_OF_CAMPAIGN, settings, space, {}, fixed)
         return Question.of_space(space)
     try:
         return _question(settings.question, "the campaign's question", settings, space, fixed or {})

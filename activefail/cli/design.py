@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage, show_unseen
+from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.record.layout import check_output
 from activefail.visible import visible
@@ -20,8 +21,8 @@ def design(
     target: Annotated[
         str,
         typer.Option(
-            help="Largest acceptable probability of failure, such as 0.10; a risk category, II, III or IV; or one for "
-            "each outcome, such as failure=0.05,impact=0.3.",
+            help="Largest acceptable probability of failure, such as 0.10 or 10%; a risk category, II, III or IV; or "
+            "one for each outcome, such as failure=0.05,impact=0.3.",
             show_default=False,
         ),
     ],
@@ -59,6 +60,8 @@ def design(
 ) -> None:
     """Find the smallest design whose probability of failure meets a target, and verify it."""
     check_output("--out", out)
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"--out: {out} must be a folder, but is a file.")
     with opened_run(folder, write=True, code=code) as opened:
         findings = opened.design(
             target,

@@ -28,10 +28,10 @@ from activefail.weighted import WeightedRows
 _RADIAL = 20_000
 """Designs of the radial population from which the simulations are drawn."""
 
-_UNIFORM = 0.3
+UNIFORM = 0.3
 """Share of the simulations that are drawn without regard to the classifier's doubt."""
 
-LARGEST_RATIO = 2.0 / _UNIFORM
+LARGEST_RATIO = 2.0 / UNIFORM
 """Largest density of the design measure over that of a fresh simulation. A radial population has at least half the
 density of the measure everywhere."""
 
@@ -214,7 +214,7 @@ def _planned(
     # Without regard to doubt: a sample is drawn as it comes, weighted rows by their weights.
     shares = weight / weight.sum() if is_exact else np.full(len(parts), 1.0 / len(parts))
     if parts.sum() > 0.0:
-        shares = (1.0 - _UNIFORM) * parts / parts.sum() + _UNIFORM * shares
+        shares = (1.0 - UNIFORM) * parts / parts.sum() + UNIFORM * shares
     # A row without weight is never drawn.
     ratio = np.divide(weight, len(parts) * shares, out=np.zeros(len(parts)), where=shares > 0.0)
     in_doubt = np.minimum(side, 1.0 - side)

@@ -262,6 +262,23 @@ def test_a_wrong_classifier_is_corrected_by_the_first_look_and_hardly_ever_gives
     assert missed <= 3  # 95 % confidence
 
 
+def test_a_failure_where_the_classifier_was_sure_is_never_called_verified() -> None:
+    @dataclass
+    class Island(MadeEstimator):
+        """Where the demand is small, a tenth of all designs fail unseen."""
+
+        def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
+            plan = self.plan(outcome, simulations, question)
+            X = question.designs(plan.designs)
+            return Sampled(plan, (limit(X) > 0.0) | (X[:, 3] < 0.6), np.ones(simulations, dtype=bool))
+
+    for seed in range(5):
+        found = find_design(Island(1.0, 0.1, seed), task_of(question_of(), 0.3))  # type: ignore[arg-type]
+        assert found.status == "not verified"
+        assert found.surprising > 0
+        assert 0.03 < found.missable < 0.05
+
+
 def test_a_target_that_only_the_interval_exceeds_gets_its_second_look() -> None:
     # The largest capacity has exactly the target: no aim can be met, and nothing shows that the target is exceeded.
     question = question_of(median=6.0 / math.exp(0.4 * float(norm.isf(0.1))))
@@ -351,6 +368,8 @@ def test_variables_of_the_pulse_cannot_be_free_under_a_hazard() -> None:
         (("--target", "0.1", "--free", "capacity,friction,demand"), ("question", "uncertain")),
         (("--target", "0.1"), ("free", "name the variables")),
         (("--target", "high", "--free", "capacity"), ("target", "high", "II, III, IV")),
+        (("--target", "150%", "--free", "capacity"), ("target", "0.9", "got 150%")),
+        (("--target", "0.1", "--free", "capacity", "--out", "setup.cfg"), ("--out", "must be a folder")),
         (("--target", "0", "--free", "capacity"), ("target", "0.001", "got 0")),
         (("--target", "1.5", "--free", "capacity"), ("target", "0.9", "got 1.5")),
         (("--target", "nan", "--free", "capacity"), ("target", "got nan")),
@@ -362,14 +381,17 @@ def test_variables_of_the_pulse_cannot_be_free_under_a_hazard() -> None:
     ],
 )
 def test_a_wrong_task_is_refused_with_the_rule_and_the_value(
-    folder: Path, options: tuple[str, ...], parts: tuple[str, ...]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], parts: tuple[str, ...]
 ) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "setup.cfg").touch()
     refused(activefail("design", folder / "run", *options), *parts)
 
 
 def test_targets_may_be_numbers_categories_or_one_for_each_outcome() -> None:
     outcomes = ("safe", "damage", "failure")
     assert read_targets("0.07", outcomes, "failure") == (Requirement("failure", 0.07),)
+    assert read_targets("7%", outcomes, "failure")[0].target == pytest.approx(0.07)
     assert read_targets("III", outcomes, "failure") == (Requirement("failure", 0.05),)
     assert read_targets("damage=0.3, failure=IV", outcomes, "failure") == (
         Requirement("damage", 0.3),

@@ -7,7 +7,6 @@ from typing import Any
 from activefail.bearing.design import GRAVITY
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
-from activefail.findings.probability import rounded_up
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.search import Designed
@@ -108,9 +107,12 @@ class DesignFindings:
                 "At the upper property bounds the classifier's probability exceeds the target. The verification holds "
                 "at the lower ones alone."
             )
+        if self.hazard is None and self.designed.question.is_of_campaign:
+            sentences.append("The pulses or loads are distributed as in the campaign, which is seldom a hazard.")
         sentences.append(
-            "The bounds presume a classifier that is seldom wrong where it is sure: failures scattered there are found "
-            "only if a fresh simulation meets one."
+            "The bounds presume that no failure is hidden where the classifier is sure. Without this, up to "
+            f"{percent(self.designed.missable)} of the distribution could fail unseen there "
+            f"({100.0 * self.designed.last.of_bound:.3g} % confidence)."
         )
         if isinstance(self.campaign.simulator, DfpSimulator):
             sentences.append("The model has rims that do not yield, plane motion, and no vertical ground motion.")
@@ -123,6 +125,11 @@ class DesignFindings:
         match designed.status:
             case "verified":
                 return "The design meets its target: the upper bound from fresh simulations lies below it."
+            case "not verified" if designed.surprising:
+                return (
+                    f"Not verified: {designed.surprising} of the fresh simulations contradict the classifier where it "
+                    "was sure. It has missed something: continue the campaign, then search again."
+                )
             case "not verified":
                 return (
                     f"Not verified: {len(designed.looks)} looks did not show that this design meets the target. More "
@@ -163,6 +170,8 @@ class DesignFindings:
                 }
                 for look in designed.looks
             ],
+            "contradictions_where_sure": designed.surprising,
+            "could_fail_unseen": designed.missable,
             "at_limit_of_range": designed.at_limit,
             "first_free_variable_by_confidence": {
                 f"{confidence:g}": None if math.isnan(value) else value for confidence, value in designed.costs.items()
@@ -192,16 +201,18 @@ class DesignFindings:
                 (
                     "verified" if designed.status == "verified" else "estimate",
                     f"P({visible(or_worse(one.outcome, outcomes))}) = {estimate.probability:.3g}, between "
-                    f"{estimate.low:.3g} and {rounded_up(estimate.high)}, each bound with {bound} confidence; target "
-                    f"{one.target:g}; classifier {model:.3g}",
+                    f"{estimate.low:.3g} and {math.ceil(1e4 * estimate.high) / 1e4:g}, each bound with {bound} "
+                    f"confidence; target {one.target:g}; classifier {model:.3g}",
                 )
             )
+        wrong = sum(estimate.wrong for look in designed.looks for estimate in look.estimates)
         failed = sum(estimate.unanswered for look in designed.looks for estimate in look.estimates)
         lines.append(
             (
                 "from",
                 f"{designed.simulations} fresh simulations in {len(designed.looks)} of at most {len(LOOKS)} looks"
-                + (f", {failed} of them numerical failures" if failed else "")
+                + f", {wrong} of which contradict the classifier"
+                + (f" and {failed} are numerical failures" if failed else "")
                 + f"; {100.0 * task.confidence:g} % confidence for the result",
             )
         )

@@ -10,6 +10,7 @@ import numpy as np
 
 from activefail.campaign.question import Question
 from activefail.reliability.estimate import (
+    UNIFORM,
     ProbabilityEstimate,
     Standardised,
     expected_half_width,
@@ -18,6 +19,7 @@ from activefail.risk.design.task import LOOKS, DesignTask
 from activefail.risk.model import classifier_probability
 from activefail.space import Array
 from activefail.verification.probability import Estimator, Sampled
+from activefail.verification.stratified import largest_unseen_share
 
 _GRID = 13
 """Values of the first free variable at which a line is scanned."""
@@ -85,6 +87,11 @@ class Look:
         """Fresh simulations of this look."""
         return sum(estimate.simulations for estimate in self.estimates)
 
+    @property
+    def surprising(self) -> int:
+        """Fresh simulations that contradict the classifier where it was sure, by four standard deviations."""
+        return sum(estimate.surprising for estimate in self.estimates)
+
     def meets(self, targets: Array) -> bool:
         """Whether all upper bounds meet the targets."""
         return all(estimate.high <= target for estimate, target in zip(self.estimates, targets, strict=True))
@@ -100,8 +107,9 @@ class Designed:
     Attributes:
         task: what was asked.
         looks: at candidates; the last one is the result.
-        status: "verified"; "not verified" if every look's upper bound exceeded a target; "out of reach" if simulations
-            show that the nearest design under the classifier exceeds a target.
+        status: "verified"; "not verified" if every look's upper bound exceeded a target, or a look contradicted the
+            classifier where it was sure; "out of reach" if simulations show that the nearest design under the
+            classifier exceeds a target.
         costs: confidence -> value of the first free variable that it would take, the others held; NaN if out of range.
     """
 
@@ -129,6 +137,21 @@ class Designed:
     def simulations(self) -> int:
         """All fresh simulations."""
         return sum(look.simulations for look in self.looks)
+
+    @property
+    def surprising(self) -> int:
+        """Fresh simulations that contradict the classifier where it was sure."""
+        return self.last.surprising
+
+    @property
+    def missable(self) -> float:
+        """Largest share of the pulses that may hold failures where the classifier is sure, if no simulation shows any.
+
+        Fresh simulations fall there with at least the share that is drawn without regard to the classifier's doubt; the
+        confidence is that of the last look's bound.
+        """
+        fresh = min(estimate.simulations for estimate in self.last.estimates)
+        return min(1.0, largest_unseen_share(fresh, self.last.of_bound) / UNIFORM)
 
     @property
     def at_limit(self) -> dict[str, str]:
@@ -207,14 +230,16 @@ def find_design(
         if number + 1 < len(LOOKS):
             half = _half_widths_of_next(task, look, number)
         correction = np.clip(estimates / np.maximum(candidate.model, _LEAST), 0.25, 4.0)
-        if look.meets(task.targets):
+        # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
+        if look.meets(task.targets) or look.surprising:
             break
         # The nearest design: if even its lower bound exceeds a target, another look cannot help.
         if not candidate.is_feasible and any(
             estimate.low > target for estimate, target in zip(look.estimates, task.targets, strict=True)
         ):
             return Designed(task, tuple(looks), "out of reach", {})
-    status: Status = "verified" if looks[-1].meets(task.targets) else "not verified"
+    is_verified = looks[-1].meets(task.targets) and not looks[-1].surprising
+    status: Status = "verified" if is_verified else "not verified"
     if not with_costs:
         return Designed(task, tuple(looks), status, {})
     stage("computing what other confidences would cost")
@@ -335,9 +360,11 @@ def _on_line(
     for side, (inside, outside) in enumerate(((first, first - 1), (last, last + 1))):
         if 0 <= outside < size:
             root = float(brentq(excess, grid[inside], grid[outside], xtol=_FINE * (high - low)))
-            # On the safe side of the root's tolerance.
-            root += math.copysign(_FINE * (high - low), grid[inside] - grid[outside])
-            ends[side] = min(max(root, low), high)
+            # On the safe side of the root's tolerance, with few digits, so that the printed design is the verified one.
+            towards = 1.0 if grid[inside] > grid[outside] else -1.0
+            digit = 10.0 ** math.floor(math.log10(_FINE * (high - low)) + 0.5)
+            root = towards * digit * math.ceil(towards * (root + towards * _FINE * (high - low)) / digit)
+            ends[side] = min(max(round(root, 12), low), high)
     values = [*ends, *(float(x) for x in grid[first : last + 1])]
     if ends[0] < ends[1]:
         values.append(float(minimize_scalar(cost, bounds=(ends[0], ends[1]), method="bounded").x))

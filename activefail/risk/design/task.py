@@ -98,7 +98,8 @@ class DesignTask:
     @property
     def points(self) -> int:
         """Points that integrate a probability: enough for the smallest target, a power of two."""
-        return max(POINTS, 2 ** math.ceil(math.log2(_POINTS_BEYOND / min(self.targets))))
+        least = min(requirement.target for requirement in self.requirements)
+        return max(POINTS, 1 << math.ceil(math.log2(_POINTS_BEYOND / least)))
 
     def of_bound(self, look: int) -> float:
         """Confidence of the upper bound of a look, from 0 on; all looks together keep `confidence`."""
@@ -136,7 +137,7 @@ def _probability(text: str) -> float:
     if text in RISK_CATEGORIES:
         return RISK_CATEGORIES[text]
     try:
-        target = float(text)
+        target = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
     except ValueError:
         names = ", ".join(RISK_CATEGORIES)
         raise InputError(f"target: must be a probability or a risk category ({names}), got {text!r}.") from None
