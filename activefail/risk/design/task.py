@@ -96,11 +96,16 @@ class DesignTask:
 
         Its upper end alone may err, and all looks together as often as `confidence` allows.
         """
-        return 1.0 - 2.0 * (1.0 - self.confidence) * LOOKS[look].error
+        return confidence_of_interval(self.confidence, look)
 
     def simulations_of(self, look: int) -> int:
         """Fresh simulations of a look, from 0 on, for each requirement."""
         return max(2, round(self.simulations * LOOKS[look].simulations))
+
+
+def confidence_of_interval(confidence: float, look: int) -> float:
+    """Confidence of the two-sided interval of a look, from 0 on, in a search with this one-sided confidence."""
+    return 1.0 - 2.0 * (1.0 - confidence) * LOOKS[look].error
 
 
 def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Requirement, ...]:
