@@ -135,6 +135,8 @@ def risk_section(found: RiskFindings | None, outcomes: Sequence[str]) -> dict[st
     return {
         "at_site": found.asked.site,
         "target": found.asked.target or found.asked.requirement.target,
+        "targets": [] if chart is None else [f"{100.0 * target:g} %" for target in chart.targets.tolist()],
+        "outcome": found.asked.requirement.outcome,
         "curves": curves_shown(found.fragility, outcomes),
         "required": DEFAULT_FREE,
         "chart": drawn,

@@ -64,7 +64,7 @@ def _at_upper_bounds(estimator: Estimator, found: Designed, hazard: Hazard | Non
 def chart_of(
     estimator: Estimator,
     task: DesignTask,
-    values: Mapping[str, float],
+    held: Mapping[str, float],
     stage: Callable[[str], None] = lambda _: None,
 ) -> RequiredChart | None:
     """The chart of the required first free variable against two others; None if there are no two others.
@@ -72,10 +72,10 @@ def chart_of(
     Args:
         estimator: has the classifier; nothing is simulated.
         task: what a design must meet.
-        values: of the other free variables.
+        held: values of the other free variables.
         stage: called with each stage of the work.
     """
-    campaign, fixed = estimator.campaign, {**task.question.fixed, **values}
+    campaign, fixed = estimator.campaign, {**task.question.fixed, **held}
     names = _axes_of_chart(campaign, task, fixed)
     if len(names) < 2:
         return None
@@ -88,7 +88,7 @@ def chart_of(
     of_categories = list(RISK_CATEGORIES.values()) if any(one.target == p for p in RISK_CATEGORIES.values()) else []
     targets = np.array(sorted({one.target, *of_categories}, reverse=True))
     standardised = estimator.standardised(one.outcome)
-    return required_chart(task, values, standardised, (across, x), (lines, values), targets, stage)
+    return required_chart(task, held, standardised, (across, x), (lines, values), targets, stage)
 
 
 def _axes_of_chart(campaign: Campaign, task: DesignTask, fixed: Mapping[str, float]) -> list[str]:
