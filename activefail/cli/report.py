@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage, show_warnings
+from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage
 from activefail.errors import InputError
 from activefail.files import check_file
 from activefail.record.layout import check_output
@@ -41,8 +41,6 @@ def report(
         raise InputError(f"--{'fixed' if fixed is not None else 'target'} requires --hazard.")
     page = out or folder / REPORT
     with opened_run(folder, code=code) as opened:
-        opened.learn(show_stage)
-        show_warnings(opened.store.new_warnings())
         evidence = opened.report(page, show_stage, hazard, fixed, target)
     for reason in evidence.missing.values():
         print(f"missing    {visible(reason)}")

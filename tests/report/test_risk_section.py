@@ -11,8 +11,12 @@ from report.test_report import self_contained
 
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
+from activefail.campaign.hazard import read_hazard
 from activefail.errors import InputError
 from activefail.opening import open_run
+from activefail.report.risk_section import risk_findings, risk_options
+from activefail.risk.design.stored import stored_designs
+from activefail.risk.design.task import Requirement
 
 LIMIT = f"""
 import math
@@ -96,8 +100,8 @@ def verified(plain: str, ended: Path, tmp_path_factory: pytest.TempPathFactory) 
     )  # fmt: skip
     assert result.code == 0, result.err
     result = activefail(
-        "design", folder / "run", *at_site, "--fixed", folder / "fixed.toml", "--target", "0.05", "--simulations", "200",
-        "--out", folder / "design",
+        "design", folder / "run", *at_site, "--fixed", folder / "fixed.toml", "--target", "0.05",
+        "--simulations", "200", "--out", folder / "design",
     )  # fmt: skip
     assert result.code == 0, result.err
     return folder
@@ -172,10 +176,6 @@ def test_stored_verifications_are_shown_and_nothing_is_simulated(verified: Path,
     ],
 )
 def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: Path, change) -> None:
-    from activefail.campaign.hazard import read_hazard
-    from activefail.risk.design.stored import stored_designs
-    from activefail.risk.design.task import Requirement
-
     folder = tmp_path / "run"
     shutil.copytree(verified / "run", folder)
     wanted = [Requirement("failure", 0.05)]
@@ -191,17 +191,20 @@ def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: P
 
 
 def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
-    text = reported(verified, design_target=0.2)
-    words = " ".join(self_contained(text, without=("gallery",)).text.split())
-    assert "P(failure) stays below 20 %," in words
-    assert "--target 0.2 searches and verifies one." in words
-
-
-def test_a_report_without_a_hazard_says_how_to_add_the_section(ended: Path, tmp_path: Path) -> None:
-    result = activefail("report", ended / "run", "--out", tmp_path / "page.html")
-    assert result.code == 0, result.err
-    page = self_contained((tmp_path / "page.html").read_text(), without=("gallery",))
-    assert "--hazard HAZARD.toml --fixed DESIGN.toml adds it" in page.text
+    with open_run(verified / "run", code=verified) as opened:
+        asked = risk_options(Path("a site.toml"), None, 0.2, ("safe", "damage", "failure"), "failure")
+        hazard = read_hazard(verified / "site.toml")
+        with opened._estimator(None, simulates=False) as estimator:
+            _, question = opened._at_site(hazard, None, verified / "bearing.toml")
+            found = risk_findings(estimator, verified / "run", hazard, question, asked)
+            assert found.chart is not None
+            assert found.chart.targets.tolist() == [0.2]
+            assert found.options == "--hazard 'a site.toml' --target 0.2"
+            assert found.designs == ()
+            _, question = opened._at_site(hazard, None, {"mu": 0.06})
+            found = risk_findings(estimator, verified / "run", hazard, question, asked)
+            assert found.chart is None
+            assert "two variables besides D_tot" in found.why_no_chart
 
 
 @pytest.mark.parametrize(
@@ -213,7 +216,6 @@ def test_a_report_without_a_hazard_says_how_to_add_the_section(ended: Path, tmp_
         (["--hazard", "site.toml", "--target", "V"], "target: must be a probability or a risk category (II, III, IV)"),
         (["--hazard", "site.toml", "--target", "failure=0.1,damage=0.2"], "target: must be one target"),
         (["--hazard", "none.toml"], "none.toml"),
-        (["--hazard", "site.toml", "--out", "run/designs.json"], "--out"),
     ],
 )
 def test_a_wrong_request_is_refused(ended: Path, monkeypatch, options: list[str], message: str) -> None:
