@@ -24,7 +24,7 @@ from activefail.interrupts import stop_on_signals
 from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
-from activefail.record.layout import COMPARISON, CURVES, ESTIMATE, REPORT, SCORES
+from activefail.record.layout import COMPARISON, CURVES, DESIGNS, ESTIMATE, REPORT, SCORES
 from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
 from activefail.visible import visible
@@ -825,6 +825,7 @@ class Run:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
         from activefail.risk.design.designing import search_design
+        from activefail.risk.design.stored import designs_text
         from activefail.risk.design.task import design_task, read_targets
 
         check_whole("simulations", simulations, 10)
@@ -832,7 +833,10 @@ class Run:
         site, asked = self._at_site(hazard, question, fixed)
         task = design_task(self.campaign, asked, requirements, free, cost, confidence, simulations)
         with self._estimator(executor, stage) as estimator:
-            return search_design(estimator, task, site, chart, stage)
+            found = search_design(estimator, task, site, chart, stage)
+        if self._write and (text := designs_text(self.folder, found.designed)) is not None:
+            self.store.write_text(DESIGNS, text)
+        return found
 
     def sensitivity(
         self,
@@ -1058,23 +1062,44 @@ class Run:
         with one_thread():
             return failure_findings(self.campaign, self.store, learned, stage)
 
-    def report(self, target: Path | str | None = None, stage: Callable[[str], None] = lambda _: None) -> "Evidence":
+    def report(
+        self,
+        target: Path | str | None = None,
+        stage: Callable[[str], None] = lambda _: None,
+        hazard: "Hazard | Path | str | None" = None,
+        fixed: "Mapping[str, float] | Path | str | None" = None,
+        design_target: "float | str | None" = None,
+    ) -> "Evidence":
         """Write the campaign's results to one HTML file; returns the evidence of its accuracy.
 
         Args:
             target: file to write; `report.html` in the run folder by default.
             stage: called with each stage of the work.
+            hazard: a hazard, or its file: adds the fragility under it, and the values that targets require.
+            fixed: with a hazard: values of the bearing's variables, by name, or a TOML file.
+            design_target: with a hazard: largest acceptable probability, or a risk category; all three by default.
 
         Raises:
-            InputError: if the file cannot be written.
+            InputError: if an argument is invalid, the file cannot be written, or a hazard is given before the initial
+                design is finished.
         """
         from activefail.report.evidence import evidence_of
         from activefail.report.page import render, write_report
+        from activefail.report.risk_section import risk_findings, risk_options
 
+        if hazard is None and (fixed is not None or design_target is not None):
+            raise InputError(f"{'fixed' if fixed is not None else 'design_target'}: requires hazard.")
+        risk = None
+        if hazard is not None:
+            asked = risk_options(hazard, fixed, design_target, self.campaign.simulator.outcomes, self.boundary)
+            site, question = self._at_site(hazard, None, fixed)
+            assert site is not None
+            with self._estimator(None, stage, simulates=False) as estimator:
+                risk = risk_findings(estimator, self.folder, site, question, asked, stage)
         failure = self.failure(stage)
         with one_thread():
             evidence = evidence_of(self.folder, self.campaign, self.store, self.classifier, stage)
-            page = render(self.findings, evidence, self.store, stage, failure)
+            page = render(self.findings, evidence, self.store, stage, failure, risk)
         target = self.folder / REPORT if target is None else _path("target", target)
         with writing_to(target):
             write_report(page, target)

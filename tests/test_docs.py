@@ -146,12 +146,13 @@ def test_the_commands_of_the_page_on_fragility_run(tmp_path, monkeypatch):
     (tmp_path / "small.toml").write_text(small)
     assert commandline.activefail("run", "small.toml", "--out", "runs/bearing").code == 0
     commands = [line for language, body in found if language == "sh" for line in body.splitlines()]
-    assert len(commands) == 4
+    assert len(commands) == 5
     for command in commands:
         name, *words = shlex.split(command)
         done = commandline.activefail(*words)
         assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
-    assert {"fragility.png", "pelicun.csv", "openquake.xml"} <= {
+    assert 'id="fragility"' in Path("runs/bearing/report.html").read_text()
+    assert {"fragility.html", "fragility.png", "pelicun.csv", "openquake.xml"} <= {
         path.name for path in (tmp_path / "fragility").iterdir()
     }
 

@@ -258,6 +258,15 @@ def check_pulse(space: DesignSpace, what: str) -> None:
             raise InputError(f"{what}: needs {name} in {unit}; in the campaign its unit is {known[name].unit!r}.")
 
 
+def has_pulse(space: DesignSpace) -> bool:
+    """Whether a campaign's variables contain a pulse."""
+    try:
+        check_pulse(space, "")
+    except InputError:
+        return False
+    return True
+
+
 def _question(
     asked: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace, more: Mapping[str, float]
 ) -> Question:

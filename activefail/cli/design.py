@@ -76,17 +76,18 @@ def design(
             show_stage,
         )
         show_unseen(opened.summary)
+    written = []
     if out is not None:
         from activefail.report.design import write_design
 
         with writing_to(out):
-            write_design(findings, out)
+            written = write_design(findings, out)
     if as_json:
         print(json.dumps(findings.as_json(), indent=2))
     else:
         for title, text in findings.lines():
             print(f"{title:<10} {text}")
         if out is not None:
-            print(f"results    {visible(str(out))}")
+            print(f"written    in {visible(str(out))}: {', '.join(path.name for path in written)}")
     if findings.designed.status != "verified":
         raise typer.Exit(OUT_OF_REACH)

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,9 +21,6 @@ from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.record.layout import check_output
 from activefail.visible import visible
-
-if TYPE_CHECKING:
-    from activefail.risk.fragility.findings import FragilityFindings
 
 
 def fragility(
@@ -67,7 +64,11 @@ def fragility(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for tables, pictures, and files for pelicun and OpenQuake.", show_default=False),
+        typer.Option(
+            help="Folder for the page fragility.html, fragility.json, tables, pictures, and files for pelicun and "
+            "OpenQuake.",
+            show_default=False,
+        ),
     ] = None,
     code: Code = None,
 ) -> None:
@@ -90,7 +91,12 @@ def fragility(
     if csv is not None:
         with table_output("--csv", csv) as target:
             write_curves(found, target)
-    written = _written(found, out) if out is not None else []
+    written = []
+    if out is not None:
+        from activefail.report.fragility import write_fragility
+
+        with writing_to(out):
+            written = write_fragility(found, outcomes, out)
     if as_json:
         print(json.dumps(found.as_json(), indent=2))
         return
@@ -109,19 +115,3 @@ def _parsed_range(text: str) -> tuple[float, float]:
     except ValueError:
         raise InputError(f"--range: must be two numbers separated by a comma, got {text!r}.") from None
     return low, high
-
-
-def _written(found: "FragilityFindings", folder: Path) -> list[Path]:
-    """Write everything to a folder; returns the files."""
-    from activefail.figures.fragility import plot_fragility_findings
-    from activefail.figures.style import save_figure
-    from activefail.risk.fragility.files import write_files
-
-    with writing_to(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        files = write_files(found, folder)
-        figure = plot_fragility_findings(found)
-        for suffix in ("png", "svg"):
-            files.append(folder / f"fragility.{suffix}")
-            save_figure(figure, files[-1])
-    return files

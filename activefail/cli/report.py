@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, RunFolder, opened_run, show_stage, show_warnings
+from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage
+from activefail.errors import InputError
 from activefail.files import check_file
 from activefail.record.layout import check_output
 from activefail.visible import visible
@@ -16,6 +17,19 @@ def report(
     out: Annotated[
         Path | None, typer.Option(help="File to write; report.html in the run folder by default.", show_default=False)
     ] = None,
+    hazard: Annotated[
+        Path | None,
+        typer.Option(help="Hazard file (docs/hazard.md): adds fragility and what targets require.", show_default=False),
+    ] = None,
+    fixed: Fixed = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="With --hazard: largest acceptable probability, such as 0.10, or a risk category; all three by "
+            "default.",
+            show_default=False,
+        ),
+    ] = None,
     code: Code = None,
 ) -> None:
     """Write a campaign's results to one self-contained HTML file."""
@@ -23,11 +37,11 @@ def report(
 
     check_output("--out", out)
     check_file(out, "a report", (".html", ".htm"))
-    target = out or folder / REPORT
+    if hazard is None and (fixed is not None or target is not None):
+        raise InputError(f"--{'fixed' if fixed is not None else 'target'} requires --hazard.")
+    page = out or folder / REPORT
     with opened_run(folder, code=code) as opened:
-        opened.learn(show_stage)
-        show_warnings(opened.store.new_warnings())
-        evidence = opened.report(target, show_stage)
+        evidence = opened.report(page, show_stage, hazard, fixed, target)
     for reason in evidence.missing.values():
         print(f"missing    {visible(reason)}")
-    print(f"report     {visible(str(target))}")
+    print(f"report     {visible(str(page))}")

@@ -260,9 +260,18 @@ class DesignAnswers:
             designed = find_design(estimator, task, watch.stage, with_costs=False)
         found = DesignFindings(campaign, designed, hazard, designed.question.share_outside(self.space))
         numbers = found.as_json()
-        kept = ("status", "target", "probability", "low", "high", "confidence", "simulations", "confidence_of_interval")
+        kept = (
+            "status",
+            "target",
+            "probability",
+            "low",
+            "high",
+            "confidence",
+            "simulations",
+            "confidence_of_each_bound",
+        )
         value = designed.values[CAPACITY]
-        return {key: numbers[key] for key in kept} | {
+        return {key: numbers[key] for key in names.split()} | {
             "verdict": found.verdict,
             "value": value,
             "text": self._estimated(value, numbers),
@@ -311,8 +320,8 @@ class DesignAnswers:
     def _estimated(self, value: float, numbers: Mapping[str, Any]) -> str:
         return (
             f"{self._quantity.text} = {self._with_unit(value)}: P({self._answers.findings.beyond}) = "
-            f"{percent(numbers['probability'])}, interval {percent(numbers['low'])} to {percent(numbers['high'])} "
-            f"({100.0 * numbers['confidence_of_interval']:.3g} %), from {numbers['simulations']} fresh simulations."
+            f"{percent(numbers['probability'])}, between {percent(numbers['low'])} and {percent(numbers['high'])} "
+            f"({100.0 * numbers['confidence_of_each_bound']:.3g} % confidence each), from {numbers['simulations']} fresh simulations."
         )
 
     def _with_unit(self, value: float) -> str:

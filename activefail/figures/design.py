@@ -1,59 +1,119 @@
-"""The value of a variable that targets require, with the verified design."""
+"""The value of a variable that targets require, with verified designs."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, styled
 from activefail.risk.design.findings import DesignFindings
+from activefail.risk.design.required import RequiredChart
+from activefail.risk.design.stored import StoredDesign
 from activefail.space import DesignSpace
 
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY_BLUE)
+_MARKERS = ("o", "s", "^", "v", "P", "X")
+"""Of the lines. A line with one value is a single marker; the diamond is a design's."""
+
+_LETTER, _HANDLE = 0.075, 0.6
+"""Widths of a legend's letter, and of its handle with the space around it [in]."""
 
 
-def plot_required(findings: DesignFindings) -> Figure:
-    """The chart of a design: the required variable against another, a panel for each target, a line for each third.
+class Mark(NamedTuple):
+    """A design in a chart.
+
+    Attributes:
+        x: its value of the chart's axis.
+        y: its value of the required variable.
+        target: what it was verified for.
+        label: in the legend.
+        is_verified: whether it meets the target with confidence.
+        is_result: whether it is a result, and not an earlier look of a search.
+    """
+
+    x: float
+    y: float
+    target: float
+    label: str
+    is_verified: bool = True
+    is_result: bool = True
+
+
+def plot_required(chart: RequiredChart, space: DesignSpace, marks: Sequence[Mark] = ()) -> Figure:
+    """The required variable against another: a panel for each target, a line for each value of a third variable.
 
     Args:
-        findings: of a design with a chart.
+        chart: what is required.
+        space: of the campaign; has the units.
+        marks: designs, each in the panel of its target.
     """
-    chart, space = findings.chart, findings.campaign.space
-    assert chart is not None
     with styled():
         figure = Figure(figsize=(2.2 + 2.9 * len(chart.targets), 3.9), layout="constrained")
         panels = figure.subplots(1, len(chart.targets), sharex=True, sharey=True, squeeze=False)[0]
         for axes, target, lines in zip(panels, chart.targets, chart.required, strict=True):
-            for colour, value, required in zip(_COLOURS, chart.values, lines, strict=False):
-                axes.plot(chart.x, required, color=colour, marker=".", label=f"{chart.lines} = {value:.3g}")
+            for colour, marker, value, required in zip(_COLOURS, _MARKERS, chart.values, lines, strict=False):
+                label = f"{chart.lines} = {value:.3g}"
+                axes.plot(chart.x, required, color=colour, marker=marker, markersize=4, label=label)
+            _draw_marks(axes, [mark for mark in marks if np.isclose(mark.target, target)])
             axes.set_title(f"P({chart.outcome}) ≤ {100.0 * target:g} %")
             axes.set_xlabel(_labelled(chart.across, space))
         panels[0].set_ylabel(f"required {_labelled(chart.name, space)}")
-        _mark_design(findings, panels)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(6, len(labels)))
+        _draw_legend(figure, panels)
     return figure
 
 
-def _mark_design(findings: DesignFindings, panels: "np.ndarray") -> None:
-    """Mark the verified design in the panels of its target, and looks that were not accepted."""
-    chart, designed = findings.chart, findings.designed
-    assert chart is not None
-    values = findings.bearing
-    if chart.across not in values or chart.name not in values:
-        return
-    x = values[chart.across]
-    for axes, target in zip(panels, chart.targets, strict=True):
-        if not np.isclose(target, designed.task.requirements[0].target):
+def marks_of(findings: DesignFindings) -> list[Mark]:
+    """The marks of a design and of the looks that were not accepted; none where the chart does not have its values."""
+    chart, designed, values = findings.chart, findings.designed, findings.bearing
+    if chart is None or chart.across not in values or chart.name not in values:
+        return []
+    target, x = designed.task.requirements[0].target, values[chart.across]
+    marks = [
+        Mark(
+            look.candidate.values.get(chart.across, x), look.candidate.values[chart.name], target, "earlier look",
+            is_verified=False, is_result=False,
+        )
+        for look in designed.looks[:-1]
+    ]  # fmt: skip
+    verified = designed.status == "verified"
+    label = f"{designed.status}: {chart.lines} = {values.get(chart.lines, float('nan')):.3g}"
+    return [*marks, Mark(x, values[chart.name], target, label, is_verified=verified)]
+
+
+def marks_of_stored(chart: RequiredChart, designs: Sequence[StoredDesign]) -> list[Mark]:
+    """The marks of stored designs."""
+    return [
+        Mark(
+            one.bearing[chart.across],
+            one.bearing[chart.name],
+            one.requirement.target,
+            f"verified: {chart.lines} = {one.bearing[chart.lines]:.3g}",
+        )
+        for one in designs
+    ]
+
+
+def _draw_marks(axes: Axes, marks: Sequence[Mark]) -> None:
+    for mark in marks:
+        if not mark.is_result:
+            axes.plot([mark.x], [mark.y], "x", color=GREY, label=mark.label, zorder=3)
             continue
-        for look in designed.looks[:-1]:
-            axes.plot(
-                [look.candidate.values.get(chart.across, x)], [look.candidate.values[chart.name]], "x", color=GREY
-            )
-        verified = designed.status == "verified"
-        shown = BLACK if verified else "none"
-        label = f"{designed.status}: {chart.lines} = {values.get(chart.lines, float('nan')):.3g}"
-        axes.plot([x], [values[chart.name]], "D", color=BLACK, markerfacecolor=shown, label=label)
-        handles, labels = axes.get_legend_handles_labels()
-        axes.legend(handles[-1:], labels[-1:], loc="best")
+        face = BLACK if mark.is_verified else "none"
+        axes.plot([mark.x], [mark.y], "D", color=BLACK, markerfacecolor=face, label=mark.label, zorder=4)
+
+
+def _draw_legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    """One legend below all panels, with each label once, in as many columns as fit."""
+    shown: dict[str, Artist] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            shown.setdefault(str(label), handle)
+    widest = _HANDLE + _LETTER * max(len(label) for label in shown)
+    columns = max(1, min(len(shown), int(figure.get_size_inches()[0] / widest)))
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=columns)
 
 
 def _labelled(name: str, space: DesignSpace) -> str:

@@ -41,7 +41,10 @@ REPORT = "report.html"
 ESTIMATE = "probability.json"
 """The last estimate of `probability`, for readers that do not repeat it."""
 
-_RESERVED = (SETTINGS, LOCK, ASKED, REPORT, ESTIMATE, *FOLDERS, SIMULATIONS, COMPARISON)
+DESIGNS = "designs.json"
+"""Where the simulations of verified designs are, for readers that do not repeat the search."""
+
+_RESERVED = (SETTINGS, LOCK, ASKED, REPORT, ESTIMATE, DESIGNS, *FOLDERS, SIMULATIONS, COMPARISON)
 
 
 def state_file(folder: Path, iteration: int) -> Path:

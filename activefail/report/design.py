@@ -2,23 +2,27 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from activefail import __version__
 from activefail.errors import InputError
-from activefail.figures.design import plot_required
+from activefail.figures.design import marks_of, plot_required
 from activefail.figures.style import save_figure
 from activefail.files import make_folder, replacing, target_of
-from activefail.report.page import page_environment
+from activefail.report.environment import page_environment
 from activefail.report.picture import picture
 from activefail.risk.design.findings import DesignFindings
+from activefail.risk.design.required import RequiredChart
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PAGE, NUMBERS, VALUES, CHART = "design.html", "design.json", "design.toml", "required"
 """Names of the files."""
 
 
-def write_design(findings: DesignFindings, folder: Path) -> None:
-    """Write a design's files into a folder, which is made if it is missing.
+def write_design(findings: DesignFindings, folder: Path) -> list[Path]:
+    """Write a design's files into a folder, which is made if it is missing; returns the files.
 
     Raises:
         InputError: if the folder is a file.
@@ -31,13 +35,20 @@ def write_design(findings: DesignFindings, folder: Path) -> None:
         NUMBERS: json.dumps(findings.as_json(), indent=2) + "\n",
         VALUES: values_text(findings),
     }
+    files = [folder / name for name in texts]
     for name, text in texts.items():
         with replacing(target_of(folder / name)) as file:
             file.write(text)
     if findings.chart is not None:
-        figure = plot_required(findings)
+        figure = _chart(findings, findings.chart)
         for suffix in ("png", "svg"):
-            save_figure(figure, folder / f"{CHART}.{suffix}")
+            files.append(folder / f"{CHART}.{suffix}")
+            save_figure(figure, files[-1])
+    return files
+
+
+def _chart(findings: DesignFindings, chart: RequiredChart) -> "Figure":
+    return plot_required(chart, findings.campaign.space, marks_of(findings))
 
 
 def values_text(findings: DesignFindings) -> str:
@@ -65,14 +76,14 @@ def render_design(findings: DesignFindings) -> str:
     ]
     chart = None
     if findings.chart is not None:
-        chart = picture(
-            plot_required(findings), "required", f"Required {findings.chart.name} against {findings.chart.across}"
-        )
+        what = f"Required {findings.chart.name} against {findings.chart.across}"
+        chart = picture(_chart(findings, findings.chart), CHART, what)
     return (
         page_environment()
         .get_template("design.html.j2")
         .render(
             version=__version__,
+            title=f"Design for {designed.question.title}",
             findings=findings,
             designed=designed,
             task=designed.task,

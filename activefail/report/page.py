@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from activefail import __version__
@@ -16,6 +14,7 @@ from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import continue_command
 from activefail.campaign.provenance import provenance
+from activefail.campaign.question import has_pulse
 from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
@@ -38,10 +37,11 @@ from activefail.parameter import Parameter
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.record.layout import SETTINGS
 from activefail.record.store import Store
+from activefail.report.environment import page_environment
 from activefail.report.evidence import Evidence
 from activefail.report.failure import failure_section
 from activefail.report.picture import picture
-from activefail.shares import interval_percent, percent
+from activefail.report.risk_section import RiskFindings, risk_section
 from activefail.simulators.bearing import DfpSimulator
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
@@ -55,16 +55,6 @@ LISTED = 8
 
 _CORRELATION = {"rbf": 61, "matern52": 52}
 """Correlation at a distance of one length scale [%], by kernel."""
-
-
-def subscripts(text: str) -> Markup:
-    """Markup in which `_x` is a subscript, as in D_tot."""
-    parts = text.split("_")
-    out = escape(parts[0])
-    for part in parts[1:]:
-        end = next((i for i, letter in enumerate(part) if not letter.isalnum()), len(part))
-        out += Markup("<sub>{}</sub>{}").format(part[:end], part[end:])
-    return out
 
 
 def spread(parameter: Parameter) -> str:
@@ -281,12 +271,13 @@ def _learner(findings: Findings) -> dict[str, Any]:
     }
 
 
-def _judging(evidence: Evidence, folder: str) -> list[str]:
+def _judging(evidence: Evidence, folder: str, risk: RiskFindings | None) -> list[str]:
     """The commands that reproduce the page's evidence and the page.
 
     Args:
         evidence: on the page.
         folder: the run folder, quoted.
+        risk: on the page.
     """
     commands = []
     if evidence.curve is not None and evidence.curve.source == "compare":
@@ -295,7 +286,7 @@ def _judging(evidence: Evidence, folder: str) -> list[str]:
         commands.append(f"activefail compare {folder} --budgets {budgets} --test {test}")
     if evidence.error is not None:
         commands.append(f"activefail verify {folder} --simulations {evidence.error.requested}")
-    return [*commands, f"activefail report {folder}"]
+    return [*commands, f"activefail report {folder}{f' {risk.options}' if risk else ''}"]
 
 
 def _space(campaign: Campaign) -> dict[str, Any]:
@@ -313,26 +304,13 @@ def _space(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def page_environment() -> Environment:
-    """The environment of the pages' templates."""
-    environment = Environment(
-        loader=PackageLoader("activefail.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
-    environment.globals["interval_percent"] = interval_percent
-    return environment
-
-
 def render(
     findings: Findings,
     evidence: Evidence,
     store: Store,
     stage: Callable[[str], None] = lambda _: None,
     failure: FailureFindings | None = None,
+    risk: RiskFindings | None = None,
 ) -> str:
     """The page as HTML.
 
@@ -342,6 +320,7 @@ def render(
         store: the record.
         stage: called with each stage of the work.
         failure: what the campaign says of a probability.
+        risk: what a hazard means for the campaign's bearing.
     """
     campaign, folder = findings.campaign, findings.folder
     text = (folder / SETTINGS).read_text(encoding="utf-8")
@@ -373,6 +352,8 @@ def render(
             "Shares of the outcomes",
         ),
         "failure": failure_section(findings, failure),
+        "risk": risk_section(risk, outcomes),
+        "has_pulse": has_pulse(campaign.space),
         "curve": _curve(findings, evidence),
         "pairs": _pairs(findings, scales),
         "planes": _planes(findings),
@@ -392,7 +373,7 @@ def render(
             f"activefail {'create' if campaign.is_elsewhere else 'run'} campaign.toml --out {run_folder}{budget}",
             *([continue_command(folder, campaign)] if campaign.is_elsewhere else []),
             *([f"activefail tell {run_folder} --csv answers.csv"] if campaign.is_elsewhere else []),
-            *_judging(evidence, run_folder),
+            *_judging(evidence, run_folder, risk),
         ],
         "needs_code": campaign.needs_code,
         "drawn": isinstance(campaign.simulator, DfpSimulator),

@@ -94,6 +94,11 @@ class Estimator:
         assert outcomes is not None  # no stop was requested
         return _sampled(plan, outcomes, severity)
 
+    def stored(self, outcome: str, question: Question, confidence: float) -> ProbabilityEstimate | None:
+        """The estimate from stored simulations (see `stored_estimate`)."""
+        given = (self.campaign, self.store, self.classifier, self.iteration)
+        return stored_estimate(*given, outcome, confidence, question)
+
 
 def stored_estimate(
     campaign: Campaign,

@@ -136,7 +136,7 @@ def test_a_verification_is_that_of_the_command_and_changes_no_run_folder(design,
     numbers = expected.as_json()
     assert reply["status"] == numbers["status"]
     assert reply["value"] == pytest.approx(numbers["bearing"]["D_tot"])
-    for key in ("probability", "low", "high", "simulations", "confidence_of_interval"):
+    for key in ("probability", "low", "high", "simulations", "confidence_of_each_bound"):
         assert reply[key] == pytest.approx(numbers[key])
     assert reply["verdict"] == expected.verdict
     assert reply["assumptions"] == expected.assumptions

@@ -142,6 +142,10 @@ def self_contained(text: str, without: tuple[str, ...] = ()) -> Page:
 # --- the page ----------------------------------------------------------------------------------------------------
 
 
+def test_a_report_without_a_hazard_says_how_to_add_the_fragility(folder, html):
+    assert f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml</code> adds it" in html
+
+
 def test_the_page_is_whole_small_and_refers_to_nothing_outside(html):
     parsed = self_contained(html)
     assert ("html", {"lang": "en"}) in parsed.elements

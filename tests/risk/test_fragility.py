@@ -220,6 +220,7 @@ def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_
     files = {path.name for path in (tmp_path / "new" / "out").iterdir()}
     assert files == {
         "fragility.csv",
+        "fragility.html",
         "fragility.json",
         "fragility.png",
         "fragility.svg",

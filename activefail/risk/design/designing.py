@@ -1,12 +1,11 @@
 """Search a design from what a user states: targets, a hazard or a question, and which variables may change."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import FRICTION, Hazard, hazard_question
-from activefail.campaign.question import Question
 from activefail.risk.design.findings import BEARING_PERIOD, DesignFindings
 from activefail.risk.design.required import RequiredChart, required_chart
 from activefail.risk.design.search import Designed, find_design
@@ -39,7 +38,7 @@ def search_design(
     """
     campaign = estimator.campaign
     found = find_design(estimator, task, stage)
-    chart = _chart(estimator, found, stage) if with_chart else None
+    chart = chart_of(estimator, task, found.values, stage) if with_chart else None
     return DesignFindings(
         campaign,
         found,
@@ -62,25 +61,37 @@ def _at_upper_bounds(estimator: Estimator, found: Designed, hazard: Hazard | Non
     )
 
 
-def _chart(estimator: Estimator, found: Designed, stage: Callable[[str], None]) -> RequiredChart | None:
-    """The chart of the required first free variable against two others; None if there are no two others."""
-    task, campaign = found.task, estimator.campaign
-    names = _axes_of_chart(campaign, task, found.question)
+def chart_of(
+    estimator: Estimator,
+    task: DesignTask,
+    held: Mapping[str, float],
+    stage: Callable[[str], None] = lambda _: None,
+) -> RequiredChart | None:
+    """The chart of the required first free variable against two others; None if there are no two others.
+
+    Args:
+        estimator: has the classifier; nothing is simulated.
+        task: what a design must meet.
+        held: values of the other free variables.
+        stage: called with each stage of the work.
+    """
+    campaign, fixed = estimator.campaign, {**task.question.fixed, **held}
+    names = _axes_of_chart(campaign, task, fixed)
     if len(names) < 2:
         return None
     ranges = {p.name: (p.low, p.high) for p in campaign.space.parameters}
     at = {name: low + np.array(_MIDDLE) * (high - low) for name, (low, high) in ranges.items()}
     across, lines = names[:2]
     x = np.linspace(ranges[across][0], ranges[across][1], _ACROSS)
-    values = np.unique(np.append(np.linspace(at[lines][0], at[lines][1], _LINES), found.question.fixed[lines]))
+    values = np.unique(np.append(np.linspace(at[lines][0], at[lines][1], _LINES), fixed[lines]))
     one = task.requirements[0]
     of_categories = list(RISK_CATEGORIES.values()) if any(one.target == p for p in RISK_CATEGORIES.values()) else []
     targets = np.array(sorted({one.target, *of_categories}, reverse=True))
     standardised = estimator.standardised(one.outcome)
-    return required_chart(task, found.values, standardised, (across, x), (lines, values), targets, stage)
+    return required_chart(task, held, standardised, (across, x), (lines, values), targets, stage)
 
 
-def _axes_of_chart(campaign: Campaign, task: DesignTask, question: Question) -> list[str]:
+def _axes_of_chart(campaign: Campaign, task: DesignTask, fixed: Mapping[str, float]) -> list[str]:
     """Variables that have a value, the most telling ones of a bearing first."""
-    certain = [name for name in campaign.space.names if name in question.fixed and name != task.free[0]]
+    certain = [name for name in campaign.space.names if name in fixed and name != task.free[0]]
     return sorted(certain, key=lambda name: (name != BEARING_PERIOD, name != FRICTION, name not in task.free))

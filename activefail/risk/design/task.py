@@ -103,11 +103,16 @@ class DesignTask:
 
     def of_bound(self, look: int) -> float:
         """Confidence of the upper bound of a look, from 0 on; all looks together keep `confidence`."""
-        return 1.0 - (1.0 - self.confidence) * LOOKS[look].error
+        return confidence_of_bound(self.confidence, look)
 
     def simulations_of(self, look: int) -> int:
         """Fresh simulations of a look, from 0 on, for each requirement."""
         return max(2, round(self.simulations * LOOKS[look].simulations))
+
+
+def confidence_of_bound(confidence: float, look: int) -> float:
+    """Confidence of the upper bound of a look, from 0 on, for a result of this confidence."""
+    return 1.0 - (1.0 - confidence) * LOOKS[look].error
 
 
 def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Requirement, ...]:

@@ -74,14 +74,18 @@ def levels_to_verify(curve: Curve, simulations: int) -> list[tuple[float, int]]:
     The levels are where the curve reaches 1 to 90 %, so that they include the capacities. A curve that stays below is
     verified at its last level too.
     """
-    count = max(2, min(len(_TARGETS), simulations // _PER_LEVEL))
-    found = [level for p in _TARGETS if (level := curve.capacity(p).level) is not None]
-    if len(found) < 2:
-        found.append(float(curve.ladder.levels[-1 if curve.rises else 0]))
-    levels = list(dict.fromkeys(found))[:count]
+    levels = _levels(curve, max(2, min(len(_TARGETS), simulations // _PER_LEVEL)))
     least, more = divmod(simulations, len(levels))
     sizes = {level: least + (place < more) for place, level in enumerate(levels)}
     return [(level, sizes[level]) for level in sorted(levels, reverse=not curve.rises)]
+
+
+def _levels(curve: Curve, count: int) -> list[float]:
+    """At most so many levels to verify, the most important ones first."""
+    found = [level for p in _TARGETS if (level := curve.capacity(p).level) is not None]
+    if len(found) < 2:
+        found.append(float(curve.ladder.levels[-1 if curve.rises else 0]))
+    return list(dict.fromkeys(found))[:count]
 
 
 def as_rows(question: Question) -> Question:
@@ -120,6 +124,32 @@ def verify(
         found = estimate(rows.drawn(place + 1), size)
         levels.append(VerifiedLevel(level, found if rows is question else _widened(found, rows, side)))
     return tuple(levels)
+
+
+def stored(
+    curve: Curve,
+    question_at_level: Callable[[float], Question],
+    estimate: Callable[[Question], ProbabilityEstimate | None],
+    side: Side,
+) -> tuple[VerifiedLevel, ...]:
+    """The levels that `verify` has verified before, from stored simulations; of several, the most levels.
+
+    Args:
+        curve, question_at_level, side: as for `verify`.
+        estimate: the estimate of a question from stored simulations; None if there are none.
+    """
+    for count in range(len(_TARGETS), 1, -1):
+        levels = []
+        for place, level in enumerate(sorted(_levels(curve, count), reverse=not curve.rises)):
+            question = question_at_level(level)
+            rows = as_rows(question)
+            found = estimate(rows.drawn(place + 1))
+            if found is None:
+                break
+            levels.append(VerifiedLevel(level, found if rows is question else _widened(found, rows, side)))
+        else:
+            return tuple(levels)
+    return ()
 
 
 def _widened(estimate: ProbabilityEstimate, rows: Question, side: Side) -> ProbabilityEstimate:

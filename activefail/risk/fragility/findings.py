@@ -11,7 +11,16 @@ from activefail.campaign.hazard import Hazard, hazard_question
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.fragility.band import LEAST, NOT_VERIFIED, Interval, Side, VerifiedLevel, capacity_interval, verify
+from activefail.risk.fragility.band import (
+    LEAST,
+    NOT_VERIFIED,
+    Interval,
+    Side,
+    VerifiedLevel,
+    capacity_interval,
+    stored,
+    verify,
+)
 from activefail.risk.fragility.curve import Capacity, Curve, Ladder
 from activefail.risk.fragility.deaggregation import Deaggregation, deaggregated
 from activefail.risk.fragility.levels import (
@@ -256,12 +265,15 @@ class Verification:
         simulations: number of fresh simulations; 0 for none.
         confidence: of the intervals.
         estimate: estimates a question from so many fresh simulations.
+        stored: estimates an outcome under a question from stored simulations, if there are any: what earlier
+            verifications stored is then shown for every outcome, and nothing is simulated. None to simulate.
     """
 
     outcome: str
     simulations: int
     confidence: float
     estimate: Callable[[Question, int], ProbabilityEstimate]
+    stored: Callable[[str, Question], ProbabilityEstimate | None] | None = None
 
 
 def checked_ladder(
@@ -304,7 +316,7 @@ def fragility(
     intensity: Intensity,
     ladder: Ladder | None,
     outcome: str,
-    simulations: int,
+    simulations: int | None,
     confidence: float,
     stage: Callable[[str], None] = lambda _: None,
 ) -> FragilityFindings:
@@ -317,7 +329,8 @@ def fragility(
         intensity: "pgv" or "a_p", with a hazard.
         ladder: levels of the variable, without a hazard (see `checked_ladder`).
         outcome: whose curve is verified.
-        simulations: fresh ones that verify it; 0 for none.
+        simulations: fresh ones that verify it; 0 for none. None shows what earlier verifications stored, of every
+            outcome, and simulates nothing.
         confidence: of the intervals.
         stage: called with each stage of the work.
     """
@@ -326,7 +339,10 @@ def fragility(
     def estimate(at_level: Question, fresh: int) -> ProbabilityEstimate:
         return estimator.sample(outcome, fresh, at_level).estimate(confidence)
 
-    verification = Verification(outcome, simulations, confidence, estimate)
+    def read(outcome: str, at_level: Question) -> ProbabilityEstimate | None:
+        return estimator.stored(outcome, at_level, confidence)
+
+    verification = Verification(outcome, simulations or 0, confidence, estimate, read if simulations is None else None)
     boundaries = standardised_boundaries(estimator.classifier, campaign.features)
     if hazard is not None:
         values = {name: value for name, value in question.fixed.items() if name in campaign.space.names}
@@ -480,6 +496,8 @@ def _verified(
     verification: Verification,
     stage: Callable[[str], None],
 ) -> tuple[VerifiedLevel, ...]:
+    if (read := verification.stored) is not None:
+        return stored(curve, asked, lambda question: read(outcome, question), side)
     if outcome != verification.outcome or not verification.simulations:
         return ()
     stage(f"verifying the curve of {outcome} with {verification.simulations} fresh simulations")

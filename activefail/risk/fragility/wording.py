@@ -1,4 +1,4 @@
-"""Fragility findings as lines of text."""
+"""Fragility findings in words."""
 
 from collections.abc import Sequence
 
@@ -19,15 +19,15 @@ def lines(found: FragilityFindings, outcomes: Sequence[str]) -> list[str]:
         found: the findings.
         outcomes: of the simulator, the least severe first.
     """
-    variable = f"{found.ladder.name} [{found.ladder.unit}]" if found.ladder.unit else found.ladder.name
-    said = [f"fragility against {variable}, under {visible(found.title)}"]
+    said = [heading(found)]
     if found.fixed:
-        said.append("given      " + ", ".join(f"{name} {value:g}" for name, value in found.fixed.items()))
+        said.append(f"given      {given(found)}")
     for one in reversed(found.boundaries):
-        said += _of_boundary(found, one, visible(or_worse(one.outcome, outcomes)))
-    is_said = any("annual rates" in note for note in found.notes)
-    if found.why_no_risk and found.median is not None and not is_said:
-        said.append(f"risk       none: {found.why_no_risk}")
+        said.append(f"{visible(or_worse(one.outcome, outcomes))}:")
+        for title, text in of_boundary(found, one):
+            said.append(f"  {title:>6}    {text}" if title.endswith("%") else f"  {title:<9} {text}")
+    if why := why_no_risk(found):
+        said.append(f"risk       none: {why}")
     said.append(
         "intervals  only those that are shown; every other number is the classifier's, without an interval"
         if found.has_verification
@@ -37,27 +37,46 @@ def lines(found: FragilityFindings, outcomes: Sequence[str]) -> list[str]:
     return said
 
 
-def _of_boundary(found: FragilityFindings, one: BoundaryFragility, name: str) -> list[str]:
+def heading(found: FragilityFindings) -> str:
+    """What the curves are of."""
+    variable = f"{found.ladder.name} [{found.ladder.unit}]" if found.ladder.unit else found.ladder.name
+    return f"fragility against {variable}, under {visible(found.title)}"
+
+
+def given(found: FragilityFindings) -> str:
+    """The values of variables."""
+    return ", ".join(f"{name} {value:g}" for name, value in found.fixed.items())
+
+
+def why_no_risk(found: FragilityFindings) -> str:
+    """Why there is no risk; empty if there is one, or if an assumption says it."""
+    is_said = any("annual rates" in note for note in found.notes)
+    return found.why_no_risk if found.median is not None and not is_said else ""
+
+
+def of_boundary(found: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
+    """Titles and texts of one boundary; the capacities' titles are probabilities, a continued title is empty."""
     unit = f" {found.ladder.unit}" if found.ladder.unit else ""
-    said = [f"{name}:"]
-    said += [f"  {percent(p):>6}    {_capacity(*one.capacity(p), unit)}" for p in CAPACITIES]
+    said = [(percent(p), _capacity(*one.capacity(p), unit)) for p in CAPACITIES]
     fit = one.lognormal
     if fit is None:
-        said.append(f"  lognormal none is fitted: {why_not_fitted(one.curve)}")
+        said.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve)}"))
     else:
-        said.append(
-            f"  lognormal median {fit.median:.3g}{unit}, dispersion {fit.dispersion:.3g}; it misses the curve by up to "
+        text = (
+            f"median {fit.median:.3g}{unit}, dispersion {fit.dispersion:.3g}; it misses the curve by up to "
             f"{fit.misfit:.2g}, at {fit.misfit_at:.3g}{unit}"
         )
+        said.append(("lognormal", text))
     if one.alone is not None:
         levels = [one.alone.capacity(p).level for p in CAPACITIES]
         shown = ", ".join("none" if level is None else f"{level:.3g}" for level in levels)
-        said.append(f"  alone     the pulses without the added uncertainty: {shown}{unit}")
+        said.append(("alone", f"the pulses without the added uncertainty: {shown}{unit}"))
     if (fall := one.curve.fall) is not None:
-        said.append(
-            f"  falls     by {fall.size:.2g} between {fall.start:.3g} and {fall.end:.3g}{unit}; capacities are where "
+        text = (
+            f"by {fall.size:.2g} between {fall.start:.3g} and {fall.end:.3g}{unit}; capacities are where "
             "the curve first exceeds a probability"
         )
+        said.append(("falls", text))
     if one.at_median is not None and found.median is not None:
         bounds = ", ".join(
             f"{percent(p)} ({bound} bound)" if bound != "nominal" else f"{percent(p)} (nominal)"
@@ -65,19 +84,21 @@ def _of_boundary(found: FragilityFindings, one: BoundaryFragility, name: str) ->
         )
         margin = found.margin(one)
         tail = "" if margin is None else f"; the 50 % capacity is {margin:.3g} times this median"
-        said.append(f"  hazard    at its median of {found.median:.3g}{unit}: {bounds}{tail}")
+        said.append(("hazard", f"at its median of {found.median:.3g}{unit}: {bounds}{tail}"))
     if one.risk is not None:
-        said.append(
-            f"  risk      {percent(one.risk.in_50_years, 2)} in {YEARS:g} years ({one.risk.annual_rate:.2g} a year); "
+        text = (
+            f"{percent(one.risk.in_50_years, 2)} in {YEARS:g} years ({one.risk.annual_rate:.2g} a year); "
             f"{percent(one.risk.outside)} of it from velocities outside the hazard's curve, which is extrapolated there"
         )
+        said.append(("risk", text))
     for level in one.verified:
         estimate = level.estimate
-        said.append(
-            f"  verified  {level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
+        text = (
+            f"{level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
             f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.simulations} fresh "
             f"simulations, {estimate.wrong} contradict the classifier"
         )
+        said.append(("verified", text))
     if one.deaggregation is not None:
         said += _of_pulses(one.deaggregation)
     return said
@@ -95,16 +116,18 @@ def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
     return f"{shown}{middle}, interval {low} to {high}{unknown}"
 
 
-def _of_pulses(parts: Deaggregation) -> list[str]:
-    said = [f"  pulses    {percent(parts.probability)} under the whole hazard"]
+def _of_pulses(parts: Deaggregation) -> list[tuple[str, str]]:
+    whole = f"{percent(parts.probability)} under the whole hazard"
     if parts.period_of_failures is None or parts.velocity_of_failures is None:
-        return [f"{said[0]}: too rare to be attributed to pulses"]
+        return [("pulses", f"{whole}: too rare to be attributed to pulses")]
+    said = [("pulses", whole)]
     for title, period, velocity in (
         ("of these", parts.period_of_failures, parts.velocity_of_failures),
         ("of all pulses", parts.period_of_pulses, parts.velocity_of_pulses),
     ):
-        said.append(
-            f"            {title}: T_p {period.median:.3g} s ({period.low:.3g} to {period.high:.3g}), PGV "
+        text = (
+            f"{title}: T_p {period.median:.3g} s ({period.low:.3g} to {period.high:.3g}), PGV "
             f"{velocity.median:.3g} m/s ({velocity.low:.3g} to {velocity.high:.3g}); medians and 90 % ranges"
         )
+        said.append(("", text))
     return said

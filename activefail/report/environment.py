@@ -1,0 +1,31 @@
+"""The environment of the pages' templates."""
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from activefail.findings.quantities import words
+from activefail.shares import interval_percent, percent
+
+
+def subscripts(text: str) -> Markup:
+    """Markup in which `_x` is a subscript, as in D_tot."""
+    parts = text.split("_")
+    out = escape(parts[0])
+    for part in parts[1:]:
+        end = next((i for i, letter in enumerate(part) if not letter.isalnum()), len(part))
+        out += Markup("<sub>{}</sub>{}").format(part[:end], part[end:])
+    return out
+
+
+def page_environment() -> Environment:
+    """The environment of the pages' templates."""
+    environment = Environment(
+        loader=PackageLoader("activefail.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
+    environment.globals["interval_percent"] = interval_percent
+    return environment

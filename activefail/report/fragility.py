@@ -1,0 +1,89 @@
+"""Fragility curves on a page: a page of their own with its files, or a section of a campaign's report."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from activefail import __version__
+from activefail.errors import InputError
+from activefail.figures.fragility import plot_fragility_findings
+from activefail.figures.style import save_figure
+from activefail.files import make_folder, replacing, target_of
+from activefail.findings.quantities import quantity
+from activefail.report.environment import page_environment
+from activefail.report.picture import picture
+from activefail.risk.fragility.files import write_files
+from activefail.risk.fragility.findings import FragilityFindings
+from activefail.risk.fragility.wording import given, heading, of_boundary, why_no_risk
+from activefail.visible import or_worse, visible
+
+PAGE, PICTURE = "fragility.html", "fragility"
+"""Names of the page, and of the picture without its suffix."""
+
+
+def write_fragility(found: FragilityFindings, outcomes: Sequence[str], folder: Path) -> list[Path]:
+    """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files.
+
+    Args:
+        found: the findings.
+        outcomes: of the simulator, the least severe first.
+        folder: is made if it is missing.
+
+    Raises:
+        InputError: if the folder is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: must be a folder, but is a file.")
+    make_folder(folder)
+    files = [folder / PAGE]
+    with replacing(target_of(files[0])) as file:
+        file.write(render_fragility(found, outcomes))
+    files += write_files(found, folder)
+    figure = plot_fragility_findings(found)
+    for suffix in ("png", "svg"):
+        files.append(folder / f"{PICTURE}.{suffix}")
+        save_figure(figure, files[-1])
+    return files
+
+
+def render_fragility(found: FragilityFindings, outcomes: Sequence[str]) -> str:
+    """The page."""
+    shown = curves_shown(found, outcomes)
+    return (
+        page_environment()
+        .get_template("fragility.html.j2")
+        .render(version=__version__, title=shown["heading"], curves=shown)
+    )
+
+
+def curves_shown(found: FragilityFindings, outcomes: Sequence[str]) -> dict[str, Any]:
+    """The texts and the picture of the curves, for the template `curves.html.j2`."""
+    title = heading(found)
+    title = title[0].upper() + title[1:]
+    rows = [
+        (visible(or_worse(one.outcome, outcomes)), _rows(of_boundary(found, one))) for one in reversed(found.boundaries)
+    ]
+    return {
+        "heading": title,
+        "variable": quantity(found.ladder.name, found.ladder.unit).text,
+        "given": given(found),
+        "picture": picture(plot_fragility_findings(found), "curves", title),
+        "boundaries": rows,
+        "has_alone": any(one.alone is not None for one in found.boundaries),
+        "has_lognormal": any(one.lognormal is not None for one in found.boundaries),
+        "has_pulses": (parts := found.boundaries[-1].deaggregation) is not None and parts.of_failures is not None,
+        "has_verification": found.has_verification,
+        "no_risk": why_no_risk(found),
+        "notes": [visible(sentence) for sentence in found.assumptions],
+    }
+
+
+def _rows(said: list[tuple[str, str]]) -> list[tuple[str, list[str]]]:
+    """Titles, each with its texts; an empty title continues the one before."""
+    rows: list[tuple[str, list[str]]] = []
+    for title, text in said:
+        if rows and title in ("", rows[-1][0]):
+            rows[-1][1].append(text)
+        else:
+            rows.append((f"capacity at {title}" if title.endswith("%") else title, [text]))
+    return rows

@@ -1,0 +1,155 @@
+"""The report's section on fragility: what a site's hazard means for a bearing of the campaign. It simulates nothing."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from activefail.campaign.hazard import Hazard
+from activefail.campaign.question import Question
+from activefail.errors import InputError
+from activefail.figures.design import marks_of_stored, plot_required
+from activefail.report.fragility import curves_shown
+from activefail.report.picture import picture
+from activefail.risk.design.designing import chart_of
+from activefail.risk.design.required import RequiredChart
+from activefail.risk.design.stored import StoredDesign, stored_designs
+from activefail.risk.design.task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
+from activefail.risk.fragility.findings import FragilityFindings, fragility
+from activefail.space import DesignSpace
+from activefail.verification.probability import Estimator
+from activefail.visible import quoted
+
+_CONFIDENCE = 0.95
+"""Of the intervals at verified levels."""
+
+
+@dataclass(frozen=True)
+class RiskOptions:
+    """What is asked of the section.
+
+    Attributes:
+        site: hazard and values of variables, as options of a command.
+        target: as the user gave it; None for the risk categories.
+        requirement: the target, or that of the first risk category.
+    """
+
+    site: str
+    target: str | None
+    requirement: Requirement
+
+
+@dataclass(frozen=True, eq=False)
+class RiskFindings:
+    """What a hazard means for a bearing of a campaign.
+
+    Attributes:
+        asked: what was asked.
+        space: of the campaign.
+        fragility: the curves, with the levels that earlier verifications stored.
+        chart: of the values that targets require; None if there is none.
+        why_no_chart: a sentence; empty if there is a chart.
+        designs: the last verified design of each target of the chart, if its simulations are stored.
+    """
+
+    asked: RiskOptions
+    space: DesignSpace
+    fragility: FragilityFindings
+    chart: RequiredChart | None
+    why_no_chart: str
+    designs: tuple[StoredDesign, ...]
+
+    @property
+    def options(self) -> str:
+        """The options of the command that makes the section."""
+        target = self.asked.target
+        return self.asked.site + (f" --target {quoted(target)}" if target is not None else "")
+
+
+def risk_options(
+    hazard: object, fixed: object, target: float | str | None, outcomes: Sequence[str], boundary: str
+) -> RiskOptions:
+    """Check what is asked.
+
+    Args:
+        hazard, fixed: files, or values that no file has.
+        target: a probability or a risk category; None for all risk categories.
+        outcomes: of the campaign.
+        boundary: outcome of a target without a name.
+
+    Raises:
+        InputError: naming the argument, the rule and the value.
+    """
+    text = next(iter(RISK_CATEGORIES)) if target is None else str(target)
+    requirements = read_targets(text, outcomes, boundary)
+    if len(requirements) > 1:
+        raise InputError(f"target: must be one target, got {text!r}.")
+    site = f"--hazard {quoted(hazard) if isinstance(hazard, Path | str) else 'HAZARD.toml'}"
+    if fixed is not None:
+        site += f" --fixed {quoted(fixed) if isinstance(fixed, Path | str) else 'DESIGN.toml'}"
+    return RiskOptions(site, None if target is None else text, requirements[0])
+
+
+def risk_findings(
+    estimator: Estimator,
+    folder: Path,
+    hazard: Hazard,
+    question: Question,
+    asked: RiskOptions,
+    stage: Callable[[str], None] = lambda _: None,
+) -> RiskFindings:
+    """The section's findings, from the classifier and from stored simulations.
+
+    Args:
+        estimator: of the campaign; it need not simulate.
+        folder: the run folder.
+        hazard: at one of its property bounds.
+        question: the hazard's, with the bearing's values.
+        asked: what is asked.
+        stage: called with each stage of the work.
+    """
+    campaign, requirement = estimator.campaign, asked.requirement
+    curves = fragility(estimator, hazard, question, "pgv", None, requirement.outcome, None, _CONFIDENCE, stage)
+    if DEFAULT_FREE not in campaign.space.names:
+        why = f"the campaign has no variable {DEFAULT_FREE}, whose required value a chart could show."
+        return RiskFindings(asked, campaign.space, curves, None, why, ())
+    chart = chart_of(estimator, design_task(campaign, question, (requirement,)), {}, stage)
+    if chart is None:
+        why = f"a chart needs values of two variables besides {DEFAULT_FREE}; --fixed gives them."
+        return RiskFindings(asked, campaign.space, curves, None, why, ())
+    wanted = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
+    designs = stored_designs(estimator, folder, question, DEFAULT_FREE, wanted)
+    return RiskFindings(asked, campaign.space, curves, chart, "", tuple(designs))
+
+
+def risk_section(found: RiskFindings | None, outcomes: Sequence[str]) -> dict[str, Any] | None:
+    """The numbers and pictures of the section; None without a hazard."""
+    if found is None:
+        return None
+    chart = found.chart
+    drawn = None
+    if chart is not None:
+        figure = plot_required(chart, found.space, marks_of_stored(chart, found.designs))
+        drawn = picture(figure, "required", f"Required {chart.name} against {chart.across}")
+    unit = next((one.unit for one in found.space.parameters if one.name == DEFAULT_FREE), "")
+    return {
+        "at_site": found.asked.site,
+        "target": found.asked.target or found.asked.requirement.target,
+        "targets": [] if chart is None else [f"{100.0 * target:g} %" for target in chart.targets.tolist()],
+        "outcome": found.asked.requirement.outcome,
+        "curves": curves_shown(found.fragility, outcomes),
+        "required": DEFAULT_FREE,
+        "chart": drawn,
+        "why_no_chart": found.why_no_chart,
+        "designs": [
+            {
+                "target": f"P({one.requirement.outcome}) ≤ {100.0 * one.requirement.target:g} %",
+                "value": f"{one.bearing[DEFAULT_FREE]:.4g} {unit}".rstrip(),
+                "probability": f"{one.estimate.probability:.3g}",
+                "interval": f"{one.estimate.low:.3g} to {one.estimate.high:.3g}",
+                "confidence": f"{100.0 * one.confidence:g} %",
+                "simulations": one.estimate.simulations,
+            }
+            for one in found.designs
+        ],
+    }

@@ -1,0 +1,54 @@
+"""The chart of required values: each design is in the legend once, single values are visible, nothing overlaps."""
+
+import numpy as np
+
+from activefail.figures.design import Mark, plot_required
+from activefail.parameter import Parameter
+from activefail.risk.design.required import RequiredChart
+from activefail.space import DesignSpace
+
+SPACE = DesignSpace((Parameter("D_tot", 0.4, 0.9, "m"), Parameter("T_b", 2.0, 6.0, "s"), Parameter("mu", 0.03, 0.1)))
+
+
+def chart(targets: int = 3, name: str = "mu") -> RequiredChart:
+    required = np.full((targets, 3, 4), np.nan)
+    required[:, 0] = [0.5, 0.6, 0.7, 0.8]
+    required[:, 1, 0] = 0.7
+    x, values = np.array([2.0, 3.0, 4.0, 5.0]), np.array([0.1, 0.06, 0.03])
+    return RequiredChart("D_tot", "T_b", name, x, values, np.array([0.1, 0.05, 0.025][:targets]), "failure", required)
+
+
+def test_a_chart_needs_no_design():
+    figure = plot_required(chart(), SPACE)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [f"P(failure) ≤ {p} %" for p in ("10", "5", "2.5")]
+    assert len(figure.legends) == 1
+
+
+def test_every_design_is_in_one_legend_once_and_in_the_panel_of_its_target():
+    marks = [
+        Mark(3.5, 0.6, 0.05, "earlier look", is_verified=False, is_result=False),
+        Mark(3.5, 0.65, 0.05, "verified: mu = 0.1"),
+        Mark(3.5, 0.75, 0.025, "verified: mu = 0.1"),
+    ]
+    figure = plot_required(chart(), SPACE, marks)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["mu = 0.1", "mu = 0.06", "mu = 0.03", "earlier look", "verified: mu = 0.1"]
+    assert [axes.get_legend() for axes in figure.axes] == [None] * 3
+    assert [len(axes.lines) for axes in figure.axes] == [3, 5, 4]
+
+
+def test_a_line_with_a_single_value_has_a_marker():
+    for line in plot_required(chart(), SPACE).axes[0].lines:
+        assert line.get_marker() not in ("None", ".", "")
+        assert line.get_markersize() >= 3
+
+
+def test_a_wide_legend_takes_more_rows_and_covers_no_panel():
+    name = "a_variable_with_quite_a_long_name"
+    figure = plot_required(chart(1, name), SPACE, [Mark(3.5, 0.65, 0.1, f"not verified: {name} = 0.1")])
+    figure.draw_without_rendering()
+    legend, panel = figure.legends[0].get_window_extent(), figure.axes[0].get_tightbbox()
+    assert panel is not None
+    assert legend.y1 <= panel.y0
+    assert legend.x0 >= 0.0
+    assert legend.x1 <= figure.bbox.x1
