@@ -1,12 +1,16 @@
 """A distribution that is given by weighted rows, such as the pulses of a deaggregation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.errors import InputError
 from activefail.space import Array
+
+BLOCKS = 8
+"""Blocks of rows that are a sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +21,8 @@ class WeightedRows:
         names: (k,) of the variables.
         X: (n, k) their values.
         weight: (n,) relative to the mean weight, so that weighted means are means.
+        is_sample: whether the rows are a sample that stands for a continuous distribution, in `BLOCKS` blocks each of
+            which stands for it too; otherwise they are the distribution itself.
 
     Raises:
         InputError: if the shapes differ, a value or weight is not finite, a weight is negative, or all are zero.
@@ -25,6 +31,7 @@ class WeightedRows:
     names: tuple[str, ...]
     X: Array
     weight: Array
+    is_sample: bool = False
 
     def __post_init__(self) -> None:
         if self.X.shape != (len(self.weight), len(self.names)):
@@ -58,7 +65,20 @@ class WeightedRows:
     def without(self, name: str) -> "WeightedRows":
         """The distribution of the other variables."""
         kept = [column for column, other in enumerate(self.names) if other != name]
-        return WeightedRows(tuple(self.names[column] for column in kept), self.X[:, kept], self.weight)
+        return replace(self, names=tuple(self.names[column] for column in kept), X=self.X[:, kept])
+
+    def standard_error(self, values: Array | NDArray[np.bool_]) -> Array:
+        """Standard error of the weighted mean over the rows, which blocks of a sample differ by; 0 without a sample.
+
+        Args:
+            values: (n, ...) of the rows.
+        """
+        if not self.is_sample:
+            return np.zeros(values.shape[1:])
+        numbers: Array = np.asarray(values, dtype=np.float64)
+        blocks = zip(np.array_split(self.weight, BLOCKS), np.array_split(numbers, BLOCKS), strict=True)
+        means: Array = np.array([weight @ part / weight.sum() for weight, part in blocks])
+        return np.asarray(np.std(means, axis=0, ddof=1) / np.sqrt(BLOCKS))
 
 
 def weighted_quantiles(values: Array, weight: Array, shares: Sequence[float]) -> Array:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.bearing.pulse import VELOCITY_PERIOD
 from activefail.campaign.hazard_sections import HazardSettings, MagnitudeSection
@@ -17,16 +18,19 @@ from activefail.correlation import correlation_of_values
 from activefail.distributions import moments, quantiles_at
 from activefail.errors import InputError
 from activefail.parameter import Parameter
-from activefail.space import REACH, DesignSpace, radius
-from activefail.weighted import WeightedRows, weighted_quantiles
+from activefail.space import REACH, Array, DesignSpace, radius
+from activefail.weighted import BLOCKS, WeightedRows, weighted_quantiles
 
 FRICTION, CAPACITY = "mu", "D_tot"
 """Variables of a bearing that have property bounds."""
 
 Bound = Literal["lower", "upper", "nominal"]
 
-_NODES = 8
-"""Values of each row's peak ground velocity that stand for added uncertainty."""
+_PULSES = 2048
+"""Least number of pulses that stand for rows with added uncertainty."""
+
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+"""Its multiples fill the unit interval evenly, modulo 1."""
 
 _LEAST = 0.001
 """Least dispersion of the peak ground velocity that is not taken as none."""
@@ -143,10 +147,12 @@ class Hazard:
         sizes = velocities(rows) if pgv is None else np.full(len(periods), pgv)
         if pgv is not None and added == 0.0:
             return WeightedRows((PERIOD,), periods[:, None], rows.weight), {PGV: pgv * math.exp(-self.bias)}
-        z, w = np.polynomial.hermite_e.hermegauss(_NODES if added else 1)
-        spread = np.exp(added * z - self.bias)
-        X = np.column_stack([np.repeat(periods, len(z)), np.outer(sizes, spread).ravel()])
-        return WeightedRows((PERIOD, PGV), X, np.outer(rows.weight, w).ravel()), {}
+        if added == 0.0:
+            felt = sizes * math.exp(-self.bias)
+            return WeightedRows((PERIOD, PGV), np.column_stack([periods, felt]), rows.weight), {}
+        row, z = _spread(sizes, periods)
+        X = np.column_stack([periods[row], sizes[row] * np.exp(added * z - self.bias)])
+        return WeightedRows((PERIOD, PGV), X, rows.weight[row], is_sample=True), {}
 
     @property
     def assumptions(self) -> list[str]:
@@ -175,6 +181,24 @@ class Hazard:
 
 
 _IN_WORDS = {FRICTION: "friction", CAPACITY: "displacement capacity"}
+
+
+def _spread(sizes: Array, periods: Array) -> tuple[NDArray[np.int_], Array]:
+    """Rows, (m,), and their standard normal deviates, (m,), in blocks each of which stands for all.
+
+    A simulator is deterministic, so a row's outcome is a step in the deviate, which a quadrature of smooth functions
+    would misplace. Each row has strata of equal probability. Their places within the strata differ from row to row, so
+    that the steps of different rows do not coincide.
+    """
+    from scipy.special import ndtri
+
+    n = math.ceil(_PULSES / len(sizes))
+    order = np.lexsort((periods, sizes))
+    shifts = (np.arange(len(sizes)) + 0.5) * _GOLDEN % 1.0
+    z = ndtri((np.arange(n) + shifts[:, None]) / n)
+    block = (np.arange(len(sizes))[:, None] + np.arange(n)) % BLOCKS
+    by_block = np.argsort(block, axis=None, kind="stable")
+    return np.repeat(order, n)[by_block], z.ravel()[by_block]
 
 
 def _lognormal(name: str, median: float, dispersion: float, unit: str) -> Parameter:

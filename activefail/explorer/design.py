@@ -271,7 +271,7 @@ class DesignAnswers:
             "confidence_of_each_bound",
         )
         value = designed.values[CAPACITY]
-        return {key: numbers[key] for key in names.split()} | {
+        return {key: numbers[key] for key in kept} | {
             "verdict": found.verdict,
             "value": value,
             "text": self._estimated(value, numbers),
@@ -321,7 +321,8 @@ class DesignAnswers:
         return (
             f"{self._quantity.text} = {self._with_unit(value)}: P({self._answers.findings.beyond}) = "
             f"{percent(numbers['probability'])}, between {percent(numbers['low'])} and {percent(numbers['high'])} "
-            f"({100.0 * numbers['confidence_of_each_bound']:.3g} % confidence each), from {numbers['simulations']} fresh simulations."
+            f"({100.0 * numbers['confidence_of_each_bound']:.3g} % confidence each), from "
+            f"{numbers['simulations']} fresh simulations."
         )
 
     def _with_unit(self, value: float) -> str:

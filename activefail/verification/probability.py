@@ -1,6 +1,7 @@
 """Estimate the probability beyond a boundary from fresh simulations, which are kept in the run folder."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
+from activefail.weighted import BLOCKS, WeightedRows
 
 _DRAWS = 10_000
 """More than the number of independent samples that anything draws at one iteration."""
@@ -37,15 +39,28 @@ class Sampled:
         plan: of the simulations.
         beyond: (m,) whether each ended beyond the boundary.
         answered: (m,) whether each gave an outcome.
+        error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
     """
 
     plan: Plan
     beyond: NDArray[np.bool_]
     answered: NDArray[np.bool_]
+    error: float = 0.0
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
-        """The probability with an interval of this confidence."""
-        return estimated(self.plan, self.beyond, self.answered, confidence)
+        """The probability with an interval of this confidence, which includes the error of the blocks."""
+        from scipy.stats import t
+
+        found = estimated(self.plan, self.beyond, self.answered, confidence)
+        if not self.error:
+            return found
+        half = float(t.ppf(0.5 + 0.5 * confidence, BLOCKS - 1)) * self.error
+        middle = found.probability
+        return replace(
+            found,
+            low=max(0.0, middle - math.hypot(middle - found.low, half)),
+            high=min(1.0, middle + math.hypot(found.high - middle, half)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +107,8 @@ class Estimator:
         designs = question.designs(plan.designs)
         outcomes = simulated_outcomes(self.campaign, self.store, self.executor, name, designs)
         assert outcomes is not None  # no stop was requested
-        return _sampled(plan, outcomes, severity)
+        error = error_of_rows(self.standardised(outcome), question)
+        return Sampled(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE, error)
 
     def stored(self, outcome: str, question: Question, confidence: float) -> ProbabilityEstimate | None:
         """The estimate from stored simulations (see `stored_estimate`)."""
@@ -126,8 +142,18 @@ def stored_estimate(
         name = name_of_estimate(severity, iteration, simulations, question.digest)
         outcomes = stored_outcomes(store, name, question.designs(plan.designs))
         if outcomes is not None:
-            return _sampled(plan, outcomes, severity).estimate(confidence)
+            error = error_of_rows(of_designs, question)
+            sampled = Sampled(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE, error)
+            return sampled.estimate(confidence)
     return None
+
+
+def error_of_rows(standardised: Standardised, question: Question) -> float:
+    """Standard error of a classifier's probability; 0 unless rows that are a sample stand for the distribution."""
+    rows = question.space
+    if not (isinstance(rows, WeightedRows) and rows.is_sample):
+        return 0.0
+    return float(rows.standard_error(standardised(question.designs(rows.X)) > 0.0))
 
 
 def planned(campaign: Campaign, of_designs: Standardised, iteration: int, simulations: int, question: Question) -> Plan:
@@ -145,7 +171,3 @@ def planned(campaign: Campaign, of_designs: Standardised, iteration: int, simula
             return plan
     integral = integrated(standardised, question.space, rng)
     return plan_estimate(standardised, question.space, integral, simulations, rng)
-
-
-def _sampled(plan: Plan, outcomes: NDArray[np.int8], severity: int) -> Sampled:
-    return Sampled(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE)

@@ -7,13 +7,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import ndtr, ndtri
 
 from activefail.campaign.question import Question
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.reliability.estimate import Integral, ProbabilityEstimate, plan_estimate
 from activefail.risk.fragility.band import (
     NOT_VERIFIED,
     VerifiedLevel,
@@ -27,6 +26,7 @@ from activefail.risk.fragility.exports import multilinear, openquake_model, peli
 from activefail.risk.fragility.lognormal import fit_lognormal, why_not_fitted
 from activefail.risk.fragility.rates import risk_of
 from activefail.space import Array, DesignSpace
+from activefail.verification.probability import Sampled, error_of_rows
 from activefail.weighted import WeightedRows
 
 MEDIAN, BETA = 1.2, 0.4
@@ -155,14 +155,11 @@ def test_each_level_is_verified_by_simulations_of_its_own() -> None:
     space = DesignSpace((Parameter("x", 0.0, 1.0), Parameter("y", 0.0, 1.0)))
     asked: list[Question] = []
 
-    def halved(X: Array) -> NDArray[np.bool_]:
-        return np.asarray(X[:, 1] > 0.5)
-
     def estimate(question: Question, size: int) -> ProbabilityEstimate:
         asked.append(question)
         return estimated(0.1, 0.05, size)
 
-    levels = verify(CURVE, 100, lambda level: Question.of_space(space).at({"x": level}), estimate, halved)
+    levels = verify(CURVE, 100, lambda level: Question.of_space(space).at({"x": level}), estimate)
     assert [question.draw for question in asked] == [1, 2, 3]
     assert [question.fixed["x"] for question in asked] == [one.level for one in levels]
     assert len({question.digest for question in asked}) == 3
@@ -182,17 +179,17 @@ def test_an_interval_includes_the_error_of_the_sequences() -> None:
     # A classifier that is always right leaves this error alone; it must cover the true probability, π/4.
     space = DesignSpace(tuple(Parameter(name, 0.0, 1.0) for name in "xyz"))
 
-    def disc(X: Array) -> NDArray[np.bool_]:
-        return np.asarray(X[:, 1] ** 2 + X[:, 2] ** 2 < 1.0)
+    def disc(X: Array) -> Array:
+        return np.asarray(1e6 * (1.0 - X[:, 1] ** 2 - X[:, 2] ** 2))
 
-    def exact(question: Question, size: int) -> ProbabilityEstimate:
-        assert isinstance(question.space, WeightedRows)
-        return estimated(float(disc(question.designs(question.space.X)).mean()), 0.0, size)
-
-    levels = verify(CURVE, 30, lambda level: Question.of_space(space).at({"x": level}), exact, disc)
-    for level in levels:
-        assert level.estimate.low < math.pi / 4.0 < level.estimate.high
-        assert level.estimate.high - level.estimate.low < 0.02
+    question = as_rows(Question.of_space(space).at({"x": 0.5}))
+    assert isinstance(question.space, WeightedRows)
+    of_classifier = Integral(float((disc(question.designs(question.space.X)) > 0.0).mean()), 0.0)
+    rng = np.random.default_rng(0)
+    plan = plan_estimate(lambda X: disc(question.designs(X)), question.space, of_classifier, 30, rng)
+    right = Sampled(plan, plan.predicted, np.ones(30, dtype=bool), error_of_rows(disc, question)).estimate(0.95)
+    assert right.low < math.pi / 4.0 < right.high
+    assert 0.002 < right.high - right.low < 0.02
 
 
 # --- exports -----------------------------------------------------------------------------------------------------

@@ -1,18 +1,16 @@
 """Levels of a curve that fresh simulations verify, and what they say about its capacities."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from activefail.campaign.question import Question
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.fragility.curve import Curve, first_above
 from activefail.space import Array
-from activefail.weighted import WeightedRows
+from activefail.weighted import BLOCKS, WeightedRows
 
 _TARGETS = (0.1, 0.025, 0.5, 0.05, 0.2, 0.01, 0.9, 0.35, 0.7)
 """Probabilities at which a curve is verified, the most important ones first; they include the reported capacities."""
@@ -23,19 +21,12 @@ _PER_LEVEL = 30
 LEAST = 20
 """Least number of simulations of a verification."""
 
-_SEQUENCES = 8
-"""Independent Sobol' sequences that stand for a distribution where it is verified."""
-
 _POINTS = {1: 128}
 _MORE_POINTS = 256
-"""Points of each sequence for one, or more, variables."""
+"""Points of each Sobol' sequence for one, or more, variables, where a distribution is verified."""
 
 _STEPS = 400
 """Steps in which a band is read."""
-
-
-Side = Callable[[Array], NDArray[np.bool_]]
-"""Designs, (n, d) -> whether the classifier puts each beyond a boundary, (n,)."""
 
 
 class VerifiedLevel(NamedTuple):
@@ -97,8 +88,8 @@ def as_rows(question: Question) -> Question:
     if isinstance(given, WeightedRows):
         return question
     n = _POINTS.get(given.dimension, _MORE_POINTS)
-    X = np.concatenate([given.sobol(n, np.random.default_rng(number)) for number in range(_SEQUENCES)])
-    return replace(question, space=WeightedRows(given.names, X, np.ones(len(X))), is_own=False)
+    X = np.concatenate([given.sobol(n, np.random.default_rng(number)) for number in range(BLOCKS)])
+    return replace(question, space=WeightedRows(given.names, X, np.ones(len(X)), is_sample=True), is_own=False)
 
 
 def verify(
@@ -106,7 +97,6 @@ def verify(
     simulations: int,
     question_at_level: Callable[[float], Question],
     estimate: Callable[[Question, int], ProbabilityEstimate],
-    side: Side,
 ) -> tuple[VerifiedLevel, ...]:
     """Verify a curve at several levels by fresh simulations.
 
@@ -115,14 +105,10 @@ def verify(
         simulations: number of fresh simulations at all levels together.
         question_at_level: the question at a level.
         estimate: the estimate of a question from so many fresh simulations.
-        side: whether the classifier puts designs beyond the boundary.
     """
     levels = []
     for place, (level, size) in enumerate(levels_to_verify(curve, simulations)):
-        question = question_at_level(level)
-        rows = as_rows(question)
-        found = estimate(rows.drawn(place + 1), size)
-        levels.append(VerifiedLevel(level, found if rows is question else _widened(found, rows, side)))
+        levels.append(VerifiedLevel(level, estimate(as_rows(question_at_level(level)).drawn(place + 1), size)))
     return tuple(levels)
 
 
@@ -130,42 +116,23 @@ def stored(
     curve: Curve,
     question_at_level: Callable[[float], Question],
     estimate: Callable[[Question], ProbabilityEstimate | None],
-    side: Side,
 ) -> tuple[VerifiedLevel, ...]:
     """The levels that `verify` has verified before, from stored simulations; of several, the most levels.
 
     Args:
-        curve, question_at_level, side: as for `verify`.
+        curve, question_at_level: as for `verify`.
         estimate: the estimate of a question from stored simulations; None if there are none.
     """
     for count in range(len(_TARGETS), 1, -1):
         levels = []
         for place, level in enumerate(sorted(_levels(curve, count), reverse=not curve.rises)):
-            question = question_at_level(level)
-            rows = as_rows(question)
-            found = estimate(rows.drawn(place + 1))
+            found = estimate(as_rows(question_at_level(level)).drawn(place + 1))
             if found is None:
                 break
-            levels.append(VerifiedLevel(level, found if rows is question else _widened(found, rows, side)))
+            levels.append(VerifiedLevel(level, found))
         else:
             return tuple(levels)
     return ()
-
-
-def _widened(estimate: ProbabilityEstimate, rows: Question, side: Side) -> ProbabilityEstimate:
-    """The estimate with an interval that includes the error of the sequences, which differ by it."""
-    from scipy.stats import t
-
-    assert isinstance(rows.space, WeightedRows)
-    shares = side(rows.designs(rows.space.X)).reshape(_SEQUENCES, -1).mean(axis=1)
-    error = float(shares.std(ddof=1)) / math.sqrt(_SEQUENCES)
-    half = float(t.ppf(0.5 + 0.5 * estimate.confidence, _SEQUENCES - 1)) * error
-    middle = estimate.probability
-    return replace(
-        estimate,
-        low=max(0.0, middle - math.hypot(middle - estimate.low, half)),
-        high=min(1.0, middle + math.hypot(estimate.high - middle, half)),
-    )
 
 
 def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: float) -> Interval:

@@ -1,5 +1,6 @@
 """Which pulses of a hazard contribute the failures."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,8 +17,8 @@ from activefail.space import Array
 _POINTS, _WITH_UNCERTAINTY = 4096, 512
 """Pulses of a hazard; fewer where each has several values of the added uncertainty."""
 
-_SPREAD = 8
-"""Values of the added uncertainty for each pulse, of equal probability."""
+_SPREAD, _LEAST = 8, 2048
+"""Least number of values of the added uncertainty, of equal probability: for each pulse, and for all together."""
 
 _BINS = 8
 
@@ -93,7 +94,8 @@ def deaggregated(
     names, added = question.space.names, hazard.added_dispersion
     X, weight = integration_points(question.space, _WITH_UNCERTAINTY if added else _POINTS)
     period, velocity = X[:, names.index(PERIOD)], X[:, names.index(PGV)]
-    z = ndtri((np.arange(_SPREAD) + 0.5) / _SPREAD) if added else np.zeros(1)
+    values = max(_SPREAD, math.ceil(_LEAST / len(X)))
+    z = ndtri((np.arange(values) + 0.5) / values) if added else np.zeros(1)
     # What is added divides the capacity, or multiplies the velocity.
     felt = np.repeat(X, len(z), axis=0)
     felt[:, names.index(PGV)] *= np.tile(np.exp(added * z - hazard.bias), len(X))

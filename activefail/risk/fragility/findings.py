@@ -15,7 +15,6 @@ from activefail.risk.fragility.band import (
     LEAST,
     NOT_VERIFIED,
     Interval,
-    Side,
     VerifiedLevel,
     capacity_interval,
     stored,
@@ -398,7 +397,7 @@ def bearing_fragility(
         why = "the hazard has no curve of annual rates"
     elif intensity != "pgv":
         why, rates = "the hazard's annual rates are those of PGV, not of A_p", None
-    found, sides = [], _sides(boundaries, len(campaign.simulator.outcomes) - 1)
+    found = []
     for column, outcome in enumerate(campaign.simulator.outcomes[1:]):
         curve = curves.curves[column]
         found.append(
@@ -406,7 +405,7 @@ def bearing_fragility(
                 outcome,
                 curve,
                 alone.curves[column] if alone else None,
-                _verified(outcome, curve, lambda level: asked(hazard, level), sides[column], verification, stage),
+                _verified(outcome, curve, lambda level: asked(hazard, level), verification, stage),
                 {name: float(value[column]) for name, value in at_bounds.items()},
                 None if rates is None else risk_of(curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate)),
                 parts[column],
@@ -450,10 +449,9 @@ def general_fragility(
 
     stage(f"evaluating the curves at {len(ladder.levels)} levels of {ladder.name}")
     curves = curves_on(boundaries, asked, ladder, campaign.space)
-    outcomes = campaign.simulator.outcomes[1:]
     found = tuple(
-        BoundaryFragility(outcome, curve, verified=_verified(outcome, curve, asked, side, verification, stage))
-        for outcome, curve, side in zip(outcomes, curves.curves, _sides(boundaries, len(outcomes)), strict=True)
+        BoundaryFragility(outcome, curve, verified=_verified(outcome, curve, asked, verification, stage))
+        for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
     )
     others = [name for name in question.space.names if name != against]
     notes = [f"Integrated over {', '.join(others)}."]
@@ -479,29 +477,19 @@ def general_fragility(
     )
 
 
-def _sides(boundaries: Boundaries, count: int) -> list[Side]:
-    """Where the classifier puts designs beyond each boundary."""
-
-    def side(column: int) -> Side:
-        return lambda X: np.asarray(boundaries(X)[:, column] > 0.0)
-
-    return [side(column) for column in range(count)]
-
-
 def _verified(
     outcome: str,
     curve: Curve,
     asked: Callable[[float], Question],
-    side: Side,
     verification: Verification,
     stage: Callable[[str], None],
 ) -> tuple[VerifiedLevel, ...]:
     if (read := verification.stored) is not None:
-        return stored(curve, asked, lambda question: read(outcome, question), side)
+        return stored(curve, asked, lambda question: read(outcome, question))
     if outcome != verification.outcome or not verification.simulations:
         return ()
     stage(f"verifying the curve of {outcome} with {verification.simulations} fresh simulations")
-    return verify(curve, verification.simulations, asked, verification.estimate, side)
+    return verify(curve, verification.simulations, asked, verification.estimate)
 
 
 def _notes_of_bearing(

@@ -40,7 +40,7 @@ _POINTS = {1: 512, 2: 1024}
 _MORE_POINTS = 2048
 """Points that integrate over one, two, or more variables."""
 
-_MOST_ROWS = 2048
+_MOST_ROWS = 4096
 """Most weighted rows that are integrated at a level; of more, a systematic sample is taken."""
 
 _LEAST_RESOLUTION = 0.001
@@ -149,7 +149,7 @@ def _with_amplitude(question: Question) -> Question:
 
     given = question.space
     if isinstance(given, WeightedRows):
-        uncertain: DesignSpace | WeightedRows = WeightedRows(tuple(map(renamed, given.names)), given.X, given.weight)
+        uncertain: DesignSpace | WeightedRows = replace(given, names=tuple(map(renamed, given.names)))
     else:
         parameters = [replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in given.parameters]
         uncertain = DesignSpace(tuple(parameters), given.fixed, given.correlation)
@@ -215,10 +215,13 @@ def answer(boundaries: Boundaries, question: Question, space: DesignSpace) -> An
     if len(X) > _MOST_ROWS:
         X, weight = _systematic(X, weight)
     designs = question.designs(X)
-    parts = weight[:, None] * ndtr(boundaries(designs))
+    beyond = ndtr(boundaries(designs))
+    parts = weight[:, None] * beyond
     outside = float(1.0 - (weight * space.contains(designs)).mean())
     if isinstance(question.space, WeightedRows):
-        return Answer(parts.mean(axis=0), np.zeros(parts.shape[1]), outside)
+        is_whole = len(X) == len(question.space.X)
+        error = question.space.standard_error(beyond) if is_whole else np.zeros(beyond.shape[1])
+        return Answer(parts.mean(axis=0), error, outside)
     # Each half of a Sobol' sequence is one too.
     half = len(X) // 2
     error = 0.5 * np.abs(parts[:half].mean(axis=0) - parts[half:].mean(axis=0))
