@@ -86,7 +86,7 @@ def design(
         print(json.dumps(findings.as_json(), indent=2))
     else:
         for title, text in findings.lines():
-            print(f"{title:<10} {text}")
+            print(visible(f"{title:<10} {text}"))
         if out is not None:
             print(f"written    in {visible(str(out))}: {', '.join(path.name for path in written)}")
     if findings.designed.status != "verified":

@@ -102,7 +102,7 @@ def fragility(
         return
     if csv == STANDARD:
         return
-    print("\n".join(lines(found, outcomes)))
+    print("\n".join(map(visible, lines(found, outcomes))))
     if csv is not None:
         print(f"table      {name_of(csv)}")
     if out is not None:

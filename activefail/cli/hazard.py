@@ -55,7 +55,7 @@ def hazard(
     if outside is not None:
         _show_outside(outside, ", with the added uncertainty," if read.added_dispersion or read.bias else "")
     for sentence in summary.assumptions:
-        print(f"note         {sentence}")
+        print(f"note         {visible(sentence)}")
     if out is not None:
         print(f"figure       {visible(str(out / 'hazard.png'))}, hazard.svg")
 
@@ -112,4 +112,4 @@ def _show_outside(outside: "Outside", added: str) -> None:
     print(f"outside      {share} of the pulses{added} lie outside the campaign's design space; none is clipped")
     for part in outside.parts:
         unit = f" {part.unit}" if part.unit else ""
-        print(f"             {part.name} {part.side} {part.bound:g}{unit}: {percent(part.share)}")
+        print(visible(f"             {part.name} {part.side} {part.bound:g}{unit}: {percent(part.share)}"))

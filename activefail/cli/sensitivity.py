@@ -79,15 +79,15 @@ def sensitivity(
     if as_json:
         print(json.dumps(words.as_json(found), indent=2))
         return
-    print(words.heading(found, campaign.simulator.outcomes))
+    print(visible(words.heading(found, campaign.simulator.outcomes)))
     if found.moves:
         print(f"\nprobability {percent(found.probability)} at the variables' own values, without an interval")
-        print("\n".join(words.aligned(words.move_rows(found))))
+        print("\n".join(map(visible, words.aligned(words.move_rows(found)))))
     if found.indices:
         print("\nSobol' indices")
-        print("\n".join(words.aligned(words.index_rows(found))))
+        print("\n".join(map(visible, words.aligned(words.index_rows(found)))))
     print()
     for title, text in words.about(found):
-        print(f"{title:<10} {text}")
+        print(visible(f"{title:<10} {text}"))
     for sentence in found.notes:
         print(f"note       {visible(sentence)}")
