@@ -5,6 +5,7 @@ from markupsafe import Markup, escape
 
 from activefail.findings.quantities import words
 from activefail.shares import interval_percent, percent
+from activefail.visible import visible
 
 
 def subscripts(text: str) -> Markup:
@@ -17,6 +18,11 @@ def subscripts(text: str) -> Markup:
     return out
 
 
+def _shown(value: object) -> object:
+    """Foreign text with visible control characters; pictures and other markup unchanged."""
+    return visible(value, keep="\n\t") if type(value) is str else value
+
+
 def page_environment() -> Environment:
     """The environment of the pages' templates."""
     environment = Environment(
@@ -25,6 +31,7 @@ def page_environment() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_shown,
     )
     environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
     environment.globals["interval_percent"] = interval_percent
