@@ -56,6 +56,19 @@ def question(folder: Path, text: str) -> Question:
     return read_question(asked(folder, text), settings, settings.design_space())
 
 
+def test_values_beside_a_question_in_python_are_those_of_a_file(ended: Path, tmp_path: Path) -> None:
+    file = asked(tmp_path, "[space]\ny = { value = -1.5 }\n")
+    with open_run(ended / "run", code=ended, write=True) as opened:
+        given = opened.asked(file)
+        one = opened.probability(20, question=given, fixed={"x": 2.9})
+        other = opened.probability(20, question=file, fixed={"x": 2.9})
+        assert one.estimate == other.estimate
+        assert opened.asked(given, {"x": 2.9}).digest == opened.asked(file, {"x": 2.9}).digest
+        assert opened.asked(given) is given
+        # The campaign's own design measure keeps its stored simulations.
+        assert opened.asked(opened.asked()).digest == ""
+
+
 def test_the_probability_is_that_of_the_question(ended: Path, tmp_path: Path) -> None:
     file = asked(
         tmp_path,

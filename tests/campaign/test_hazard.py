@@ -245,11 +245,13 @@ def test_property_bounds_are_factors_on_the_bearing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("campaign", ["mu = { value = 0.06 }", "friction = { low = 0.02, high = 0.1 }"])
-def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, campaign: str) -> None:
+@pytest.mark.parametrize("bound", ["mu_lower = 0.8", "mu_upper = 1.3"])
+def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, campaign: str, bound: str) -> None:
     made = 'simulator = { python = "a:b" }\n[space]\nT_p = { low = 1, high = 5 }\nA_p = { low = 0.1, high = 1 }\n'
     settings = parse_settings(made + campaign, "made.toml")
-    read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\nmu_lower = 0.8\n")
-    with pytest.raises(InputError, match=r"properties\.mu_lower: cannot be applied, because the campaign"):
+    read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\n{bound}\n")
+    key = bound.split()[0]
+    with pytest.raises(InputError, match=rf"properties\.{key}: cannot be applied, because the campaign"):
         hazard_question(read, settings, settings.design_space(), {})
 
 

@@ -292,7 +292,7 @@ def checked_ladder(
         raise InputError(f"verify: must be at least {LEAST}, got {simulations}.")
     if against is None:
         return None
-    if against in question.fixed:
+    if isinstance(against, str) and against in question.fixed:
         raise InputError(f"against: {against} has the value {question.fixed[against]:g}; leave it out of --fixed.")
     return variable_ladder(question, space, against, bounds)
 
