@@ -312,6 +312,6 @@ def hazard_question(
         values = {**fixed, **certain}
         return Question(hazard.title, space.names, pulses, values, factors, assumptions=tuple(hazard.assumptions))
     changed = {parameter.name: parameter for parameter in pulses.parameters}
-    correlation = [pair for pair in settings.correlation if not {PERIOD, AMPLITUDE, *fixed} & set(pair[:2])]
+    correlation = [pair for pair in settings.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
     asked = asked_of(hazard.title, settings, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation])
-    return replace(asked, factors=factors, assumptions=tuple(hazard.assumptions))
+    return replace(asked, factors=factors, assumptions=(*hazard.assumptions, *asked.assumptions))

@@ -396,7 +396,7 @@ def bearing_fragility(
                 parts[column],
             )
         )
-    notes = [*hazard.assumptions, *_notes_of_bearing(campaign, hazard, fixed, intensity)]
+    notes = [*whole.assumptions, *_notes_of_bearing(campaign, hazard, fixed, intensity)]
     outside = whole.share_outside(space)
     return FragilityFindings(
         whole.title,
@@ -439,7 +439,7 @@ def general_fragility(
         for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
     )
     others = [name for name in question.space.names if name != against]
-    notes = [f"Integrated over {', '.join(others)}."]
+    notes = [*question.assumptions, f"Integrated over {', '.join(others)}."]
     pairs = getattr(question.space, "correlation", ())
     tied = sorted({name for pair in pairs if against in pair[:2] for name in pair[:2]} - {against})
     if tied:
