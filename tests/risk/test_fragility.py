@@ -232,7 +232,8 @@ def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_
     beta = math.hypot(BETA, ADDED)
     for level in failure["verified"]:
         assert level["low"] <= probability(level["level"], MEDIAN, beta) <= level["high"]
-    assert sum(level["simulations"] for level in failure["verified"]) == 60
+    # A design that is drawn several times is simulated once.
+    assert 30 < sum(level["simulations"] for level in failure["verified"]) <= 60
     assert damage["verified"] == []
     assert damage["capacities"][1]["interval_reason"] == "not verified by simulations; --verify N gives an interval"
     # Two levels are verified; the capacity at one of them has an interval, or the reason why it has not.
@@ -295,7 +296,7 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
     verified = activefail(*command, "--verify", "20", "--json", "--outcome", "damage")
     numbers = json.loads(verified.out)["outcomes"]
     assert numbers["failure"]["verified"] == []
-    assert sum(level["simulations"] for level in numbers["damage"]["verified"]) == 20
+    assert 10 < sum(level["simulations"] for level in numbers["damage"]["verified"]) <= 20
     assert numbers["failure"]["risk"] is None
     assert numbers["failure"]["risk_reason"] == "a risk needs a hazard with annual rates"
 
