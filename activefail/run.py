@@ -5,8 +5,9 @@ import json
 import os
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from html import escape
 from operator import index
 from pathlib import Path
@@ -734,13 +735,12 @@ class Run:
             InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary, or
                 the question's file is invalid.
         """
-        from activefail.campaign.question import Question
         from activefail.findings.probability import ProbabilityFindings
 
         check_whole("simulations", simulations, 2)
         _check_confidence(confidence)
         outcome = self._boundary_named(outcome)
-        asked = question if isinstance(question, Question) else self.asked(question, fixed)
+        asked = self.asked(question, fixed)
         with self._estimator(executor) as estimator:
             estimate = estimator.sample(outcome, simulations, asked).estimate(confidence)
         findings = ProbabilityFindings.of(self.campaign, self.history, estimator.classifier, outcome, estimate, asked)
@@ -826,12 +826,13 @@ class Run:
         """
         from activefail.risk.design.designing import search_design
         from activefail.risk.design.stored import designs_text
-        from activefail.risk.design.task import design_task, read_targets
+        from activefail.risk.design.task import DEFAULT_FREE, design_task, read_targets
 
         check_whole("simulations", simulations, 10)
+        names = _names("free", free)
         requirements = read_targets(str(target), self.campaign.simulator.outcomes, self.boundary)
-        site, asked = self._at_site(hazard, question, fixed)
-        task = design_task(self.campaign, asked, requirements, free, cost, confidence, simulations)
+        site, asked = self._at_site(hazard, question, fixed, names or (DEFAULT_FREE,))
+        task = design_task(self.campaign, asked, requirements, names, cost, confidence, simulations)
         with self._estimator(executor, stage) as estimator:
             found = search_design(estimator, task, site, chart, stage)
         if self._write and (text := designs_text(self.folder, found.designed)) is not None:
@@ -875,9 +876,11 @@ class Run:
             with_classifier,
         )
 
+        if samples is not None:
+            check_whole("samples", samples, 1)
         outcome = self._boundary_named(outcome)
         _check_confidence(confidence)
-        site, asked = self._at_site(hazard, question, fixed)
+        site, asked = self._at_site(hazard, question, fixed, self.space.names)
         latent = self.classifier.latent(outcome)
         standardised = standardised_latent(latent, self.features)
         with one_thread():
@@ -893,27 +896,32 @@ class Run:
         return with_classifier(found, length_scales(latent, self.features), p_values)
 
     def asked(
-        self, question: Path | str | None = None, fixed: "Mapping[str, float] | Path | str | None" = None
+        self,
+        question: "Question | Path | str | None" = None,
+        fixed: "Mapping[str, float] | Path | str | None" = None,
     ) -> "Question":
         """A distribution of the variables, under which a probability is asked for.
 
         Args:
-            question: a question file or a hazard file; the campaign's question if None.
+            question: a question file or a hazard file, or a question itself; the campaign's question if None.
             fixed: values of variables, which are then certain: by name, or a TOML file.
 
         Raises:
             InputError: naming the file, the key, the rule and the value.
         """
         from activefail.campaign.asked import check_designs_of, read_asked
-        from activefail.campaign.question import question_of
+        from activefail.campaign.question import Question, question_of
 
         values = self.fixed_values(fixed)
-        if question is not None:
-            asked = read_asked(Path(question), self.settings, self.space, values)
+        if isinstance(question, Question):
+            # Without values a campaign's own design measure stays what it is, with its stored simulations.
+            asked = question.at(values) if values else question
+        elif question is not None:
+            asked = read_asked(_path("question", question), self.settings, self.space, values)
         else:
             asked = question_of(self.settings, self.space, values) if values else self.campaign.question
-        source = fixed if isinstance(fixed, str | Path) else question
-        check_designs_of(asked, self.campaign.simulator, "" if source is None else str(source))
+        source = next((str(given) for given in (fixed, question) if isinstance(given, str | Path)), "")
+        check_designs_of(asked, self.campaign.simulator, source)
         return asked
 
     def fixed_values(self, fixed: "Mapping[str, float] | Path | str | None") -> dict[str, float]:
@@ -928,6 +936,8 @@ class Run:
             return {}
         if isinstance(fixed, str | Path):
             return read_fixed(Path(fixed), self.space)
+        if not isinstance(fixed, Mapping):
+            raise InputError(f"fixed: must be values by name, or a path, got {type(fixed).__name__}.")
         return checked_values(fixed, self.space)
 
     def _save_estimate(self, outcome: str, numbers: dict[str, Any]) -> None:
@@ -943,28 +953,37 @@ class Run:
         hazard: "Hazard | Path | str | None",
         question: "Question | Path | str | None",
         fixed: "Mapping[str, float] | Path | str | None",
+        free: "Sequence[str]" = (),
     ) -> "tuple[Hazard | None, Question]":
         """The hazard and the question that it asks, or a question alone.
+
+        Args:
+            hazard, question, fixed: as for `design`.
+            free: variables that get their values later. Under rows of pulses they have none in the question.
 
         Raises:
             InputError: if both are given, or a file is invalid.
         """
-        from activefail.campaign.asked import check_designs_of
-        from activefail.campaign.hazard import hazard_question, is_hazard, read_hazard
-        from activefail.campaign.question import Question
+        from activefail.campaign.asked import check_designs_of, middles
+        from activefail.campaign.hazard import Hazard, hazard_question, is_hazard, read_hazard
 
         if hazard is not None and question is not None:
             raise InputError("question: cannot be combined with hazard.")
         if isinstance(question, Path | str) and is_hazard(Path(question)):
             hazard, question = question, None
         if hazard is None:
-            if isinstance(question, Question):
-                return None, question.at(self.fixed_values(fixed))
             return None, self.asked(question, fixed)
-        site = read_hazard(Path(hazard)) if isinstance(hazard, Path | str) else hazard
-        asked = hazard_question(site, self.settings, self.space, self.fixed_values(fixed))
-        check_designs_of(asked, self.campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else "")
-        return site, asked
+        site = hazard if isinstance(hazard, Hazard) else read_hazard(_path("hazard", hazard))
+        values, file = self.fixed_values(fixed), str(hazard) if isinstance(hazard, Path | str) else ""
+        # The pulses of a file have no distribution of other variables beside them.
+        meanwhile = middles(self.space, [name for name in free if name not in values]) if site.rows is not None else {}
+        try:
+            asked = hazard_question(site, self.settings, self.space, {**meanwhile, **values})
+        except InputError as error:
+            raise InputError(f"{file}: {error}" if file else str(error)) from None
+        check_designs_of(asked, self.campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
+        given = {name: value for name, value in asked.fixed.items() if name not in meanwhile}
+        return site, replace(asked, fixed=given)
 
     @contextmanager
     def _estimator(
@@ -1152,6 +1171,20 @@ def _path(name: str, file: Any) -> Path:
     if not isinstance(file := _file(file), Path):
         raise InputError(f"{name}: must be a path, got {type(file).__name__}.")
     return file
+
+
+def _names(argument: str, names: Any) -> tuple[str, ...]:
+    """Names in an argument; a single one may be a string.
+
+    Raises:
+        InputError: if they are something else.
+    """
+    if isinstance(names, str):
+        return (names,)
+    found = tuple(names) if isinstance(names, Iterable) else (names,)
+    if not all(isinstance(name, str) for name in found):
+        raise InputError(f"{argument}: must be names of variables, got {names!r}.")
+    return found
 
 
 def _source(name: str, source: Any) -> "Source":

@@ -75,9 +75,9 @@ class WeightedRows:
         """
         if not self.is_sample:
             return np.zeros(values.shape[1:])
-        numbers: Array = np.asarray(values, dtype=np.float64)
-        blocks = zip(np.array_split(self.weight, BLOCKS), np.array_split(numbers, BLOCKS), strict=True)
-        means: Array = np.array([weight @ part / weight.sum() for weight, part in blocks])
+        parts: list[Array] = np.array_split(np.asarray(values, dtype=np.float64), BLOCKS)
+        weights: list[Array] = np.array_split(self.weight, BLOCKS)
+        means = [np.tensordot(weight / weight.sum(), part, axes=1) for weight, part in zip(weights, parts, strict=True)]
         return np.asarray(np.std(means, axis=0, ddof=1) / np.sqrt(BLOCKS))
 
 

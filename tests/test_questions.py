@@ -232,3 +232,34 @@ def test_the_bound_of_fresh_simulations_holds_for_the_rarest_allowed_draws() -> 
         estimate = ProbabilityEstimate(0.0, 0.0, 0.0, 0.9, 0.0, 50, 0, int(hits), 0, 0, 1.0, 1.0)
         missed += bound_of_fresh(estimate).high < probability
     assert missed / 2000 < 0.1 + 3.0 * (0.1 * 0.9 / 2000) ** 0.5
+
+
+def test_values_beside_a_question_in_python_are_those_of_a_file(ended: Path, tmp_path: Path) -> None:
+    file = asked(tmp_path, "[space]\ny = { value = -1.5 }\n")
+    with open_run(ended / "run", code=ended, write=True) as opened:
+        given = opened.asked(file)
+        one = opened.probability(20, question=given, fixed={"x": 2.9})
+        other = opened.probability(20, question=file, fixed={"x": 2.9})
+        assert one.estimate == other.estimate
+        assert opened.asked(given, {"x": 2.9}).digest == opened.asked(file, {"x": 2.9}).digest
+        assert opened.asked(given) is given
+        # The campaign's own design measure keeps its stored simulations.
+        assert opened.asked(opened.asked()).digest == ""
+
+
+def test_a_correlation_with_a_variable_that_has_a_value_is_left_out_and_this_is_said(
+    ended: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "x.toml").write_text("x = 2.9\n")
+    said = "x has a value, so its correlation of 0.5 with y is left out: y keeps its distribution."
+    result = activefail(
+        "probability", ended / "run", "--code", ended, "--fixed", tmp_path / "x.toml", "--simulations", "20"
+    )
+    assert said in " ".join(result.out.split()), result.out
+    stated = 'correlation = [["x", "y", 0.5]]\n[space]\nz = { value = 0.0 }\n'
+    with open_run(ended / "run", code=ended) as opened:
+        assert opened.asked(asked(tmp_path, stated), {"x": 2.9}).assumptions == (said,)
+        assert opened.asked(opened.asked(), {"x": 2.9}).assumptions == (said,)
+        assert opened.asked(fixed={"x": 2.9, "y": 0.0}).assumptions == ()
+        assert opened.asked(fixed={"z": 0.5}).assumptions == ()
+        assert said in opened.fragility(against="z", fixed={"x": 2.9}).assumptions

@@ -1,12 +1,12 @@
 """What is asked of a campaign: the question of a question file or of a hazard file."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from activefail.acquisition.population import integration_points
 from activefail.campaign.hazard import hazard_of, hazard_question, is_of_hazard
-from activefail.campaign.question import Question, question_with
+from activefail.campaign.question import AMPLITUDE, PERIOD, Question, question_with
 from activefail.campaign.settings import CampaignSettings, parse_toml, read_text
 from activefail.errors import InputError
 from activefail.simulators.interface import Simulator
@@ -35,6 +35,15 @@ def read_asked(path: Path, settings: CampaignSettings, space: DesignSpace, fixed
         return hazard_question(hazard, settings, space, fixed)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def middles(space: DesignSpace, names: Collection[str]) -> dict[str, float]:
+    """The middles of the ranges of variables, without those of a pulse and without names that are unknown."""
+    return {
+        one.name: 0.5 * (one.low + one.high)
+        for one in space.parameters
+        if one.name in names and one.name not in (PERIOD, AMPLITUDE)
+    }
 
 
 def check_designs_of(question: Question, simulator: Simulator, source: str) -> None:

@@ -26,6 +26,8 @@ FRICTION, CAPACITY = "mu", "D_tot"
 
 Bound = Literal["lower", "upper", "nominal"]
 
+_BOUNDS: tuple[Bound, ...] = ("lower", "upper")
+
 _PULSES = 2048
 """Least number of pulses that stand for rows with added uncertainty."""
 
@@ -271,10 +273,12 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
     for name in (PERIOD, AMPLITUDE):
         if name in fixed:
             raise InputError(f"{name}: is uncertain under a hazard, so it cannot have a value, got {fixed[name]:g}.")
-    for name in hazard.factors:
-        if name not in space.names:
-            has = f"fixes {name} for all designs" if name in space.fixed else f"has no variable {name}"
-            raise InputError(f"properties.{name}_{hazard.bound}: cannot be applied, because the campaign {has}.")
+    # Both bounds: probabilities at the other one are shown beside.
+    for bound in _BOUNDS:
+        for name in hazard.at_bound(bound).factors:
+            if name not in space.names:
+                has = f"fixes {name} for all designs" if name in space.fixed else f"has no variable {name}"
+                raise InputError(f"properties.{name}_{bound}: cannot be applied, because the campaign {has}.")
 
 
 def hazard_question(
@@ -308,6 +312,6 @@ def hazard_question(
         values = {**fixed, **certain}
         return Question(hazard.title, space.names, pulses, values, factors, assumptions=tuple(hazard.assumptions))
     changed = {parameter.name: parameter for parameter in pulses.parameters}
-    correlation = [pair for pair in settings.correlation if not {PERIOD, AMPLITUDE, *fixed} & set(pair[:2])]
+    correlation = [pair for pair in settings.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
     asked = asked_of(hazard.title, settings, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation])
-    return replace(asked, factors=factors, assumptions=tuple(hazard.assumptions))
+    return replace(asked, factors=factors, assumptions=(*hazard.assumptions, *asked.assumptions))

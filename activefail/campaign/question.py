@@ -1,7 +1,7 @@
 """A question: another distribution of a campaign's variables, under which a probability is asked for."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -104,10 +104,11 @@ class Question:
             raise InputError(f"{AMPLITUDE}: cannot have a value, because it follows from {PGV}.")
         fixed = {name: value for name, value in self.fixed.items() if name not in values} | dict(values)
         space = self.space
+        notes = () if isinstance(space, WeightedRows) else _left_out(space.correlation, values)
         for name in values:
             if name in space.names:
                 space = space.without(name)
-        return replace(self, space=space, fixed=fixed, is_own=False)
+        return replace(self, space=space, fixed=fixed, is_own=False, assumptions=(*self.assumptions, *notes))
 
     def drawn(self, draw: int) -> "Question":
         """The same question with another independent sample of fresh simulations."""
@@ -227,7 +228,8 @@ def asked_of(
         settings, space: of the campaign.
         changed: distributions by name; a variable that is left out keeps the campaign's.
         fixed: values of certain variables.
-        correlation: of the uncertain variables; the campaign's among them if None.
+        correlation: of the variables; the campaign's if None. Pairs with a certain variable are left out, which is
+            among the question's assumptions.
 
     Raises:
         InputError: if no variable is uncertain.
@@ -239,9 +241,24 @@ def asked_of(
         raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
     own = dict(zip(space.names, space.parameters, strict=True))
     if correlation is None:
-        correlation = [pair for pair in settings.correlation if pair[0] in uncertain and pair[1] in uncertain]
+        correlation = [pair for pair in settings.correlation if {*pair[:2]} <= {*uncertain, *fixed}]
+    kept = tuple(pair for pair in correlation if fixed.keys().isdisjoint(pair[:2]))
     parameters = tuple(changed.get(name) or own[name] for name in uncertain)
-    return Question(title, space.names, DesignSpace(parameters, correlation=tuple(correlation)), dict(fixed))
+    notes = _left_out(correlation, fixed)
+    return Question(title, space.names, DesignSpace(parameters, correlation=kept), dict(fixed), assumptions=notes)
+
+
+def _left_out(correlation: Iterable[tuple[str, str, float]], fixed: Mapping[str, float]) -> tuple[str, ...]:
+    """Sentences on correlations that a distribution loses because one of both variables has a value."""
+    sentences = []
+    for first, second, rho in correlation:
+        if rho and (first in fixed) != (second in fixed):
+            given, other = (first, second) if first in fixed else (second, first)
+            sentences.append(
+                f"{given} has a value, so its correlation of {rho:g} with {other} is left out: {other} keeps its "
+                "distribution."
+            )
+    return tuple(sentences)
 
 
 def check_pulse(space: DesignSpace, what: str) -> None:
@@ -279,10 +296,7 @@ def _question(
     unbounded = sum(not variable.is_bounded for variable in entries.values())
     distance = radius(asked.reach, unbounded) if unbounded else np.inf
     changed = {name: entry.parameter(name, distance) for name, entry in entries.items()}
-    correlation = asked.correlation
-    if correlation is not None and more:
-        correlation = [pair for pair in correlation if pair[0] not in more and pair[1] not in more]
-    return asked_of(asked.description or title, settings, space, changed, fixed, correlation)
+    return asked_of(asked.description or title, settings, space, changed, fixed, asked.correlation)
 
 
 def _check_variable(name: str, entry: Variable | FixedVariable, settings: CampaignSettings, space: DesignSpace) -> None:

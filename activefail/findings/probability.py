@@ -13,6 +13,7 @@ from activefail.shares import percent
 from activefail.space import REACH
 from activefail.surrogate.choice import OUTCOMES
 from activefail.surrogate.classifier import Classifier
+from activefail.verification.probability import EstimateOfRows
 from activefail.verification.stratified import largest_unseen_share
 
 BOUND_CONFIDENCE = 0.9
@@ -70,8 +71,12 @@ def bound_of_fresh(estimate: ProbabilityEstimate) -> Bound:
 
     A fresh simulation is drawn beyond the boundary at least 1/`LARGEST_RATIO` times as often as the probability says.
     """
-    hits = estimate.beyond + estimate.unanswered
-    high = min(1.0, LARGEST_RATIO * upper_bound(hits, estimate.simulations, BOUND_CONFIDENCE))
+    hits, draws = estimate.beyond + estimate.unanswered, estimate.simulations
+    if isinstance(estimate, EstimateOfRows):
+        if not estimate.draws:
+            return Bound(estimate.high, estimate.simulations, "fresh simulations")
+        hits, draws = estimate.hits, estimate.draws
+    high = min(1.0, LARGEST_RATIO * upper_bound(hits, draws, BOUND_CONFIDENCE))
     return Bound(high, estimate.simulations, "fresh simulations")
 
 

@@ -1,7 +1,7 @@
 """Estimate the probability beyond a boundary from fresh simulations, which are kept in the run folder."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from activefail.campaign.random_streams import stream
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
 from activefail.reliability.estimate import (
+    Doubt,
     Plan,
     ProbabilityEstimate,
     Standardised,
@@ -27,8 +28,26 @@ from activefail.surrogate.classifier import Classifier
 from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
 from activefail.weighted import BLOCKS, WeightedRows
 
+_SURE = 4.0
+"""Standard deviations from the boundary beyond which the classifier is sure."""
+
 _DRAWS = 10_000
 """More than the number of independent samples that anything draws at one iteration."""
+
+
+@dataclass(frozen=True)
+class EstimateOfRows(ProbabilityEstimate):
+    """A probability under weighted rows, each of which is simulated at most once.
+
+    Its numbers of simulations are those of different rows.
+
+    Attributes:
+        draws: of rows; 0 if all rows were simulated, so that the interval is that of the numerical failures alone.
+        hits: draws that ended beyond the boundary, or may have.
+    """
+
+    draws: int = 0
+    hits: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,22 +55,30 @@ class Sampled:
     """Fresh simulations that estimate a probability.
 
     Attributes:
-        plan: of the simulations.
+        plan: of the draws.
         beyond: (m,) whether each ended beyond the boundary.
         answered: (m,) whether each gave an outcome.
+        first: (s,) one draw of each simulation, if rows are drawn; None if every draw is simulated.
+        is_complete: whether the draws are all rows of the distribution.
         error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
     """
 
     plan: Plan
     beyond: NDArray[np.bool_]
     answered: NDArray[np.bool_]
+    first: NDArray[np.int_] | None = None
+    is_complete: bool = False
     error: float = 0.0
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, which includes the error of the blocks."""
         from scipy.stats import t
 
+        if self.is_complete:
+            return self._counted(self._known(confidence))
         found = estimated(self.plan, self.beyond, self.answered, confidence)
+        if self.first is not None:
+            found = self._counted(found)
         if not self.error:
             return found
         half = float(t.ppf(0.5 + 0.5 * confidence, BLOCKS - 1)) * self.error
@@ -61,6 +88,70 @@ class Sampled:
             low=max(0.0, middle - math.hypot(middle - found.low, half)),
             high=min(1.0, middle + math.hypot(found.high - middle, half)),
         )
+
+    def _known(self, confidence: float) -> ProbabilityEstimate:
+        """The share of all rows, of which only the numerical failures are unknown."""
+        share, predicted = self.plan.ratio / self.plan.ratio.sum(), self.plan.predicted
+        beyond = self.beyond & self.answered
+        low, high = float(share @ beyond), float(share @ (beyond | ~self.answered))
+        hit, missed = float(share @ (beyond & predicted)), float(share @ (~predicted & (beyond | ~self.answered)))
+        return ProbabilityEstimate(
+            probability=float(share @ np.where(self.answered, self.beyond, predicted)),
+            low=low,
+            high=high,
+            confidence=confidence,
+            model=self.plan.probability,
+            simulations=0,
+            unanswered=0,
+            beyond=0,
+            wrong=0,
+            surprising=0,
+            recall=hit / low if low else float("nan"),
+            recall_low=hit / (hit + missed) if hit else 0.0,
+        )
+
+    def _counted(self, estimate: ProbabilityEstimate) -> EstimateOfRows:
+        """The estimate with the numbers of simulations in place of those of draws."""
+        plan, first = self.plan, self.first
+        beyond, answered = self.beyond[first], self.answered[first]
+        wrong = answered & (beyond != plan.predicted[first])
+        numbers = asdict(estimate) | {
+            "simulations": len(beyond),
+            "unanswered": int((~answered).sum()),
+            "beyond": int((beyond & answered).sum()),
+            "wrong": int(wrong.sum()),
+            "surprising": int((wrong & (np.abs(plan.standardised[first]) > _SURE)).sum()),
+        }
+        hits = int((self.beyond | ~self.answered).sum())
+        return EstimateOfRows(**numbers, draws=0 if self.is_complete else len(self.beyond), hits=hits)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fresh:
+    """The designs of a sample, and how they are kept.
+
+    Attributes:
+        plan: of the draws.
+        name: of the stored set.
+        designs: (s, d) to simulate.
+        first: as `Sampled.first`.
+        place: (m,) the simulation of each draw; None if every draw is simulated.
+        is_complete, error: as in `Sampled`.
+    """
+
+    plan: Plan
+    name: str
+    designs: Array
+    first: NDArray[np.int_] | None
+    place: NDArray[np.int_] | None
+    is_complete: bool
+    error: float
+
+    def sampled(self, outcomes: NDArray[np.int8], severity: int) -> Sampled:
+        """The sample with the outcomes of the simulations, (s,)."""
+        drawn = outcomes if self.place is None else outcomes[self.place]
+        beyond, answered = drawn >= severity, drawn != NUMERICAL_FAILURE
+        return Sampled(self.plan, beyond, answered, self.first, self.is_complete, self.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +177,7 @@ class Estimator:
         return standardised_latent(self.classifier.latent(outcome), self.campaign.features)
 
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan:
-        """The fresh simulations that `sample` makes."""
+        """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
         return planned(self.campaign, self.standardised(outcome), self.iteration, simulations, question)
 
     def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
@@ -94,7 +185,8 @@ class Estimator:
 
         Args:
             outcome: its name.
-            simulations: number of fresh simulations; at least 2.
+            simulations: number of fresh simulations; at least 2. Of weighted rows, no row is simulated twice, and if
+                there are no more rows than that, all of them are.
             question: the distribution of the variables.
 
         Raises:
@@ -102,13 +194,11 @@ class Estimator:
         """
         assert self.executor is not None
         severity = self.campaign.simulator.outcomes.index(outcome)
-        plan = self.plan(outcome, simulations, question)
-        name = name_of_estimate(severity, self.iteration, simulations, question.digest)
-        designs = question.designs(plan.designs)
-        outcomes = simulated_outcomes(self.campaign, self.store, self.executor, name, designs)
+        of_designs = self.standardised(outcome)
+        fresh = _fresh(self.campaign, of_designs, self.iteration, severity, simulations, question)
+        outcomes = simulated_outcomes(self.campaign, self.store, self.executor, fresh.name, fresh.designs)
         assert outcomes is not None  # no stop was requested
-        error = error_of_rows(self.standardised(outcome), question)
-        return Sampled(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE, error)
+        return fresh.sampled(outcomes, severity)
 
     def stored(self, outcome: str, question: Question, confidence: float) -> ProbabilityEstimate | None:
         """The estimate from stored simulations (see `stored_estimate`)."""
@@ -138,14 +228,33 @@ def stored_estimate(
     severity = campaign.simulator.outcomes.index(outcome)
     of_designs = standardised_latent(classifier.latent(outcome), campaign.features)
     for simulations in estimate_sizes(store, severity, iteration, question.digest):
-        plan = planned(campaign, of_designs, iteration, simulations, question)
-        name = name_of_estimate(severity, iteration, simulations, question.digest)
-        outcomes = stored_outcomes(store, name, question.designs(plan.designs))
+        fresh = _fresh(campaign, of_designs, iteration, severity, simulations, question)
+        outcomes = stored_outcomes(store, fresh.name, fresh.designs)
         if outcomes is not None:
-            error = error_of_rows(of_designs, question)
-            sampled = Sampled(plan, outcomes >= severity, outcomes != NUMERICAL_FAILURE, error)
-            return sampled.estimate(confidence)
+            return fresh.sampled(outcomes, severity).estimate(confidence)
     return None
+
+
+def _fresh(
+    campaign: Campaign, of_designs: Standardised, iteration: int, severity: int, simulations: int, question: Question
+) -> _Fresh:
+    rows = question.space
+    is_complete = isinstance(rows, WeightedRows) and not rows.is_sample and simulations >= len(rows.X)
+    error = 0.0
+    if isinstance(rows, WeightedRows) and is_complete:
+        # Any other sample would be the same rows.
+        simulations, question = len(rows.X), question.drawn(0)
+        z = of_designs(question.designs(rows.X))
+        model, none = float((rows.weight * (z > 0.0)).mean()), Doubt(0.0, 0.0)
+        plan = Plan(rows.X, rows.weight, z > 0.0, z, model, 0.0, none, none)
+    else:
+        plan = planned(campaign, of_designs, iteration, simulations, question)
+        error = error_of_rows(of_designs, question)
+    name = name_of_estimate(severity, iteration, simulations, question.digest)
+    designs, first, place = question.designs(plan.designs), None, None
+    if isinstance(rows, WeightedRows):
+        designs, first, place = np.unique(designs, axis=0, return_index=True, return_inverse=True)
+    return _Fresh(plan, name, designs, first, place, is_complete, error)
 
 
 def error_of_rows(standardised: Standardised, question: Question) -> float:

@@ -20,8 +20,10 @@ from activefail.campaign.question import Question, read_question
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
+from activefail.reliability.estimate import Doubt, Plan
 from activefail.risk.hazard import HazardSummary, Outside
 from activefail.space import Array, DesignSpace
+from activefail.verification.probability import Sampled
 from activefail.weighted import WeightedRows, weighted_quantiles
 
 BEARING = {"T_b": 4.0, "mu": 0.06, "D_tot": 0.65, "h_sl_ratio": 0.6, "h_rim_ratio": 0.1, "p": 45.0, "k": 2e9}
@@ -245,11 +247,13 @@ def test_property_bounds_are_factors_on_the_bearing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("campaign", ["mu = { value = 0.06 }", "friction = { low = 0.02, high = 0.1 }"])
-def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, campaign: str) -> None:
+@pytest.mark.parametrize("bound", ["mu_lower = 0.8", "mu_upper = 1.3"])
+def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, campaign: str, bound: str) -> None:
     made = 'simulator = { python = "a:b" }\n[space]\nT_p = { low = 1, high = 5 }\nA_p = { low = 0.1, high = 1 }\n'
     settings = parse_settings(made + campaign, "made.toml")
-    read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\nmu_lower = 0.8\n")
-    with pytest.raises(InputError, match=r"properties\.mu_lower: cannot be applied, because the campaign"):
+    read = hazard(tmp_path, f"{PERIOD}{PGV}[properties]\n{bound}\n")
+    key = bound.split()[0]
+    with pytest.raises(InputError, match=rf"properties\.{key}: cannot be applied, because the campaign"):
         hazard_question(read, settings, settings.design_space(), {})
 
 
@@ -623,3 +627,40 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
     stored = sorted(path.name for path in (learned / "run" / "sets").iterdir())
     assert activefail("probability", learned / "run", *options).out == result.out
     assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
+    if file == "rows.toml":
+        # The five rows are simulated once each, and then there is nothing left to estimate.
+        assert numbers["simulations"] == 5
+        assert numbers["low"] == numbers["probability"] == numbers["high"] == pytest.approx(0.25)
+        assert numbers["bound_without_model"]["high"] == pytest.approx(0.25)
+        again = activefail("probability", learned / "run", *options, "--simulations", "200")
+        assert json.loads(again.out)["outcomes"]["failure"]["simulations"] == 5
+        assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
+
+
+def test_a_row_that_is_drawn_several_times_is_simulated_once(learned: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    table = "".join(f"{T},{V}\n" for T, V in zip(rng.uniform(1, 6, 100), rng.uniform(0.3, 3, 100), strict=True))
+    (tmp_path / "pulses.csv").write_text("T_p,PGV\n" + table)
+    path = tmp_path / "rows.toml"
+    path.write_text('samples = "pulses.csv"\n')
+    with package.open_run(learned / "run", code=learned, write=True) as run:
+        found = run.probability(60, 0.99, question=path, fixed={"strength": 1.5})
+        question = run.asked(path, {"strength": 1.5})
+        name = f"question-{question.digest[:16]}-1-{run.history.last_iteration}-60-0"
+        X, results = run.store.read_set(name)  # type: ignore[misc]
+    assert len(np.unique(X, axis=0)) == len(X) == found.estimate.simulations < 60
+    assert found.estimate.beyond == int((results.outcome == 1).sum())
+    assert isinstance(question.space, WeightedRows)
+    true = float((question.space.column("PGV") > 1.5).mean())
+    assert found.estimate.low <= true <= found.estimate.high
+
+
+def test_the_interval_of_all_rows_is_that_of_the_numerical_failures() -> None:
+    none = Doubt(0.0, 0.0)
+    weight, z = np.array([2.0, 1.0, 0.5, 0.5]), np.array([1.0, -1.0, -1.0, 5.0])
+    plan = Plan(np.zeros((4, 1)), weight, z > 0.0, z, 0.625, 0.0, none, none)
+    beyond, answered = np.array([True, True, False, False]), np.array([True, True, False, True])
+    found = Sampled(plan, beyond, answered, np.arange(4), is_complete=True).estimate(0.9)
+    assert (found.low, found.probability, found.high) == pytest.approx((0.75, 0.75, 0.875))
+    assert (found.simulations, found.unanswered, found.beyond, found.wrong, found.surprising) == (4, 1, 2, 2, 1)
+    assert (found.recall, found.recall_low) == pytest.approx((2 / 3, 0.5 / 0.875))

@@ -2,9 +2,11 @@
 
 import importlib
 import json
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -321,6 +323,36 @@ def test_the_method_takes_a_hazard_and_a_question_as_objects(run: Run, home: Pat
     question = run.sensitivity(question=run.asked(fixed={"mu": 0.05}), samples=16)
     assert {index.name for index in question.indices} == {"D_tot", "T_p", "A_p"}
     assert set(question.length_scales) == {"mu", "D_tot", "T_p", "A_p"}
+
+
+@pytest.mark.parametrize("fixed", [[], ["--fixed", "fixed.toml"]])
+def test_pulses_of_a_file_have_indices_without_values_of_other_variables(
+    home: Path, monkeypatch: pytest.MonkeyPatch, fixed: list[str]
+) -> None:
+    monkeypatch.chdir(home)
+    Path("pulses.csv").write_text("T_p,PGV\n2,5\n3,6\n5,7.5\n")
+    Path("rows.toml").write_text('samples = "pulses.csv"\n')
+    options = ("--code", ".", *fixed, "--samples", "16", "--json")
+    result = activefail("sensitivity", "run", "--hazard", "rows.toml", *options)
+    assert result.code == 0, result.err
+    indices = {index["variable"] for index in json.loads(result.out)["indices"]}
+    assert indices == ({"mu"} if fixed else {"mu", "D_tot"})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"samples": 16.5}, "samples: must be a whole number, got 16.5"),
+        ({"samples": "16"}, "samples: must be a whole number, got '16'"),
+        ({"hazard": 3}, "hazard: must be a path, got int"),
+        ({"question": 3}, "question: must be a path, got int"),
+        ({"fixed": 3}, "fixed: must be values by name, or a path, got int"),
+        ({"fixed": ["mu"]}, "fixed: must be values by name, or a path, got list"),
+    ],
+)
+def test_a_wrong_argument_of_the_method_is_refused_by_name(run: Run, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=f"^{re.escape(message)}"):
+        run.sensitivity(**options)
 
 
 @pytest.mark.parametrize(

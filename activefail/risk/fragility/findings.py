@@ -303,7 +303,7 @@ def checked_ladder(
         raise InputError(f"verify: must be at least {LEAST}, got {simulations}.")
     if against is None:
         return None
-    if against in question.fixed:
+    if isinstance(against, str) and against in question.fixed:
         raise InputError(f"against: {against} has the value {question.fixed[against]:g}; leave it out of --fixed.")
     return variable_ladder(question, space, against, bounds)
 
@@ -411,7 +411,7 @@ def bearing_fragility(
                 parts[column],
             )
         )
-    notes = [*hazard.assumptions, *_notes_of_bearing(campaign, hazard, fixed, intensity)]
+    notes = [*whole.assumptions, *_notes_of_bearing(campaign, hazard, fixed, intensity)]
     outside = whole.share_outside(space)
     return FragilityFindings(
         whole.title,
@@ -454,7 +454,7 @@ def general_fragility(
         for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
     )
     others = [name for name in question.space.names if name != against]
-    notes = [f"Integrated over {', '.join(others)}."]
+    notes = [*question.assumptions, f"Integrated over {', '.join(others)}."]
     pairs = getattr(question.space, "correlation", ())
     tied = sorted({name for pair in pairs if against in pair[:2] for name in pair[:2]} - {against})
     if tied:

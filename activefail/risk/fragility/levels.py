@@ -49,6 +49,13 @@ _STEEP, _HALVINGS = 0.05, 2
 """Change of a probability for which a step of a ladder is halved, and how often."""
 
 
+_BOUNDS = "bounds (--range)"
+
+
+def _shown(value: object) -> str:
+    return repr(visible(value)) if isinstance(value, str) else visible(repr(value))
+
+
 def check_asked(hazard: object, against: object, bounds: object, intensity: str) -> None:
     """Check which arguments of a fragility are given.
 
@@ -61,13 +68,13 @@ def check_asked(hazard: object, against: object, bounds: object, intensity: str)
             "probability is shown."
         )
     if hazard is not None:
-        for name, value in (("against", against), ("range", bounds)):
+        for name, value in (("against", against), (_BOUNDS, bounds)):
             if value is not None:
                 raise InputError(f"{name}: cannot be combined with hazard.")
     elif intensity != "pgv":
         raise InputError("intensity: requires hazard; name the variable with against.")
-    if intensity not in UNITS:
-        raise InputError(f"intensity: must be pgv or a_p, got {visible(intensity)!r}.")
+    if not isinstance(intensity, str) or intensity not in UNITS:
+        raise InputError(f"intensity: must be pgv or a_p, got {_shown(intensity)}.")
 
 
 def intensity_ladder(intensity: Intensity, hazard: Hazard) -> Ladder:
@@ -93,9 +100,9 @@ def variable_ladder(
     """
     if name not in question.space.names:
         known = ", ".join(question.space.names)
-        if name in question.fixed or name in space.fixed:
+        if isinstance(name, str) and (name in question.fixed or name in space.fixed):
             raise InputError(f"against: {name} has a value; it must be one of the uncertain variables, {known}.")
-        raise InputError(f"against: must be one of the uncertain variables, {known}, got {visible(name)!r}.")
+        raise InputError(f"against: must be one of the uncertain variables, {known}, got {_shown(name)}.")
     if question.space.dimension < 2:
         raise InputError(f"against: no variable besides {name} is uncertain, so there is nothing to integrate over.")
     parameters = {one.name: one for one in space.parameters}
@@ -104,11 +111,14 @@ def variable_ladder(
     known_one = parameters.get(name)
     if bounds is None:
         if known_one is None:
-            raise InputError(f"range: required, because {name} has no bounds in the campaign.")
+            raise InputError(f"{_BOUNDS}: required, because {name} has no bounds in the campaign.")
         bounds = known_one.low, known_one.high
-    low, high = bounds
+    try:
+        low, high = (float(end) for end in bounds)
+    except (TypeError, ValueError):
+        raise InputError(f"{_BOUNDS}: must be two numbers, got {bounds!r}.") from None
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"range: `low < high` must hold, got {low:g},{high:g}.")
+        raise InputError(f"{_BOUNDS}: `low < high` must hold, got {low:g},{high:g}.")
     is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
     return Ladder.between(name, known_one.unit if known_one else "", low, high, _STEPS, is_log)
 

@@ -177,6 +177,7 @@ def question_sensitivity(
         units={one.name: one.unit for one in space.parameters},
         outside=question.share_outside(campaign.space),
         notes=(
+            *question.assumptions,
             f"The indices divide the variance of the classifier's probability of {outcome} given all variables.",
             *_notes_on_indices(found, samples),
             *_notes_on_rareness(found, samples),
