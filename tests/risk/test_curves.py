@@ -187,7 +187,7 @@ def test_an_interval_includes_the_error_of_the_sequences() -> None:
     of_classifier = Integral(float((disc(question.designs(question.space.X)) > 0.0).mean()), 0.0)
     rng = np.random.default_rng(0)
     plan = plan_estimate(lambda X: disc(question.designs(X)), question.space, of_classifier, 30, rng)
-    right = Sampled(plan, plan.predicted, np.ones(30, dtype=bool), error_of_rows(disc, question)).estimate(0.95)
+    right = Sampled(plan, plan.predicted, np.ones(30, dtype=bool), error=error_of_rows(disc, question)).estimate(0.95)
     assert right.low < math.pi / 4.0 < right.high
     assert 0.002 < right.high - right.low < 0.02
 
