@@ -71,7 +71,7 @@ class DesignFindings:
     def assumptions(self) -> list[str]:
         """What the result assumes, as sentences."""
         task = self.designed.task
-        sentences = list(self.hazard.assumptions) if self.hazard else []
+        sentences = list(self.designed.question.assumptions)
         given = {name: task.question.fixed[name] for name in task.free if name in task.question.fixed}
         for name, value in given.items():
             sentences.append(f"{name} is free: its given value {value:g} was not used.")
