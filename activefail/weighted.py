@@ -67,6 +67,19 @@ class WeightedRows:
         kept = [column for column, other in enumerate(self.names) if other != name]
         return replace(self, names=tuple(self.names[column] for column in kept), X=self.X[:, kept])
 
+    def thinned(self, n: int) -> "WeightedRows":
+        """At most n rows that stand for all: of more, a systematic sample by their weights, in n equal weights.
+
+        The sample is taken in the order of the last variable, the size of a pulse.
+        """
+        if len(self.X) <= n:
+            return self
+        order = np.argsort(self.X[:, -1], kind="stable")
+        below = np.cumsum(self.weight[order])
+        places = np.minimum(np.searchsorted(below, (np.arange(n) + 0.5) / n * below[-1]), len(order) - 1)
+        by_block = np.argsort(np.arange(n) % BLOCKS, kind="stable")
+        return WeightedRows(self.names, self.X[order[places[by_block]]], np.ones(n), is_sample=True)
+
     def standard_error(self, values: Array | NDArray[np.bool_]) -> Array:
         """Standard error of the weighted mean over the rows, which blocks of a sample differ by; 0 without a sample.
 

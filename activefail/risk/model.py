@@ -5,6 +5,7 @@ from scipy.special import ndtr
 from activefail.acquisition.population import integration_points
 from activefail.campaign.question import Question
 from activefail.reliability.estimate import Standardised
+from activefail.weighted import WeightedRows
 
 POINTS = 1024
 """Points that integrate a probability of a per cent or more."""
@@ -19,7 +20,9 @@ def classifier_probability(standardised: Standardised, question: Question, point
     Args:
         standardised: mean/sd of the boundary's latent as a function of the campaign's designs.
         question: the distribution of the variables.
-        points: number of fixed points; a power of two.
+        points: number of fixed points; a power of two. Of weighted rows at most twice as many, because they fill the
+            space less evenly.
     """
-    X, weight = integration_points(question.space, points)
+    space = question.space
+    X, weight = integration_points(space.thinned(2 * points) if isinstance(space, WeightedRows) else space, points)
     return float((weight * ndtr(standardised(question.designs(X)))).mean())

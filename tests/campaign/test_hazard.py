@@ -12,7 +12,7 @@ from scipy.special import ndtr
 import activefail as package
 from activefail.acquisition.population import integration_points
 from activefail.bearing.design import TABLE_1
-from activefail.bearing.pulse import VELOCITY_PERIOD, amplitude_of
+from activefail.bearing.pulse import VELOCITY_PERIOD, amplitude_of, velocity_of
 from activefail.campaign.asked import read_asked
 from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
 from activefail.campaign.hazard_sections import RELATIONS
@@ -21,7 +21,10 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
 from activefail.reliability.estimate import Doubt, Plan
+from activefail.risk.fragility.deaggregation import deaggregated
+from activefail.risk.fragility.levels import answer
 from activefail.risk.hazard import HazardSummary, Outside
+from activefail.risk.model import classifier_probability
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability import Sampled
 from activefail.weighted import WeightedRows, weighted_quantiles
@@ -202,6 +205,44 @@ def test_uncertainty_of_any_number_of_rows_is_integrated_where_the_outcome_is_a_
         # Each block stands for all pulses.
         assert [part.mean() for part in np.array_split(fails, 8)] == pytest.approx([true] * 8, abs=0.08)
         assert pulses.without("T_p").is_sample
+
+
+@pytest.mark.parametrize("more", ["", UNCERTAIN])
+def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path: Path, more: str) -> None:
+    rng = np.random.default_rng(0)
+    T, V, weight = rng.uniform(1, 5, 12_000), rng.lognormal(-0.3, 0.4, 12_000), rng.random(12_000)
+    table = "".join(f"{a},{b},{w}\n" for a, b, w in zip(T, V, weight, strict=True))
+    read = rows(tmp_path, "T_p,PGV,weight\n" + table, more)
+    asked = hazard_question(read, SETTINGS, TABLE_1, BEARING)
+    counted: list[int] = []
+
+    def fails(X: Array) -> Array:
+        counted.append(len(X))
+        return np.asarray(1e6 * (velocity_of(X[:, -1], X[:, -2]) - 1.0))
+
+    bias, added = (0.1, 0.3) if more else (0.0, 0.0)
+    true = float(ndtr((-0.3 - bias) / math.hypot(0.4, added)))
+    for points in (256, 1024):
+        assert classifier_probability(fails, asked, points) == pytest.approx(true, abs=0.015)
+    found = answer(lambda X: fails(X)[:, None], asked, TABLE_1)
+    assert found.probability[0] == pytest.approx(true, abs=0.015)
+    deaggregation = deaggregated(
+        lambda X: fails(X)[:, None], lambda of: hazard_question(of, SETTINGS, TABLE_1, BEARING), read
+    )[0]
+    assert deaggregation.probability == pytest.approx(true, abs=0.015)
+    assert counted == [512, 2048, 4096, 4096]
+
+
+def test_thinned_rows_keep_their_weights_and_know_their_error() -> None:
+    x = np.arange(1000.0)
+    every = WeightedRows(("x",), x[:, None], x)
+    assert every.thinned(1000) is every
+    thin = every.thinned(128)
+    assert (len(thin.X), thin.is_sample) == (128, True)
+    assert thin.X.mean() == pytest.approx(float((every.weight * x).mean()), rel=1e-3)
+    # Far less than that of a random sample.
+    assert 0.0 < float(thin.standard_error(thin.X[:, 0])) < 0.5 * thin.X.std() / math.sqrt(128)
+    assert float(every.standard_error(x)) == 0.0
 
 
 def test_rows_need_values_of_all_other_variables(tmp_path: Path) -> None:

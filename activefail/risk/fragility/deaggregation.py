@@ -11,8 +11,9 @@ from scipy.special import ndtr, ndtri
 from activefail.acquisition.population import integration_points
 from activefail.campaign.hazard import Hazard
 from activefail.campaign.question import PERIOD, PGV, Question
-from activefail.risk.fragility.levels import Boundaries, weighted_quantiles
+from activefail.risk.fragility.levels import Boundaries
 from activefail.space import Array
+from activefail.weighted import WeightedRows, weighted_quantiles
 
 _POINTS, _WITH_UNCERTAINTY = 4096, 512
 """Pulses of a hazard; fewer where each has several values of the added uncertainty."""
@@ -92,7 +93,8 @@ def deaggregated(
     """
     question = question_of(hazard.without_uncertainty())
     names, added = question.space.names, hazard.added_dispersion
-    X, weight = integration_points(question.space, _WITH_UNCERTAINTY if added else _POINTS)
+    given, n = question.space, _WITH_UNCERTAINTY if added else _POINTS
+    X, weight = integration_points(given.thinned(n) if isinstance(given, WeightedRows) else given, n)
     period, velocity = X[:, names.index(PERIOD)], X[:, names.index(PGV)]
     values = max(_SPREAD, math.ceil(_LEAST / len(X)))
     z = ndtri((np.arange(values) + 0.5) / values) if added else np.zeros(1)
@@ -132,11 +134,11 @@ def _of_boundary(period: Array, velocity: Array, weight: Array, part: Array) -> 
 
 def _edges(values: Array, weight: Array) -> Array:
     """Edges of bins of equal width in the logarithm, between the 0.5th and the 99.5th percentile of the pulses."""
-    low, high = weighted_quantiles(values, weight, (0.005, 0.995))
+    low, high = weighted_quantiles(values, weight, (0.005, 0.995)).tolist()
     if not low < high:
         low, high = 0.99 * low, 1.01 * high
     return np.geomspace(low, high, _BINS + 1)
 
 
 def _percentiles(values: Array, weight: Array) -> Percentiles:
-    return Percentiles(*weighted_quantiles(values, weight, (0.05, 0.5, 0.95)))
+    return Percentiles(*weighted_quantiles(values, weight, (0.05, 0.5, 0.95)).tolist())

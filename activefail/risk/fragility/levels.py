@@ -17,7 +17,7 @@ from activefail.risk.fragility.curve import Curve, Ladder
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.visible import visible
-from activefail.weighted import WeightedRows
+from activefail.weighted import WeightedRows, weighted_quantiles
 
 Boundaries = Callable[[Array], Array]
 """Designs, (n, d) -> mean/sd of each boundary's latent, (n, boundaries); positive beyond it."""
@@ -179,15 +179,7 @@ def median_intensity(hazard: Hazard, intensity: Intensity) -> float:
         values = rows.X[:, rows.names.index(AMPLITUDE)]
     else:
         values = amplitude_of(rows.X[:, rows.names.index(PGV)], rows.X[:, rows.names.index(PERIOD)])
-    return weighted_quantiles(values, rows.weight, (0.5,))[0]
-
-
-def weighted_quantiles(values: Array, weight: Array, shares: tuple[float, ...]) -> list[float]:
-    """Quantiles of weighted values, (n,) each."""
-    order = np.argsort(values, kind="stable")
-    cumulated = np.cumsum(weight[order])
-    rows = np.searchsorted(cumulated, np.array(shares) * cumulated[-1])
-    return [float(value) for value in values[order][np.minimum(rows, len(values) - 1)]]
+    return float(weighted_quantiles(values, rows.weight, (0.5,))[0])
 
 
 def standardised_boundaries(classifier: Classifier, features: FeatureMap) -> Boundaries:
@@ -221,30 +213,20 @@ def answer(boundaries: Boundaries, question: Question, space: DesignSpace) -> An
     The simulator is deterministic. So Φ(m/s) is integrated, the probability of the side under the latent (see
     `classifier_probability`). The points are the same at every level of a ladder, so that curves are smooth.
     """
-    X, weight = integration_points(question.space, _POINTS.get(question.space.dimension, _MORE_POINTS))
-    if len(X) > _MOST_ROWS:
-        X, weight = _systematic(X, weight)
+    given = question.space
+    if isinstance(given, WeightedRows):
+        given = given.thinned(_MOST_ROWS)
+    X, weight = integration_points(given, _POINTS.get(given.dimension, _MORE_POINTS))
     designs = question.designs(X)
     beyond = ndtr(boundaries(designs))
     parts = weight[:, None] * beyond
     outside = float(1.0 - (weight * space.contains(designs)).mean())
-    if isinstance(question.space, WeightedRows):
-        is_whole = len(X) == len(question.space.X)
-        error = question.space.standard_error(beyond) if is_whole else np.zeros(beyond.shape[1])
-        return Answer(parts.mean(axis=0), error, outside)
+    if isinstance(given, WeightedRows):
+        return Answer(parts.mean(axis=0), given.standard_error(beyond), outside)
     # Each half of a Sobol' sequence is one too.
     half = len(X) // 2
     error = 0.5 * np.abs(parts[:half].mean(axis=0) - parts[half:].mean(axis=0))
     return Answer(parts.mean(axis=0), error, outside)
-
-
-def _systematic(X: Array, weight: Array) -> tuple[Array, Array]:
-    """A systematic sample of weighted rows, in the order of their first variable, with equal weights."""
-    order = np.argsort(X[:, 0], kind="stable")
-    cumulated = np.cumsum(weight[order])
-    at = (np.arange(_MOST_ROWS) + 0.5) / _MOST_ROWS * cumulated[-1]
-    rows = order[np.minimum(np.searchsorted(cumulated, at), len(order) - 1)]
-    return X[rows], np.ones(_MOST_ROWS)
 
 
 @dataclass(frozen=True, eq=False)

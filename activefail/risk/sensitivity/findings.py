@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from activefail.acquisition.population import integration_points
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import Hazard, hazard_question
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
@@ -393,15 +394,5 @@ def _share_outside(
 
 
 def _pulses(space: DesignSpace | WeightedRows, n: int) -> tuple[Array, Array]:
-    """At most n fixed pulses, (p, k), with weights, (p,).
-
-    Of more than n weighted rows, n are drawn systematically in the order of their last column, the size of the pulse.
-    """
-    if isinstance(space, DesignSpace):
-        return space.sobol(n, np.random.default_rng(0)), np.ones(n)
-    if len(space.X) <= n:
-        return space.X, space.weight
-    order = np.argsort(space.X[:, -1], kind="stable")
-    below = np.cumsum(space.weight[order]) / space.weight.sum()
-    rows = order[np.searchsorted(below, (np.arange(n) + 0.5) / n)]
-    return space.X[rows], np.ones(n)
+    """At most n fixed pulses, (p, k), with weights, (p,)."""
+    return integration_points(space.thinned(n) if isinstance(space, WeightedRows) else space, n)
