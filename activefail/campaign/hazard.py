@@ -164,9 +164,11 @@ class Hazard:
             none = "The hazard has no property bounds: the" if settings.properties is None else "The"
             sentences.append(f"{none} bearing is exactly as designed.")
         else:
-            factors = [f"{_IN_WORDS[name]} × {factor:g}" for name, factor in self.factors.items()]
+            factors = ", ".join(f"{_IN_WORDS[name]} × {factor:g}" for name, factor in self.factors.items())
             sentences.append(
-                f"The bearing has its {self.bound} property bounds: {', '.join(factors) or 'none differs'}."
+                f"The bearing has its {self.bound} property bounds: {factors}."
+                if factors
+                else f"The {self.bound} property bounds do not change the bearing."
             )
         if not self.added_dispersion and not self.bias:
             sentences.append(
@@ -186,7 +188,7 @@ _IN_WORDS = {FRICTION: "friction", CAPACITY: "displacement capacity"}
 
 
 def _spread(sizes: Array, periods: Array) -> tuple[NDArray[np.int_], Array]:
-    """Rows, (m,), and their standard normal deviates, (m,), in blocks each of which stands for all.
+    """Rows, (m,), and their standard normal deviates, (m,), in blocks. Each block represents the whole distribution.
 
     A simulator is deterministic, so a row's outcome is a step in the deviate, which a quadrature of smooth functions
     would misplace. Each row has strata of equal probability. Their places within the strata differ from row to row, so

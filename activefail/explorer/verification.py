@@ -151,7 +151,7 @@ class Verification:
 
 
 class Verifications:
-    """The verifications of a server, of which at most one runs at a time; the last one is kept."""
+    """The verifications of a server. At most one runs at a time, and the last one is kept."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -77,7 +77,7 @@ class Outside:
 
     Attributes:
         total: outside in any variable.
-        parts: by variable and side, without those of which nothing lies outside.
+        parts: by variable and side; those with no share outside are left out.
         bearing: variables of the bearing whose values entered.
     """
 

@@ -19,11 +19,12 @@ from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.reliability.estimate import Plan, expected_half_width, plan_common
 from activefail.risk.design.required import least_value, required_chart
-from activefail.risk.design.search import cheapest, find_design
+from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design
 from activefail.risk.design.task import DesignTask, Requirement, read_targets
 from activefail.run import Run
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability import Sampled
+from activefail.verification.stratified import largest_unseen_share
 
 CAMPAIGN = """
 simulator = { python = "tank:run", outcomes = ["safe", "damage", "failure"] }
@@ -277,6 +278,16 @@ def test_a_failure_where_the_classifier_was_sure_is_never_called_verified() -> N
         assert found.status == "not verified"
         assert found.surprising > 0
         assert 0.03 < found.missable < 0.05
+
+
+def test_nothing_can_fail_unseen_where_every_pulse_was_simulated() -> None:
+    question = question_of()
+    sampled = MadeEstimator(1.0, 0.1, 0).sample("failure", 100, question)
+    for is_complete, unseen in ((True, 0.0), (False, largest_unseen_share(100, 0.96) / 0.3)):
+        look = Look(
+            Candidate({"capacity": 2.0}, np.array([0.1]), True), (replace(sampled, is_complete=is_complete),), 0.96
+        )
+        assert Designed(task_of(question), (look,), "verified", {}).missable == pytest.approx(unseen)
 
 
 def test_a_target_that_only_the_interval_exceeds_gets_its_second_look() -> None:

@@ -109,11 +109,12 @@ class DesignFindings:
             )
         if self.hazard is None and self.designed.question.is_of_campaign:
             sentences.append("The pulses or loads are distributed as in the campaign, which is seldom a hazard.")
-        sentences.append(
-            "The bounds presume that no failure is hidden where the classifier is sure. Without this, up to "
-            f"{percent(self.designed.missable)} of the distribution could fail unseen there "
-            f"({100.0 * self.designed.last.of_bound:.3g} % confidence)."
-        )
+        if missable := self.designed.missable:
+            sentences.append(
+                "The bounds presume that no failure is hidden where the classifier is sure. Without this, up to "
+                f"{percent(missable)} of the distribution could fail unseen there "
+                f"({100.0 * self.designed.last.of_bound:.3g} % confidence)."
+            )
         if isinstance(self.campaign.simulator, DfpSimulator):
             sentences.append("The model has rims that do not yield, plane motion, and no vertical ground motion.")
         return sentences

@@ -86,7 +86,7 @@ def required_chart(
 
 
 def least_value(grid: Array, P: Array, target: float) -> float:
-    """The first value beyond which a probability stays at most at its target; NaN if there is none.
+    """The first value beyond which a probability never exceeds its target; NaN if there is none.
 
     The probability is interpolated by its logarithm.
 

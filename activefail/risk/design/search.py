@@ -145,11 +145,13 @@ class Designed:
 
     @property
     def missable(self) -> float:
-        """Largest share of the pulses that may hold failures where the classifier is sure, if no simulation shows any.
+        """Largest share of the distribution that may fail unseen where the classifier is sure; 0 if all of it is known.
 
-        Fresh simulations fall there with at least the share that is drawn without regard to the classifier's doubt; the
-        confidence is that of the last look's bound.
+        A part of the fresh simulations is drawn without regard to the classifier's doubt. The confidence is that of the
+        last look's bound.
         """
+        if all(sampled.is_complete for sampled in self.last.sampled):
+            return 0.0
         fresh = min(estimate.simulations for estimate in self.last.estimates)
         return min(1.0, largest_unseen_share(fresh, self.last.of_bound) / UNIFORM)
 
