@@ -808,7 +808,8 @@ class Run:
 
         Args:
             target: largest acceptable probability of the (main) target boundary's outcome, or a worse one; a risk
-                category; or several, such as "failure=0.05,impact=0.3".
+                category; a risk such as "1% in 50 years", for which the hazard needs a curve of annual rates; or
+                several, such as "failure=0.05,impact=0.3".
             hazard: a hazard, or its file.
             question: without a hazard: other distributions of the variables, as for `probability`.
             fixed: values of variables: by name, or a TOML file.
@@ -825,6 +826,7 @@ class Run:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
         from activefail.risk.design.designing import search_design
+        from activefail.risk.design.risk_target import at_risk
         from activefail.risk.design.stored import designs_text
         from activefail.risk.design.task import DEFAULT_FREE, design_task, read_targets
 
@@ -832,7 +834,11 @@ class Run:
         names = _names("free", free)
         requirements = read_targets(str(target), self.campaign.simulator.outcomes, self.boundary)
         site, asked = self._at_site(hazard, question, fixed, names or (DEFAULT_FREE,))
-        task = design_task(self.campaign, asked, requirements, names, cost, confidence, simulations)
+        rate = None
+        if any(one.years is not None for one in requirements):
+            site, requirements, rate = at_risk(site, requirements)
+            site, asked = self._at_site(site, None, fixed, names or (DEFAULT_FREE,))
+        task = design_task(self.campaign, asked, requirements, names, cost, confidence, simulations, rate)
         with self._estimator(executor, stage) as estimator:
             found = search_design(estimator, task, site, chart, stage)
         if self._write and (text := designs_text(self.folder, found.designed)) is not None:

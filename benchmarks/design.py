@@ -34,7 +34,7 @@ from scipy.stats import t as student
 from activefail import create_run, open_run, simulate
 from activefail.bearing.pulse import amplitude_of
 from activefail.campaign.hazard import hazard_of, hazard_question
-from activefail.reliability.estimate import estimated, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
 from activefail.surrogate.threads import one_thread
 from activefail.weighted import WeightedRows
 
@@ -108,7 +108,7 @@ def intervals(study, bearing, target, number):
     for _ in range(REPEATS):
         plan = plan_estimate(of_rows, rows, integrated(of_rows, rows, rng), SIMULATIONS, rng)
         chosen = plan.designs[:, 0].astype(int)
-        estimate = estimated(plan, failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
+        estimate = plan.estimate(failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
         half.append(0.5 * (estimate.high - estimate.low))
         covered.append(estimate.low <= P <= estimate.high)
         above.append(estimate.high >= P)

@@ -49,7 +49,7 @@ from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current, learn_from
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import estimated, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
 from activefail.surrogate.threads import one_thread
 
 FRESH = (25, 50)
@@ -124,7 +124,7 @@ def score(name, seed, terms, repeats):
             for _ in range(repeats):
                 plan = plan_estimate(standardised, campaign.space, integral, m, rng)
                 beyond = problem.limit(plan.designs) <= 0.0
-                estimate = estimated(plan, beyond, np.ones(m, dtype=bool), 0.9)
+                estimate = plan.estimate(beyond, np.ones(m, dtype=bool), 0.9)
                 estimates.append((estimate.probability, estimate.low, estimate.high))
                 recalls.append(estimate.recall_low)
             row[f"estimates {m}"], row[f"recalls {m}"] = estimates, recalls

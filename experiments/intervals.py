@@ -22,7 +22,8 @@ from activefail import open_run, simulate
 from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.parameter import Parameter
 from activefail.reliability import estimate as reliability
-from activefail.reliability.estimate import estimated, integrated, plan_common, plan_estimate, standardised_latent
+from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
+from activefail.reliability.strata import plan_strata
 from activefail.space import DesignSpace
 from activefail.weighted import WeightedRows
 
@@ -65,7 +66,7 @@ def by_importance(weight, wider):
 
         plan = plan_estimate(of_rows, rows, integrated(of_rows, rows, rng), SIMULATIONS, rng)
         chosen = plan.designs[:, 0].astype(int)
-        found = estimated(plan, failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
+        found = plan.estimate(failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
         return found.low, found.high
 
     return interval
@@ -148,8 +149,8 @@ def overconfident(sd, isolated, repeats=200):
     P = fails(space.from_unit(np.random.default_rng(0).random((2_000_000, 2)))).mean()
     holds, below = 0, []
     for seed in range(repeats):
-        plan = plan_common(lambda X: (X[:, 0] - 1.28) / sd, space, 300, np.random.default_rng(seed))
-        high = estimated(plan, fails(plan.designs), np.ones(300, dtype=bool), 0.92).high
+        plan = plan_strata(lambda X: (X[:, 0] - 1.28) / sd, space, 300, np.random.default_rng(seed))
+        high = plan.estimate(fails(plan.designs), np.ones(300, dtype=bool), 0.92).high
         holds += high >= P
         below += [1.0 - high / P] if high < P else []
     return P, holds / repeats, float(np.median(below)) if below else 0.0

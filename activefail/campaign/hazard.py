@@ -103,6 +103,23 @@ class Hazard:
         assert self.settings.pgv is not None
         return self.settings.pgv.median_m_s
 
+    def period_given(self, pgv: float) -> tuple[float, float]:
+        """Median [s] and dispersion of the lognormal distribution of T_p, given the peak ground velocity [m/s].
+
+        Raises:
+            InputError: if the velocity is so far from its median that the periods are absurd.
+        """
+        given = self.settings.pgv
+        assert given is not None
+        rho = given.correlation_with_period
+        shift = rho * self.period_dispersion / given.dispersion * math.log(pgv / given.median_m_s) if rho else 0.0
+        if abs(shift) > _FARTHEST:
+            raise InputError(
+                f"pgv: is so far from its median of {given.median_m_s:g} m/s that the correlation with the period "
+                f"gives no period, got {pgv:g} m/s."
+            )
+        return self.median_period * math.exp(shift), self.period_dispersion * math.sqrt(1.0 - rho * rho)
+
     def pulses(self, pgv: float | None = None) -> tuple[DesignSpace | WeightedRows, dict[str, float]]:
         """The distribution of T_p and PGV, and the values of those that are certain.
 
@@ -127,14 +144,7 @@ class Hazard:
             rho *= given.dispersion / dispersion
         else:
             median, dispersion = pgv * math.exp(-self.bias), added
-            shift = rho * period_dispersion / given.dispersion * math.log(pgv / given.median_m_s)
-            if abs(shift) > _FARTHEST:
-                raise InputError(
-                    f"pgv: is so far from its median of {given.median_m_s:g} m/s that the correlation with the period "
-                    f"gives no period, got {pgv:g} m/s."
-                )
-            median_period *= math.exp(shift)
-            period_dispersion *= math.sqrt(1.0 - rho * rho)
+            median_period, period_dispersion = self.period_given(pgv)
             rho = 0.0
         periods = _lognormal(PERIOD, median_period, period_dispersion, "s")
         if dispersion < _LEAST:
@@ -148,10 +158,12 @@ class Hazard:
         periods, added = rows.column(PERIOD), self.added_dispersion
         sizes = velocities(rows) if pgv is None else np.full(len(periods), pgv)
         if pgv is not None and added == 0.0:
-            return WeightedRows((PERIOD,), periods[:, None], rows.weight), {PGV: pgv * math.exp(-self.bias)}
+            one = WeightedRows((PERIOD,), periods[:, None], rows.weight, rows.is_sample)
+            return one, {PGV: pgv * math.exp(-self.bias)}
         if added == 0.0:
             felt = sizes * math.exp(-self.bias)
-            return WeightedRows((PERIOD, PGV), np.column_stack([periods, felt]), rows.weight), {}
+            both = np.column_stack([periods, felt])
+            return WeightedRows((PERIOD, PGV), both, rows.weight, rows.is_sample), {}
         row, z = _spread(sizes, periods)
         X = np.column_stack([periods[row], sizes[row] * np.exp(added * z - self.bias)])
         return WeightedRows((PERIOD, PGV), X, rows.weight[row], is_sample=True), {}

@@ -21,8 +21,8 @@ def design(
     target: Annotated[
         str,
         typer.Option(
-            help="Largest acceptable probability of failure, such as 0.10 or 10%; a risk category, II, III or IV; or "
-            "one for each outcome, such as failure=0.05,impact=0.3.",
+            help="Largest acceptable probability of failure, such as 0.10 or 10%; a risk category, II, III or IV; a "
+            "risk such as '1% in 50 years'; or one for each outcome, such as failure=0.05,impact=0.3.",
             show_default=False,
         ),
     ],

@@ -35,6 +35,9 @@ LARGEST_RATIO = 2.0 / UNIFORM
 """Largest density of the design measure over that of a fresh simulation. A radial population has at least half the
 density of the measure everywhere."""
 
+SURE = 4.0
+"""Standard deviations from the boundary beyond which the classifier is sure."""
+
 _WIDER = 2.0
 """Factor of the latent's standard deviation."""
 
@@ -44,13 +47,6 @@ _PRIOR_WEIGHT = 16.0
 _INTEGRATION, _ROUNDS, _ACCURACY = 50_000, 20, 0.01
 """Designs of a population that integrates the classifier's probability, most populations, and relative standard error
 that ends the integration."""
-
-
-_SEQUENCES, _SEQUENCE_LENGTHS = 8, (1024, 4096)
-"""Randomised Sobol' sequences for an outcome that is not rare, and their lengths, the second if the first is short."""
-
-_COMMON_ACCURACY = 0.03
-"""Relative standard error of their mean above which the outcome is rare."""
 
 _IMAGINED = 32
 """Imagined sets of outcomes that predict the width of an interval."""
@@ -102,6 +98,54 @@ class Plan:
     standard_error: float
     missed: Doubt
     false: Doubt
+
+    @property
+    def surest(self) -> tuple[int, float]:
+        """Simulations that would meet failure where the classifier is sure, and the share that each may stand for.
+
+        A part of them is drawn without regard to the classifier's doubt.
+        """
+        return len(self.designs), 1.0 / UNIFORM
+
+    def estimate(
+        self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
+    ) -> "ProbabilityEstimate":
+        """The estimate from the outcomes of the simulations.
+
+        Args:
+            beyond: (m,) whether each outcome is beyond the boundary.
+            answered: (m,) whether each simulation gave an outcome; the interval covers both outcomes of the others.
+            confidence: of the interval.
+        """
+        middle, _, _ = _interval(self, np.where(answered, beyond, self.predicted), confidence)
+        _, low, _ = _interval(self, beyond & answered, confidence)
+        _, _, high = _interval(self, beyond | ~answered, confidence)
+        wrong = answered & (beyond != self.predicted)
+        recall, recall_low = _recall(self, beyond, answered, confidence)
+        return ProbabilityEstimate(
+            probability=min(1.0, max(0.0, middle)),
+            low=min(1.0, max(0.0, low)),
+            # No design is drawn farther out; all of them may fail.
+            high=min(1.0, max(0.0, high) + REACH),
+            confidence=confidence,
+            model=min(1.0, self.probability),
+            simulations=len(beyond),
+            unanswered=int((~answered).sum()),
+            beyond=int((beyond & answered).sum()),
+            wrong=int(wrong.sum()),
+            surprising=int((wrong & (np.abs(self.standardised) > SURE)).sum()),
+            recall=recall,
+            recall_low=recall_low,
+        )
+
+    def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:
+        """Expected distance from the estimate to its upper bound, if the classifier's own probabilities are right."""
+        likely = ndtr(self.standardised)
+        widths = []
+        for _ in range(_IMAGINED):
+            middle, _, high = _interval(self, rng.random(len(likely)) < likely, confidence)
+            widths.append(high - middle)
+        return float(np.mean(widths))
 
 
 @dataclass(frozen=True)
@@ -180,21 +224,6 @@ def plan_estimate(
     return _planned(drawn.X, drawn.weight, standardised(drawn.X), integral, m, rng, isinstance(space, WeightedRows))
 
 
-def plan_common(standardised: Standardised, space: DesignSpace, m: int, rng: np.random.Generator) -> Plan | None:
-    """Plan m fresh simulations as `plan_estimate` does, with fewer predictions; None if the outcome is too rare.
-
-    The same randomised Sobol' sequences integrate the classifier's probability and hold the designs to simulate.
-    """
-    for length in _SEQUENCE_LENGTHS:
-        X = np.concatenate([space.sobol(length, rng) for _ in range(_SEQUENCES)])
-        z = standardised(X)
-        means = (z > 0.0).reshape(_SEQUENCES, length).mean(axis=1)
-        integral = Integral(float(means.mean()), float(means.std(ddof=1) / np.sqrt(_SEQUENCES)))
-        if integral.probability and integral.standard_error <= _COMMON_ACCURACY * integral.probability:
-            return _planned(X, np.ones(len(X)), z, integral, m, rng, is_exact=False)
-    return None
-
-
 def _planned(
     X: Array, weight: Array, z: Array, integral: Integral, m: int, rng: np.random.Generator, is_exact: bool
 ) -> Plan:
@@ -234,49 +263,6 @@ def _planned(
         standard_error=integral.standard_error,
         missed=doubt_of(z <= 0.0),
         false=doubt_of(z > 0.0),
-    )
-
-
-def expected_half_width(plan: Plan, confidence: float, rng: np.random.Generator) -> float:
-    """Expected distance from the estimate to its upper bound, if the classifier's own probabilities are right."""
-    likely = ndtr(plan.standardised)
-    widths = []
-    for _ in range(_IMAGINED):
-        middle, _, high = _interval(plan, rng.random(len(likely)) < likely, confidence)
-        widths.append(high - middle)
-    return float(np.mean(widths))
-
-
-def estimated(
-    plan: Plan, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
-) -> ProbabilityEstimate:
-    """The estimate from the outcomes of the planned simulations.
-
-    Args:
-        plan: the plan.
-        beyond: (m,) whether each outcome is beyond the boundary.
-        answered: (m,) whether each simulation gave an outcome.
-        confidence: of the interval.
-    """
-    middle, _, _ = _interval(plan, np.where(answered, beyond, plan.predicted), confidence)
-    _, low, _ = _interval(plan, beyond & answered, confidence)
-    _, _, high = _interval(plan, beyond | ~answered, confidence)
-    wrong = answered & (beyond != plan.predicted)
-    recall, recall_low = _recall(plan, beyond, answered, confidence)
-    return ProbabilityEstimate(
-        probability=min(1.0, max(0.0, middle)),
-        low=min(1.0, max(0.0, low)),
-        # No design is drawn farther out; all of them may fail.
-        high=min(1.0, max(0.0, high) + REACH),
-        confidence=confidence,
-        model=min(1.0, plan.probability),
-        simulations=len(beyond),
-        unanswered=int((~answered).sum()),
-        beyond=int((beyond & answered).sum()),
-        wrong=int(wrong.sum()),
-        surprising=int((wrong & (np.abs(plan.standardised) > 4.0)).sum()),
-        recall=recall,
-        recall_low=recall_low,
     )
 
 

@@ -84,6 +84,8 @@ def risk_options(
     requirements = read_targets(text, outcomes, boundary)
     if len(requirements) > 1:
         raise InputError(f"target: must be one target, got {text!r}.")
+    if requirements[0].years is not None:
+        raise InputError(f"target: must be a probability given a pulse of the hazard in a report, got {text!r}.")
     site = f"--hazard {quoted(hazard) if isinstance(hazard, Path | str) else 'HAZARD.toml'}"
     if fixed is not None:
         site += f" --fixed {quoted(fixed) if isinstance(fixed, Path | str) else 'DESIGN.toml'}"

@@ -12,24 +12,21 @@ from activefail.campaign.random_streams import stream
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
 from activefail.reliability.estimate import (
+    SURE,
     Doubt,
     Plan,
     ProbabilityEstimate,
     Standardised,
-    estimated,
     integrated,
-    plan_common,
     plan_estimate,
     standardised_latent,
 )
+from activefail.reliability.strata import StratifiedPlan, plan_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.space import Array, DesignSpace
+from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
 from activefail.weighted import BLOCKS, WeightedRows
-
-_SURE = 4.0
-"""Standard deviations from the boundary beyond which the classifier is sure."""
 
 _DRAWS = 10_000
 """More than the number of independent samples that anything draws at one iteration."""
@@ -63,7 +60,7 @@ class Sampled:
         error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
     """
 
-    plan: Plan
+    plan: Plan | StratifiedPlan
     beyond: NDArray[np.bool_]
     answered: NDArray[np.bool_]
     first: NDArray[np.int_] | None = None
@@ -76,7 +73,7 @@ class Sampled:
 
         if self.is_complete:
             return self._counted(self._known(confidence))
-        found = estimated(self.plan, self.beyond, self.answered, confidence)
+        found = self.plan.estimate(self.beyond, self.answered, confidence)
         if self.first is not None:
             found = self._counted(found)
         if not self.error:
@@ -91,6 +88,7 @@ class Sampled:
 
     def _known(self, confidence: float) -> ProbabilityEstimate:
         """The share of all rows, of which only the numerical failures are unknown."""
+        assert isinstance(self.plan, Plan)
         share, predicted = self.plan.ratio / self.plan.ratio.sum(), self.plan.predicted
         beyond = self.beyond & self.answered
         low, high = float(share @ beyond), float(share @ (beyond | ~self.answered))
@@ -120,7 +118,7 @@ class Sampled:
             "unanswered": int((~answered).sum()),
             "beyond": int((beyond & answered).sum()),
             "wrong": int(wrong.sum()),
-            "surprising": int((wrong & (np.abs(plan.standardised[first]) > _SURE)).sum()),
+            "surprising": int((wrong & (np.abs(plan.standardised[first]) > SURE)).sum()),
         }
         hits = int((self.beyond | ~self.answered).sum())
         return EstimateOfRows(**numbers, draws=0 if self.is_complete else len(self.beyond), hits=hits)
@@ -139,7 +137,7 @@ class _Fresh:
         is_complete, error: as in `Sampled`.
     """
 
-    plan: Plan
+    plan: Plan | StratifiedPlan
     name: str
     designs: Array
     first: NDArray[np.int_] | None
@@ -176,7 +174,7 @@ class Estimator:
         """The latent of an outcome's boundary as a function of designs."""
         return standardised_latent(self.classifier.latent(outcome), self.campaign.features)
 
-    def plan(self, outcome: str, simulations: int, question: Question) -> Plan:
+    def plan(self, outcome: str, simulations: int, question: Question) -> Plan | StratifiedPlan:
         """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
         return planned(self.campaign, self.standardised(outcome), self.iteration, simulations, question)
 
@@ -246,7 +244,7 @@ def _fresh(
         simulations, question = len(rows.X), question.drawn(0)
         z = of_designs(question.designs(rows.X))
         model, none = float((rows.weight * (z > 0.0)).mean()), Doubt(0.0, 0.0)
-        plan = Plan(rows.X, rows.weight, z > 0.0, z, model, 0.0, none, none)
+        plan: Plan | StratifiedPlan = Plan(rows.X, rows.weight, z > 0.0, z, model, 0.0, none, none)
     else:
         plan = planned(campaign, of_designs, iteration, simulations, question)
         error = error_of_rows(of_designs, question)
@@ -265,8 +263,13 @@ def error_of_rows(standardised: Standardised, question: Question) -> float:
     return float(rows.standard_error(standardised(question.designs(rows.X)) > 0.0))
 
 
-def planned(campaign: Campaign, of_designs: Standardised, iteration: int, simulations: int, question: Question) -> Plan:
-    """The fresh simulations that estimate a probability under a question, from the latent as a function of designs."""
+def planned(
+    campaign: Campaign, of_designs: Standardised, iteration: int, simulations: int, question: Question
+) -> Plan | StratifiedPlan:
+    """The fresh simulations that estimate a probability under a question, from the latent as a function of designs.
+
+    Under the campaign's own distribution, and wherever the outcome is rare, they are drawn by importance.
+    """
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
         rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
@@ -274,8 +277,8 @@ def planned(campaign: Campaign, of_designs: Standardised, iteration: int, simula
     def standardised(X: Array) -> Array:
         return of_designs(question.designs(X))
 
-    if question.draw and isinstance(question.space, DesignSpace):
-        plan = plan_common(standardised, question.space, simulations, rng)
+    if not question.is_own:
+        plan = plan_strata(standardised, question.space, simulations, rng)
         if plan is not None:
             return plan
     integral = integrated(standardised, question.space, rng)

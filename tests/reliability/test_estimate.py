@@ -11,7 +11,6 @@ from activefail.reliability.estimate import (
     LARGEST_RATIO,
     Doubt,
     Plan,
-    estimated,
     integrated,
     plan_estimate,
     standardised_latent,
@@ -54,7 +53,7 @@ def test_intervals_cover_and_the_estimate_has_no_bias_though_the_classifier_is_w
     errors, covered, models = [], [], []
     for seed in range(24):
         plan = planned(latents[seed % 3], 50, 100 + seed)
-        estimate = estimated(plan, four_branch(plan.designs) <= 0.0, np.ones(50, dtype=bool), 0.9)
+        estimate = plan.estimate(four_branch(plan.designs) <= 0.0, np.ones(50, dtype=bool), 0.9)
         assert estimate.low <= estimate.probability <= estimate.high
         errors.append(estimate.probability / PROBABILITY - 1.0)
         covered.append(estimate.low <= PROBABILITY <= estimate.high)
@@ -66,7 +65,7 @@ def test_intervals_cover_and_the_estimate_has_no_bias_though_the_classifier_is_w
 
 def test_the_interval_is_not_narrow_because_no_mistake_was_seen() -> None:
     plan = planned(trained(four_branch, 30, 1), 20, 1)
-    same = estimated(plan, plan.predicted, np.ones(20, dtype=bool), 0.9)
+    same = plan.estimate(plan.predicted, np.ones(20, dtype=bool), 0.9)
     assert same.wrong == 0
     assert same.probability == pytest.approx(plan.probability)
     assert same.high - same.low > 3.0 * plan.standard_error
@@ -75,10 +74,10 @@ def test_the_interval_is_not_narrow_because_no_mistake_was_seen() -> None:
 def test_numerical_failures_widen_the_interval_to_both_outcomes_that_they_may_have_had() -> None:
     plan = planned(trained(four_branch, 30, 1), 40, 1)
     beyond, answered = four_branch(plan.designs) <= 0.0, np.ones(40, dtype=bool)
-    full = estimated(plan, beyond, answered, 0.9)
+    full = plan.estimate(beyond, answered, 0.9)
     answered[np.flatnonzero(beyond)[:2]] = False
     answered[np.flatnonzero(~beyond)[:2]] = False
-    partial = estimated(plan, beyond, answered, 0.9)
+    partial = plan.estimate(beyond, answered, 0.9)
     assert partial.unanswered == 4
     assert partial.low <= full.low
     assert partial.high >= full.high
@@ -88,7 +87,7 @@ def test_numerical_failures_widen_the_interval_to_both_outcomes_that_they_may_ha
 def test_near_one_nothing_exceeds_one() -> None:
     latent = trained(lambda X: X[:, 0] - 4.0, 20, 2)
     plan = planned(latent, 20, 3)
-    estimate = estimated(plan, plan.designs[:, 0] <= 4.0, np.ones(20, dtype=bool), 0.9)
+    estimate = plan.estimate(plan.designs[:, 0] <= 4.0, np.ones(20, dtype=bool), 0.9)
     assert 0.9 < estimate.low <= estimate.probability <= estimate.high <= 1.0
     assert estimate.model <= 1.0
 
@@ -104,7 +103,7 @@ def test_a_contradiction_where_the_classifier_was_sure_is_counted() -> None:
         missed=Doubt(0.008, 0.0),
         false=Doubt(0.002, 0.0),
     )
-    estimate = estimated(plan, np.array([True, True, True]), np.ones(3, dtype=bool), 0.9)
+    estimate = plan.estimate(np.array([True, True, True]), np.ones(3, dtype=bool), 0.9)
     assert (estimate.wrong, estimate.surprising, estimate.beyond) == (2, 1, 3)
     assert estimate.recall == pytest.approx(0.1 / (0.1 + 2.0 / 3.0))
     assert estimate.recall_low < estimate.recall
@@ -126,7 +125,7 @@ def test_the_lower_end_of_the_recall_is_seldom_above_the_true_recall() -> None:
     too_high = 0
     for seed in range(30):
         plan = planned(latents[seed % 3], 50, 200 + seed)
-        estimate = estimated(plan, four_branch(plan.designs) <= 0.0, np.ones(50, dtype=bool), 0.9)
+        estimate = plan.estimate(four_branch(plan.designs) <= 0.0, np.ones(50, dtype=bool), 0.9)
         assert estimate.recall_low <= estimate.recall
         too_high += estimate.recall_low > true[seed % 3]
     assert min(true) < 0.9
@@ -135,9 +134,9 @@ def test_the_lower_end_of_the_recall_is_seldom_above_the_true_recall() -> None:
 
 def test_numerical_failures_lower_the_recalls_bound_and_not_the_recall() -> None:
     plan = planned(trained(four_branch, 30, 1), 40, 1)
-    full = estimated(plan, plan.predicted, np.ones(40, dtype=bool), 0.9)
+    full = plan.estimate(plan.predicted, np.ones(40, dtype=bool), 0.9)
     answered = np.ones(40, dtype=bool)
     answered[:8] = False
-    partial = estimated(plan, plan.predicted, answered, 0.9)
+    partial = plan.estimate(plan.predicted, answered, 0.9)
     assert partial.recall == full.recall == 1.0
     assert partial.recall_low < full.recall_low < 1.0

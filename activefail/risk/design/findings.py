@@ -10,7 +10,7 @@ from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.search import Designed
-from activefail.risk.design.task import LOOKS
+from activefail.risk.design.task import LOOKS, Rate
 from activefail.shares import percent
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import or_worse, visible
@@ -30,6 +30,8 @@ class DesignFindings:
         extrapolated: share of the question outside the campaign's design space.
         at_upper: classifier's probability of each target's outcome at the upper property bounds, without interval;
             empty without such bounds.
+        at_least: classifier's probability of each target's outcome at the least velocity of the hazard's curve,
+            without interval; empty unless the targets are risks in a number of years.
         chart: values that targets require; None if it was not asked for.
     """
 
@@ -38,6 +40,7 @@ class DesignFindings:
     hazard: Hazard | None
     extrapolated: float
     at_upper: tuple[float, ...] = ()
+    at_least: tuple[float, ...] = ()
     chart: RequiredChart | None = None
 
     @property
@@ -72,6 +75,13 @@ class DesignFindings:
         """What the result assumes, as sentences."""
         task = self.designed.task
         sentences = list(self.designed.question.assumptions)
+        if (rate := task.rate) is not None:
+            at_least = ", ".join(f"{share:.2g}" for share in self.at_least)
+            sentences.append(
+                f"Pulses below {rate.velocity:g} m/s, where the hazard's curve begins, are left out. At this velocity "
+                f"the classifier's probability is {at_least} (no interval). Above its last point the curve is "
+                "extrapolated."
+            )
         given = {name: task.question.fixed[name] for name in task.free if name in task.question.fixed}
         for name, value in given.items():
             sentences.append(f"{name} is free: its given value {value:g} was not used.")
@@ -147,7 +157,13 @@ class DesignFindings:
         designed = self.designed
         task = designed.task
         requirements = [
-            {"outcome": one.outcome, "target": one.target, **_estimate_json(estimate), "classifier_probability": model}
+            {
+                "outcome": one.outcome,
+                "target": one.target,
+                **_estimate_json(estimate),
+                "classifier_probability": model,
+                "risk": None if task.rate is None else _risk_json(task.rate, one.target, estimate),
+            }
             for one, estimate, model in zip(
                 task.requirements, designed.last.estimates, designed.last.candidate.model.tolist(), strict=True
             )
@@ -179,6 +195,7 @@ class DesignFindings:
             },
             "lateral_force_over_weight": self.lateral_force,
             "classifier_probability_at_upper_bounds": list(self.at_upper) or None,
+            "classifier_probability_at_least_velocity": list(self.at_least) or None,
             "uncertain": self.uncertain,
             "question": designed.question.title,
             "outside_design_space": self.extrapolated,
@@ -203,9 +220,19 @@ class DesignFindings:
                     "verified" if designed.status == "verified" else "estimate",
                     f"P({visible(or_worse(one.outcome, outcomes))}) = {estimate.probability:.3g}, between "
                     f"{estimate.low:.3g} and {math.ceil(1e4 * estimate.high) / 1e4:g}, each bound with {bound} "
-                    f"confidence; target {one.target:g}; classifier {model:.3g}",
+                    f"confidence; target {one.target:.4g}; classifier {model:.3g}",
                 )
             )
+            if (rate := task.rate) is not None:
+                low, middle, high = (rate.risk(P) for P in (estimate.low, estimate.probability, estimate.high))
+                lines.append(
+                    (
+                        "risk",
+                        f"{percent(middle)} in {rate.years:g} years, between {percent(low)} and {percent(high)}; "
+                        f"target {percent(rate.risk(one.target))}; {rate.annual:g} pulses of at least "
+                        f"{rate.velocity:g} m/s a year",
+                    )
+                )
         wrong = sum(estimate.wrong for look in designed.looks for estimate in look.estimates)
         failed = sum(estimate.unanswered for look in designed.looks for estimate in look.estimates)
         lines.append(
@@ -241,6 +268,18 @@ class DesignFindings:
 
 def _value(name: str, value: float, unit: str) -> str:
     return visible(f"{name} = {value:.4g}{' ' + unit if unit else ''}")
+
+
+def _risk_json(rate: Rate, target: float, estimate: ProbabilityEstimate) -> dict[str, Any]:
+    return {
+        "years": rate.years,
+        "target": rate.risk(target),
+        "risk": rate.risk(estimate.probability),
+        "low": rate.risk(estimate.low),
+        "high": rate.risk(estimate.high),
+        "annual_rate_of_pulses": rate.annual,
+        "least_pgv_m_s": rate.velocity,
+    }
 
 
 def _estimate_json(estimate: ProbabilityEstimate) -> dict[str, Any]:

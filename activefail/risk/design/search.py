@@ -9,12 +9,7 @@ from typing import Literal
 import numpy as np
 
 from activefail.campaign.question import Question
-from activefail.reliability.estimate import (
-    UNIFORM,
-    ProbabilityEstimate,
-    Standardised,
-    expected_half_width,
-)
+from activefail.reliability.estimate import ProbabilityEstimate, Standardised
 from activefail.risk.design.task import LOOKS, DesignTask
 from activefail.risk.model import classifier_probability
 from activefail.space import Array
@@ -147,13 +142,14 @@ class Designed:
     def missable(self) -> float:
         """Largest share of the distribution that may fail unseen where the classifier is sure; 0 if all of it is known.
 
-        A part of the fresh simulations is drawn without regard to the classifier's doubt. The confidence is that of the
-        last look's bound.
+        The confidence is that of the last look's bound.
         """
-        if all(sampled.is_complete for sampled in self.last.sampled):
-            return 0.0
-        fresh = min(estimate.simulations for estimate in self.last.estimates)
-        return min(1.0, largest_unseen_share(fresh, self.last.of_bound) / UNIFORM)
+        shares = [0.0]
+        for sampled in self.last.sampled:
+            if not sampled.is_complete:
+                count, share = sampled.plan.surest
+                shares.append(share * largest_unseen_share(count, self.last.of_bound))
+        return min(1.0, max(shares))
 
     @property
     def at_limit(self) -> dict[str, str]:
@@ -209,9 +205,8 @@ def find_design(
         """Expected half widths of the intervals, (r,)."""
         question, simulations = asked(candidate, _IMAGINED), task.simulations_of(0)
         plans = [estimator.plan(one.outcome, simulations, question) for one in task.requirements]
-        return np.array(
-            [expected_half_width(plan, 2.0 * task.of_bound(0) - 1.0, np.random.default_rng(0)) for plan in plans]
-        )
+        confidence = 2.0 * task.of_bound(0) - 1.0
+        return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
 
     stage("searching a design under the classifier")
     candidate = cheapest(task, model, task.targets)

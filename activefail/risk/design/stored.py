@@ -37,7 +37,9 @@ class StoredDesign:
 
 
 def designs_text(folder: Path, designed: Designed) -> str | None:
-    """The file of a run folder's verified designs with one more; None for a design that is not verified.
+    """The file of a run folder's verified designs with one more; None if there is nothing to add.
+
+    A design that is not verified is not added, nor one whose targets were risks in a number of years.
 
     The file says where a look was, not what it found: that is in the stored simulations alone.
 
@@ -45,12 +47,13 @@ def designs_text(folder: Path, designed: Designed) -> str | None:
         folder: the run folder.
         designed: the result of a search.
     """
-    if designed.status != "verified":
+    if designed.status != "verified" or designed.task.rate is not None:
         return None
     entries = _entries(folder)
     for one in designed.task.requirements:
         entry = {
-            **one._asdict(),
+            "outcome": one.outcome,
+            "target": one.target,
             "free": {name: float(value) for name, value in designed.values.items()},
             "look": len(designed.looks),
             "confidence": designed.task.confidence,
@@ -76,7 +79,7 @@ def stored_designs(
     found = []
     for requirement in requirements:
         for entry in reversed(_entries(folder)):
-            if (entry["outcome"], entry["target"]) != tuple(requirement) or entry["free"].keys() != {free}:
+            if (entry["outcome"], entry["target"]) != requirement[:2] or entry["free"].keys() != {free}:
                 continue
             asked = question.at(entry["free"])
             of_bound = confidence_of_bound(entry["confidence"], entry["look"] - 1)

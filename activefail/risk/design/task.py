@@ -1,6 +1,7 @@
 """What a design must meet: targets for probabilities of outcomes, variables that may change, and a cost."""
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -45,8 +46,15 @@ LOOKS = (LookPlan(0.6, 0.8, 1.5), LookPlan(0.4, 0.2, 1.4))
 _POINTS_BEYOND = 25
 """Points of an integral that a probability at its target puts beyond the boundary."""
 
-_LEAST_TARGET = 1e-3
+LEAST_TARGET = 1e-3
 """Least target: a smaller probability takes other points than those of a distribution's bulk."""
+
+
+_YEARS = re.compile(r"([0-9.eE+-]+ ?%?) in ([0-9.eE+-]+) years?")
+"""A risk in a number of years."""
+
+_MOST_YEARS = 1e4
+"""Most years of a target."""
 
 
 class Requirement(NamedTuple):
@@ -54,11 +62,35 @@ class Requirement(NamedTuple):
 
     Attributes:
         outcome: its name.
-        target: largest acceptable probability.
+        target: largest acceptable probability, given one draw of the question, or in a number of years.
+        years: the number; None for one draw.
     """
 
     outcome: str
     target: float
+    years: float | None = None
+
+
+class Rate(NamedTuple):
+    """How often pulses of a hazard's curve occur.
+
+    Attributes:
+        annual: rate of pulses of at least `velocity` [1/year].
+        velocity: the least of the curve [m/s].
+        years: of the target.
+    """
+
+    annual: float
+    velocity: float
+    years: float
+
+    def risk(self, probability: float) -> float:
+        """The probability of at least one occurrence in these years, given its probability in one pulse."""
+        return -math.expm1(-self.years * self.annual * probability)
+
+    def given_pulse(self, risk: float) -> float:
+        """The probability in one pulse that gives this risk."""
+        return -math.log1p(-risk) / (self.years * self.annual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +106,7 @@ class DesignTask:
         requirements: one for each outcome that has a target.
         confidence: one-sided, that the probabilities meet their targets.
         simulations: most fresh simulations for each requirement.
+        rate: how often the question's pulses occur, if the targets were risks in a number of years.
     """
 
     question: Question
@@ -84,6 +117,7 @@ class DesignTask:
     requirements: tuple[Requirement, ...]
     confidence: float
     simulations: int
+    rate: Rate | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -116,7 +150,9 @@ def confidence_of_bound(confidence: float, look: int) -> float:
 
 
 def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Requirement, ...]:
-    """The targets of a text: a probability, a risk category, or several such as `failure=0.1,impact=0.3`.
+    """The targets of a text: a probability, a risk category, a risk such as `1% in 50 years`, or several by outcomes.
+
+    Several targets are written `failure=0.1,impact=0.3`.
 
     Args:
         text: the targets.
@@ -134,20 +170,47 @@ def read_targets(text: str, outcomes: Sequence[str], main: str) -> tuple[Require
             raise InputError(f"target: the outcome must be one of {', '.join(outcomes[1:])}, got {outcome!r}.")
         if outcome in {requirement.outcome for requirement in requirements}:
             raise InputError(f"target: {outcome} must have one target, got {text!r}.")
-        requirements.append(Requirement(outcome, _probability(number.strip())))
+        requirements.append(_requirement(outcome, number.strip()))
     return tuple(requirements)
+
+
+def _requirement(outcome: str, text: str) -> Requirement:
+    years = _YEARS.fullmatch(text)
+    if years is None:
+        return Requirement(outcome, _probability(text))
+    try:
+        share, number = _number(years[1].replace(" ", "")), float(years[2])
+    except ValueError:
+        share, number = math.nan, math.nan
+    if not (0.0 < share <= 0.9 and 0.0 < number <= _MOST_YEARS):
+        raise InputError(
+            f"target: a risk must be positive and at most 0.9, in at most {_MOST_YEARS:g} years, got {text!r}."
+        )
+    return Requirement(outcome, share, number)
+
+
+def _number(text: str) -> float:
+    """A number or a percentage.
+
+    Raises:
+        ValueError: if it is neither.
+    """
+    return float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
 
 
 def _probability(text: str) -> float:
     if text in RISK_CATEGORIES:
         return RISK_CATEGORIES[text]
     try:
-        target = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        target = _number(text)
     except ValueError:
         names = ", ".join(RISK_CATEGORIES)
-        raise InputError(f"target: must be a probability or a risk category ({names}), got {text!r}.") from None
-    if not _LEAST_TARGET <= target <= 0.9:
-        raise InputError(f"target: must be between {_LEAST_TARGET:g} and 0.9, got {text}.")
+        raise InputError(
+            f"target: must be a probability, a risk category ({names}) or a risk such as '1% in 50 years', got "
+            f"{text!r}."
+        ) from None
+    if not LEAST_TARGET <= target <= 0.9:
+        raise InputError(f"target: must be between {LEAST_TARGET:g} and 0.9, got {text}.")
     return target
 
 
@@ -159,6 +222,7 @@ def design_task(
     cost: str = "",
     confidence: float = 0.95,
     simulations: int = SIMULATIONS,
+    rate: Rate | None = None,
 ) -> DesignTask:
     """The task of a campaign.
 
@@ -170,6 +234,7 @@ def design_task(
         cost: expression of the campaign's variables that is made small; the first free variable if empty.
         confidence: that the targets are met.
         simulations: most for each target.
+        rate: how often the question's pulses occur, if the targets were risks.
 
     Raises:
         InputError: naming the argument, the rule and the value.
@@ -194,7 +259,7 @@ def design_task(
     ranges = dict(zip(space.names, zip(space.low.tolist(), space.high.tolist(), strict=True), strict=True))
     low, high = {name: ranges[name][0] for name in names}, {name: ranges[name][1] for name in names}
     price, text = _cost(cost, names, {**space.fixed, **question.fixed}, low, high)
-    return DesignTask(question, low, high, price, text, requirements, confidence, simulations)
+    return DesignTask(question, low, high, price, text, requirements, confidence, simulations, rate)
 
 
 def _cost(

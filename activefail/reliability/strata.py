@@ -1,0 +1,238 @@
+"""A probability that is not rare, from fresh simulations in strata of the classifier's doubt.
+
+A stratum has similar probabilities of a wrong prediction, and lies on one side of the boundary. Its share of wrong
+predictions has a Beta posterior. These shares correct the classifier's probability. A part of the simulations is drawn
+by volume, so that an interval claims no more than the simulations show where the classifier is sure.
+docs/decisions/0019 compares other priors, and the importance sampling of mistakes (`estimate`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from activefail.reliability.estimate import SURE, UNIFORM, ProbabilityEstimate, Standardised
+from activefail.space import REACH, Array, DesignSpace
+from activefail.weighted import WeightedRows
+
+_EDGES = (0.005, 0.02, 0.08, 0.25)
+"""Probabilities of being wrong that separate the strata of each side."""
+
+_PRIOR = (0.2, 1.5)
+"""The prior of the share q of wrong predictions of a stratum is Beta(0.2 + q, 1.5 − q), q by the classifier."""
+
+_LEAST_DOUBT = 1e-4
+"""Least doubt of a stratum for the number of its simulations."""
+
+_DRAWS = 10_000
+"""Draws of the posterior, always the same random numbers."""
+
+_SEQUENCES, _SEQUENCE_LENGTHS = 8, (1024, 4096)
+"""Randomised Sobol' sequences that integrate the classifier, and their lengths, the second if the first is short."""
+
+_ACCURACY = 0.03
+"""Relative standard error of the classifier's probability above which sequences are too short."""
+
+_RARE = 0.01
+"""Probability below which an outcome is rare: the simulations by volume would make the interval too wide."""
+
+_IMAGINED = 16
+"""Imagined sets of outcomes that predict the width of an interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class StratifiedPlan:
+    """Fresh designs that correct a classifier's probability stratum by stratum.
+
+    Attributes:
+        designs: (m, k).
+        stratum: (m,) of each design.
+        predicted: (m,) bool, whether the classifier puts each design beyond the boundary.
+        standardised: (m,) the latent's mean/sd.
+        volume: (s,) of the strata, as shares of the distribution; their sum is 1.
+        is_beyond: (s,) bool, whether the classifier puts the stratum beyond the boundary.
+        doubt: (s,) share of wrong predictions that the classifier expects in each stratum.
+        standard_error: of the classifier's probability, from its integration.
+    """
+
+    designs: Array
+    stratum: NDArray[np.int_]
+    predicted: NDArray[np.bool_]
+    standardised: Array
+    volume: Array
+    is_beyond: NDArray[np.bool_]
+    doubt: Array
+    standard_error: float
+
+    @property
+    def probability(self) -> float:
+        """The classifier's own."""
+        return float(self.volume[self.is_beyond].sum())
+
+    @property
+    def counts(self) -> NDArray[np.int_]:
+        """Simulations of each stratum, (s,)."""
+        return np.asarray(np.bincount(self.stratum, minlength=len(self.volume)))
+
+    @property
+    def surest(self) -> tuple[int, float]:
+        """Simulations where the classifier is surest that the outcome does not occur, and the volume of this part."""
+        return int(self.counts[0]), float(self.volume[0])
+
+    def estimate(
+        self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float
+    ) -> ProbabilityEstimate:
+        """The estimate from the outcomes of the simulations.
+
+        Args:
+            beyond: (m,) whether each outcome is beyond the boundary.
+            answered: (m,) whether each simulation gave an outcome; the interval covers both outcomes of the others.
+            confidence: of the interval.
+        """
+        middle = self._middle(np.where(answered, beyond, self.predicted))
+        tails = 0.5 - 0.5 * confidence
+        low = np.quantile(self._posterior(beyond & answered), tails)
+        high = np.quantile(self._posterior(beyond | ~answered), 1.0 - tails)
+        wrong = answered & (beyond != self.predicted)
+        recall, recall_low = self._recall(beyond, answered, confidence)
+        return ProbabilityEstimate(
+            probability=middle,
+            low=max(0.0, min(float(low), middle)),
+            high=min(1.0, max(float(high), middle) + REACH),
+            confidence=confidence,
+            model=self.probability,
+            simulations=len(beyond),
+            unanswered=int((~answered).sum()),
+            beyond=int((beyond & answered).sum()),
+            wrong=int(wrong.sum()),
+            surprising=int((wrong & (np.abs(self.standardised) > SURE)).sum()),
+            recall=recall,
+            recall_low=recall_low,
+        )
+
+    def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:
+        """Expected distance from the estimate to its upper bound, if the classifier's own probabilities are right."""
+        likely = ndtr(self.standardised)
+        widths = []
+        for _ in range(_IMAGINED):
+            beyond = rng.random(len(likely)) < likely
+            high = np.quantile(self._posterior(beyond), 0.5 + 0.5 * confidence)
+            widths.append(float(high) - self._middle(beyond))
+        return float(np.mean(widths))
+
+    def _wrong(self, beyond: NDArray[np.bool_]) -> Array:
+        """Wrong predictions of each stratum, (s,)."""
+        wrong = (beyond != self.predicted).astype(np.float64)
+        return np.asarray(np.bincount(self.stratum, weights=wrong, minlength=len(self.volume)))
+
+    def _shares(self, beyond: NDArray[np.bool_]) -> Array:
+        """Draws of the strata's shares of wrong predictions, (draws, s)."""
+        wrong, n, (a, b) = self._wrong(beyond), self.counts, _PRIOR
+        rng = np.random.default_rng(0)
+        return np.asarray(rng.beta(a + self.doubt + wrong, b - self.doubt + n - wrong, (_DRAWS, len(n))))
+
+    def _parts(self, shares: Array) -> tuple[Array, Array]:
+        """Probability of what the classifier puts beyond the boundary rightly, and of what it misses."""
+        side = self.is_beyond
+        hit = ((1.0 - shares) * self.volume)[..., side].sum(axis=-1)
+        return hit, (shares * self.volume)[..., ~side].sum(axis=-1)
+
+    def _middle(self, beyond: NDArray[np.bool_]) -> float:
+        n = self.counts
+        shares = np.divide(self._wrong(beyond), n, out=self.doubt.copy(), where=n > 0)
+        return float(np.sum(self._parts(shares)))
+
+    def _posterior(self, beyond: NDArray[np.bool_]) -> Array:
+        """Draws of the probability, (draws,)."""
+        hit, missed = self._parts(self._shares(beyond))
+        of_integration = self.standard_error * np.random.default_rng(1).standard_normal(len(hit))
+        return np.asarray(hit + missed + of_integration)
+
+    def _recall(self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float) -> tuple[float, float]:
+        """The share of the probability that the classifier puts beyond the boundary, and its lower bound.
+
+        Numerical failures are missed, or wrongly counted.
+        """
+        n = self.counts
+        wrong = self._wrong(np.where(answered, beyond, self.predicted))
+        hit, missed = self._parts(np.divide(wrong, n, out=self.doubt.copy(), where=n > 0))
+        if hit + missed <= 0.0:
+            return float("nan"), 0.0
+        of_hits, of_missed = self._parts(self._shares(np.where(answered, beyond, ~self.predicted)))
+        ratios = of_hits / np.maximum(of_hits + of_missed, np.finfo(float).tiny)
+        return float(hit / (hit + missed)), float(np.quantile(ratios, 1.0 - confidence))
+
+
+def plan_strata(
+    standardised: Standardised, space: DesignSpace | WeightedRows, m: int, rng: np.random.Generator
+) -> StratifiedPlan | None:
+    """Plan m fresh simulations in strata of the classifier's doubt; None if the outcome is rare.
+
+    Randomised Sobol' sequences integrate the classifier and hold the designs to simulate; they are drawn without
+    replacement. Weighted rows are the distribution itself, and are drawn with replacement by their weights.
+    """
+    if isinstance(space, WeightedRows):
+        z = standardised(space.X)
+        if float((space.weight * (z > 0.0)).mean()) < _RARE:
+            return None
+        return _planned(space.X, space.weight, z, m, rng, 0.0, with_replacement=True)
+    for length in _SEQUENCE_LENGTHS:
+        X = np.concatenate([space.sobol(length, rng) for _ in range(_SEQUENCES)])
+        z = standardised(X)
+        means = (z > 0.0).reshape(_SEQUENCES, length).mean(axis=1)
+        probability, error = float(means.mean()), float(means.std(ddof=1) / np.sqrt(_SEQUENCES))
+        if probability >= _RARE and error <= _ACCURACY * probability:
+            return _planned(X, np.ones(len(X)), z, m, rng, error, with_replacement=False)
+    return None
+
+
+def _planned(
+    X: Array, weight: Array, z: Array, m: int, rng: np.random.Generator, error: float, with_replacement: bool
+) -> StratifiedPlan:
+    """The plan with m designs of a weighted sample.
+
+    Args:
+        X: (n, k) the sample.
+        weight: (n,) with mean 1.
+        z: (n,) the latent's mean/sd.
+        m: number of simulations; without replacement at most n.
+        rng: draws them.
+        error: standard error of the classifier's probability.
+        with_replacement: whether a row may be drawn again.
+    """
+    wrong = ndtr(-np.abs(z))
+    sides = 1 + len(_EDGES)
+    stratum = np.searchsorted(_EDGES, wrong, side="right")
+    stratum = stratum + sides * (z > 0.0)
+    volume = np.bincount(stratum, weights=weight, minlength=2 * sides) / weight.sum()
+    in_doubt = np.bincount(stratum, weights=weight * wrong, minlength=2 * sides) / weight.sum()
+    doubt = np.divide(in_doubt, volume, out=np.zeros(2 * sides), where=volume > 0.0)
+    neyman = volume * np.sqrt(np.maximum(doubt, _LEAST_DOUBT) * (1.0 - doubt))
+    rows_of = [np.flatnonzero((stratum == k) & (weight > 0.0)) for k in range(2 * sides)]
+    most = np.array([m if with_replacement and len(rows) else len(rows) for rows in rows_of])
+    counts = _rounded(m * ((1.0 - UNIFORM) * neyman / neyman.sum() + UNIFORM * volume), most)
+    drawn = []
+    for rows, count in zip(rows_of, counts, strict=True):
+        if count:
+            drawn.append(rng.choice(rows, count, replace=with_replacement, p=weight[rows] / weight[rows].sum()))
+    chosen = np.concatenate(drawn)
+    return StratifiedPlan(
+        designs=X[chosen],
+        stratum=stratum[chosen],
+        predicted=z[chosen] > 0.0,
+        standardised=z[chosen],
+        volume=volume,
+        is_beyond=np.arange(2 * sides) >= sides,
+        doubt=doubt,
+        standard_error=error,
+    )
+
+
+def _rounded(shares: Array, most: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Whole numbers near the shares, (s,), with the same sum, none above its greatest number, (s,)."""
+    total = round(float(shares.sum()))
+    counts = np.minimum(np.floor(shares).astype(np.int_), most)
+    while counts.sum() < total:
+        counts[np.argmax(np.where(counts < most, shares - counts, -np.inf))] += 1
+    return counts
