@@ -34,7 +34,8 @@ from scipy.stats import t as student
 from activefail import create_run, open_run, simulate
 from activefail.bearing.pulse import amplitude_of
 from activefail.campaign.hazard import hazard_of, hazard_question
-from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import standardised_latent
+from activefail.reliability.strata import plan_strata
 from activefail.surrogate.threads import one_thread
 from activefail.weighted import WeightedRows
 
@@ -106,7 +107,7 @@ def intervals(study, bearing, target, number):
 
     P, half, covered, above = failed.mean(), [], [], []
     for _ in range(REPEATS):
-        plan = plan_estimate(of_rows, rows, integrated(of_rows, rows, rng), SIMULATIONS, rng)
+        plan = plan_strata(of_rows, rows, SIMULATIONS, rng)
         chosen = plan.designs[:, 0].astype(int)
         estimate = plan.estimate(failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
         half.append(0.5 * (estimate.high - estimate.low))

@@ -72,6 +72,14 @@ def by_importance(weight, wider):
     return interval
 
 
+def of_package(z, failed, rng):
+    """The package's strata."""
+    rows = WeightedRows(("row",), np.arange(len(z), dtype=float)[:, None], np.ones(len(z)))
+    plan = plan_strata(lambda numbers: z[numbers[:, 0].astype(int)], rows, SIMULATIONS, rng)
+    found = plan.estimate(failed[plan.designs[:, 0].astype(int)], np.ones(SIMULATIONS, dtype=bool), 0.95)
+    return found.low, found.high
+
+
 def by_strata(a, b, by_doubt):
     """Strata of the classifier's doubt and its side, with Beta posteriors of their mistakes.
 
@@ -107,7 +115,8 @@ ESTIMATORS = {
     "importance, prior of 12": by_importance(12.0, 2.0),
     "importance, prior of 16": by_importance(16.0, 2.0),
     "importance, not widened": by_importance(12.0, 1.0),
-    "strata, prior (0.2+q, 1.5-q)": by_strata(0.2, 0.5, by_doubt=True),
+    "strata, the package's": of_package,
+    "strata, prior (0.1+q, 1.5-q)": by_strata(0.1, 0.5, by_doubt=True),
     "strata, Jeffreys": by_strata(0.5, 0.5, by_doubt=False),
 }
 

@@ -11,7 +11,7 @@ from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.search import Designed
 from activefail.risk.design.task import LOOKS, Rate
-from activefail.shares import percent
+from activefail.shares import interval_percent, percent
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import or_worse, visible
 
@@ -228,7 +228,7 @@ class DesignFindings:
                 lines.append(
                     (
                         "risk",
-                        f"{percent(middle)} in {rate.years:g} years, between {percent(low)} and {percent(high)}; "
+                        f"{percent(middle, 2)} in {rate.years:g} years, {interval_percent(low, high)}; "
                         f"target {percent(rate.risk(one.target))}; {rate.annual:g} pulses of at least "
                         f"{rate.velocity:g} m/s a year",
                     )
