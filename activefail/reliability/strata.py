@@ -152,7 +152,8 @@ class StratifiedPlan:
     def _recall(self, beyond: NDArray[np.bool_], answered: NDArray[np.bool_], confidence: float) -> tuple[float, float]:
         """The share of the probability that the classifier puts beyond the boundary, and its lower bound.
 
-        Numerical failures are missed, or wrongly counted.
+        Two bounds enter the lower one, each of which errs half as often as it may: of the probability that is rightly
+        counted, and of the one that is missed. Numerical failures are missed, or wrongly counted.
         """
         n = self.counts
         wrong = self._wrong(np.where(answered, beyond, self.predicted))
@@ -160,8 +161,9 @@ class StratifiedPlan:
         if hit + missed <= 0.0:
             return float("nan"), 0.0
         of_hits, of_missed = self._parts(self._shares(np.where(answered, beyond, ~self.predicted)))
-        ratios = of_hits / np.maximum(of_hits + of_missed, np.finfo(float).tiny)
-        return float(hit / (hit + missed)), float(np.quantile(ratios, 1.0 - confidence))
+        error = 0.5 * (1.0 - confidence)
+        hit_low, missed_high = float(np.quantile(of_hits, error)), float(np.quantile(of_missed, 1.0 - error)) + REACH
+        return float(hit / (hit + missed)), hit_low / (hit_low + missed_high)
 
 
 def plan_strata(

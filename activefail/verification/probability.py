@@ -31,6 +31,9 @@ from activefail.weighted import BLOCKS, WeightedRows
 _DRAWS = 10_000
 """More than the number of independent samples that anything draws at one iteration."""
 
+_MOST_ROWS = 8192
+"""Most weighted rows that a plan predicts; a systematic sample stands for more of them."""
+
 
 @dataclass(frozen=True)
 class EstimateOfRows(ProbabilityEstimate):
@@ -176,6 +179,7 @@ class Estimator:
 
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan | StratifiedPlan:
         """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
+        question = _thinned(question, simulations)
         return planned(self.campaign, self.standardised(outcome), self.iteration, simulations, question)
 
     def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
@@ -192,7 +196,7 @@ class Estimator:
         """
         assert self.executor is not None
         severity = self.campaign.simulator.outcomes.index(outcome)
-        of_designs = self.standardised(outcome)
+        of_designs, question = self.standardised(outcome), _thinned(question, simulations)
         fresh = _fresh(self.campaign, of_designs, self.iteration, severity, simulations, question)
         outcomes = simulated_outcomes(self.campaign, self.store, self.executor, fresh.name, fresh.designs)
         assert outcomes is not None  # no stop was requested
@@ -225,12 +229,23 @@ def stored_estimate(
     """
     severity = campaign.simulator.outcomes.index(outcome)
     of_designs = standardised_latent(classifier.latent(outcome), campaign.features)
-    for simulations in estimate_sizes(store, severity, iteration, question.digest):
-        fresh = _fresh(campaign, of_designs, iteration, severity, simulations, question)
+    sizes = estimate_sizes(store, severity, iteration, question.digest)
+    if (thinned := _thinned(question, 0)) is not question:
+        sizes += estimate_sizes(store, severity, iteration, thinned.digest)
+    for simulations in sizes:
+        fresh = _fresh(campaign, of_designs, iteration, severity, simulations, _thinned(question, simulations))
         outcomes = stored_outcomes(store, fresh.name, fresh.designs)
         if outcomes is not None:
             return fresh.sampled(outcomes, severity).estimate(confidence)
     return None
+
+
+def _thinned(question: Question, simulations: int) -> Question:
+    """The question with fewer weighted rows if there are many, unless all of them are simulated."""
+    rows = question.space
+    if not isinstance(rows, WeightedRows) or len(rows.X) <= max(_MOST_ROWS, simulations):
+        return question
+    return replace(question, space=rows.thinned(_MOST_ROWS))
 
 
 def _fresh(

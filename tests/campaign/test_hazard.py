@@ -696,6 +696,28 @@ def test_a_row_that_is_drawn_several_times_is_simulated_once(learned: Path, tmp_
     assert found.estimate.low <= true <= found.estimate.high
 
 
+def test_a_plan_for_many_rows_predicts_a_sample_of_them_and_reads_its_simulations_again(
+    learned: Path, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(2)
+    table = "".join(f"{T},{V}\n" for T, V in zip(rng.uniform(1, 6, 9000), rng.lognormal(0.1, 0.4, 9000), strict=True))
+    (tmp_path / "pulses.csv").write_text("T_p,PGV\n" + table)
+    path = tmp_path / "rows.toml"
+    path.write_text('samples = "pulses.csv"\n')
+    with package.open_run(learned / "run", code=learned, write=True) as run:
+        found = run.probability(60, 0.95, question=path, fixed={"strength": 1.5})
+        question = run.asked(path, {"strength": 1.5})
+        with run._estimator(None, lambda _: None) as estimator:
+            plan = estimator.plan("failure", 60, question)
+            assert estimator.stored("failure", question, 0.95) == found.estimate
+    assert isinstance(question.space, WeightedRows)
+    sampled = set(question.space.thinned(8192).X[:, 0])
+    assert {float(x) for x in plan.designs[:, 0]} <= sampled < set(question.space.X[:, 0])
+    true = float((question.space.column("PGV") > 1.5).mean())
+    assert found.estimate.low <= true <= found.estimate.high
+    assert found.estimate.high < 0.4
+
+
 def test_the_interval_of_all_rows_is_that_of_the_numerical_failures() -> None:
     none = Doubt(0.0, 0.0)
     weight, z = np.array([2.0, 1.0, 0.5, 0.5]), np.array([1.0, -1.0, -1.0, 5.0])

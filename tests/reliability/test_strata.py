@@ -1,0 +1,137 @@
+"""Strata of the classifier's doubt: an interval that covers, also with a classifier that is far too sure."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from activefail.parameter import Parameter
+from activefail.reliability.strata import StratifiedPlan, plan_strata
+from activefail.space import Array, DesignSpace
+from activefail.weighted import WeightedRows
+
+SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, "", "normal", 0.0, 1.0) for name in "uv"))
+LIMIT = 1.28
+
+
+def fails(X: Array) -> NDArray[np.bool_]:
+    """Failure beyond a wavy line, of about 10 %."""
+    return np.asarray(X[:, 0] + 0.15 * np.sin(6.0 * X[:, 1]) > LIMIT)
+
+
+def latent(sd: float):
+    return lambda X: (X[:, 0] - LIMIT) / sd
+
+
+def plan_of(sd: float, m: int, seed: int, space: DesignSpace | WeightedRows = SPACE) -> StratifiedPlan:
+    plan = plan_strata(latent(sd), space, m, np.random.default_rng(seed))
+    assert plan is not None
+    return plan
+
+
+def all_answered(plan: StratifiedPlan) -> NDArray[np.bool_]:
+    return np.ones(len(plan.designs), dtype=bool)
+
+
+TRUE = float(fails(SPACE.from_unit(np.random.default_rng(0).random((400_000, 2)))).mean())
+
+
+@pytest.mark.parametrize("sd", [0.02, 0.12, 0.5], ids=["too sure", "right", "unsure"])
+@pytest.mark.parametrize("m", [30, 250])
+def test_intervals_cover_and_the_estimate_has_no_bias(sd: float, m: int) -> None:
+    covered, middles, recalls = 0, [], 0
+    hit = float((fails(X := SPACE.from_unit(np.random.default_rng(1).random((400_000, 2)))) & (X[:, 0] > LIMIT)).mean())
+    for seed in range(60):
+        plan = plan_of(sd, m, seed)
+        estimate = plan.estimate(fails(plan.designs), all_answered(plan), 0.9)
+        assert estimate.low <= estimate.probability <= estimate.high
+        covered += estimate.low <= TRUE <= estimate.high
+        middles.append(estimate.probability)
+        recalls += estimate.recall_low <= hit / TRUE
+    # Nominal 54 of 60; fewer than 48 have a chance of 0.3 %.
+    assert covered >= 48
+    assert recalls >= 48
+    assert np.mean(middles) == pytest.approx(TRUE, abs=3.5 * np.std(middles) / np.sqrt(60.0) + 1e-3)
+
+
+def test_hidden_failure_where_the_classifier_is_sure_is_within_the_bound_more_often_than_not() -> None:
+    def with_islands(X: Array) -> NDArray[np.bool_]:
+        cells = np.floor(20.0 * X).astype(np.int64)
+        return fails(X) | ((cells[:, 0] * 7919 + cells[:, 1] * 104729) % 1000 < 10)
+
+    true = float(with_islands(SPACE.from_unit(np.random.default_rng(2).random((400_000, 2)))).mean())
+    plans = [plan_of(0.12, 300, seed) for seed in range(60)]
+    highs = [plan.estimate(with_islands(plan.designs), all_answered(plan), 0.92).high for plan in plans]
+    assert np.mean(np.array(highs) >= true) > 0.8
+
+
+def test_a_part_of_the_simulations_is_shared_out_by_volume() -> None:
+    plan = plan_of(0.01, 200, 0)
+    count, volume = plan.surest
+    assert volume > 0.8
+    assert count >= np.floor(0.3 * 200 * volume)
+    assert len(plan.designs) == 200
+    assert plan.volume.sum() == pytest.approx(1.0)
+    assert plan.probability == pytest.approx(norm.sf(LIMIT), rel=0.02)
+
+
+def test_no_design_of_a_space_is_drawn_twice_even_if_a_stratum_is_small() -> None:
+    plan = plan_of(0.0005, 900, 0)
+    assert len(np.unique(plan.designs, axis=0)) == 900
+
+
+def test_what_gave_no_outcome_widens_the_interval_to_both_sides() -> None:
+    plan = plan_of(0.12, 60, 0)
+    beyond, answered = fails(plan.designs), all_answered(plan)
+    full = plan.estimate(beyond, answered, 0.9)
+    answered[::4] = False
+    partial = plan.estimate(beyond & answered, answered, 0.9)
+    assert partial.low < full.low
+    assert full.high < partial.high
+    assert (partial.unanswered, partial.simulations) == (15, 60)
+    assert partial.recall_low < full.recall_low
+
+
+def test_without_a_wrong_prediction_the_interval_keeps_a_width_that_falls_with_the_simulations() -> None:
+    widths = []
+    for m in (30, 120, 480):
+        plan = plan_of(0.12, m, 0)
+        estimate = plan.estimate(plan.predicted, all_answered(plan), 0.9)
+        assert estimate.probability == pytest.approx(estimate.model, abs=1e-3)
+        assert estimate.wrong == 0
+        widths.append(estimate.high - estimate.low)
+    assert widths[0] > 1.5 * widths[1] > 2.0 * widths[2] > 0.0
+
+
+def test_weighted_rows_are_drawn_by_their_weights() -> None:
+    rng = np.random.default_rng(3)
+    X, weight = rng.normal(size=(3000, 2)), rng.exponential(size=3000)
+    rows = WeightedRows(("u", "v"), X, weight)
+    true = float((rows.weight * fails(X)).mean())
+    covered, middles = 0, []
+    for seed in range(60):
+        plan = plan_of(0.12, 100, seed, rows)
+        assert plan.standard_error == 0.0
+        estimate = plan.estimate(fails(plan.designs), all_answered(plan), 0.9)
+        covered += estimate.low <= true <= estimate.high
+        middles.append(estimate.probability)
+    assert covered >= 48
+    assert np.mean(middles) == pytest.approx(true, abs=3.5 * np.std(middles) / np.sqrt(60.0))
+
+
+def test_an_outcome_that_is_rare_for_the_classifier_has_no_strata() -> None:
+    rng = np.random.default_rng(0)
+    assert plan_strata(lambda X: X[:, 0] - 4.0, SPACE, 100, rng) is None
+    rows = WeightedRows(("u",), np.linspace(0.0, 1.0, 1000)[:, None], np.ones(1000))
+    assert plan_strata(lambda X: X[:, 0] - 0.995, rows, 100, rng) is None
+
+
+def test_the_expected_width_is_that_of_intervals_if_the_classifier_is_right() -> None:
+    plan = plan_of(0.2, 250, 0)
+    rng = np.random.default_rng(1)
+    widths = []
+    for _ in range(40):
+        beyond = np.asarray(rng.random(250) < norm.cdf(plan.standardised))
+        estimate = plan.estimate(beyond, all_answered(plan), 0.9)
+        widths.append(estimate.high - estimate.probability)
+    assert plan.expected_half_width(0.9, rng) == pytest.approx(np.mean(widths), rel=0.1)

@@ -1,0 +1,157 @@
+"""Targets that are risks in a number of years: pulses as a hazard's curve says."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+from scipy.stats import norm
+
+from activefail.campaign.hazard import Hazard, hazard_of
+from activefail.errors import InputError
+from activefail.risk.design.risk_target import at_risk, pulses_of_curve
+from activefail.risk.design.task import Requirement, read_targets
+from activefail.risk.fragility.curve import Curve, Ladder
+from activefail.risk.fragility.rates import risk_of
+from activefail.space import Array
+from activefail.weighted import WeightedRows
+
+VELOCITIES, RATES = [0.2, 0.5, 1.0, 2.0], [1e-2, 2e-3, 4e-4, 5e-5]
+
+VALUES = {
+    "magnitude": {"M": 7.0},
+    "pgv": {"median_m_s": 1.0, "dispersion": 0.25},
+    "curve": {"pgv_m_s": VELOCITIES, "annual_rate": RATES},
+}
+
+
+def hazard(**more: object) -> Hazard:
+    return hazard_of({**VALUES, **more}, Path("hazard.toml"))
+
+
+def share(rows: WeightedRows, values: Array) -> float:
+    return float((rows.weight * values).mean())
+
+
+def test_pulses_of_a_curve_exceed_each_velocity_as_often_as_it_says() -> None:
+    rows = pulses_of_curve(hazard())
+    for velocity, rate in zip(VELOCITIES[1:], RATES[1:], strict=True):
+        assert RATES[0] * share(rows, rows.column("PGV") > velocity) == pytest.approx(rate, rel=0.02)
+    assert rows.column("PGV").min() >= 0.2
+    # The mass beyond the extrapolated end is kept.
+    slope = math.log(RATES[-1] / RATES[-2]) / math.log(2.0)
+    assert RATES[0] * share(rows, rows.column("PGV") > 3.0) == pytest.approx(RATES[-1] * 1.5**slope, rel=0.03)
+
+
+def test_every_block_of_pulses_is_a_sample_of_the_same_distribution() -> None:
+    rows = pulses_of_curve(hazard())
+    mean = share(rows, rows.column("PGV"))
+    error = float(rows.standard_error(rows.column("PGV")))
+    assert 0.0 < error < 0.005 * mean
+
+
+@pytest.mark.parametrize(("median", "dispersion"), [(0.8, 0.3), (2.0, 0.4)])
+def test_the_risk_is_the_integral_of_a_fragility_over_the_curve(median: float, dispersion: float) -> None:
+    ladder = Ladder("PGV", "m/s", np.geomspace(0.05, 20.0, 800), is_log=True)
+    curve = Curve(ladder, norm.cdf(np.log(ladder.levels / median) / dispersion), 0.001)
+    expected = risk_of(curve, np.array(VELOCITIES), np.array(RATES))
+    site, (requirement,), rate = at_risk(hazard(), [Requirement("failure", 0.01, 50.0)])
+    assert site.rows is not None
+    P = share(site.rows, norm.cdf(np.log(site.rows.column("PGV") / median) / dispersion))
+    assert rate.risk(P) == pytest.approx(expected.in_50_years, rel=0.02)
+    assert rate.risk(requirement.target) == pytest.approx(0.01)
+
+
+def test_periods_have_their_distribution_given_the_velocity() -> None:
+    site = hazard(pgv={"median_m_s": 1.0, "dispersion": 0.25, "correlation_with_period": 0.6})
+    rows = pulses_of_curve(site)
+    z = (np.log(rows.column("T_p") / site.median_period)) / site.period_dispersion
+    expected = 0.6 * np.log(rows.column("PGV")) / 0.25
+    residual = (z - expected) / 0.8
+    assert share(rows, residual) == pytest.approx(0.0, abs=0.05)
+    assert share(rows, residual**2) == pytest.approx(1.0, abs=0.05)
+
+
+def test_periods_of_a_table_keep_their_weights() -> None:
+    table = WeightedRows(("T_p", "PGV"), np.array([[1.0, 0.5], [2.0, 1.0], [4.0, 2.0]]), np.array([0.2, 0.5, 0.3]))
+    rows = pulses_of_curve(replace(hazard(), rows=table))
+    for period, weight in ((1.0, 0.2), (2.0, 0.5), (4.0, 0.3)):
+        assert share(rows, rows.column("T_p") == period) == pytest.approx(weight, abs=0.02)
+
+
+def test_added_uncertainty_raises_the_risk_as_the_wider_fragility_does() -> None:
+    median, dispersion, added = 1.5, 0.3, 0.4
+    site, _, rate = at_risk(
+        hazard(uncertainty={"design_requirements": added, "test_data": 0.0, "modelling": 0.0}),
+        [Requirement("failure", 0.01, 50.0)],
+    )
+    pulses, _ = site.pulses()
+    assert isinstance(pulses, WeightedRows)
+    P = share(pulses, norm.cdf(np.log(pulses.column("PGV") / median) / dispersion))
+    # Pulses below the first velocity are left out.
+    ladder = Ladder("PGV", "m/s", np.geomspace(VELOCITIES[0], 20.0, 800), is_log=True)
+    wider = Curve(ladder, norm.cdf(np.log(ladder.levels / median) / math.hypot(dispersion, added)), 0.001)
+    expected = risk_of(wider, np.array(VELOCITIES), np.array(RATES))
+    assert rate.risk(P) == pytest.approx(expected.in_50_years, rel=0.03)
+
+
+def test_targets_in_years_are_read() -> None:
+    outcomes = ("safe", "damage", "failure")
+    for text in ("1% in 50 years", "1 % in 50 years", "0.01 in 50 years"):
+        assert read_targets(text, outcomes, "failure") == (Requirement("failure", pytest.approx(0.01), 50.0),)
+    assert read_targets("damage=10% in 30 years,failure=1% in 30 years", outcomes, "failure") == (
+        Requirement("damage", 0.1, 30.0),
+        Requirement("failure", 0.01, 30.0),
+    )
+
+
+@pytest.mark.parametrize("text", ["1.2.3% in 50 years", "0% in 50 years", "95% in 50 years", "1% in 0 years"])
+def test_a_risk_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="a risk must be positive and at most"):
+        read_targets(text, ("safe", "failure"), "failure")
+
+
+def test_what_a_risk_needs_is_told() -> None:
+    one = Requirement("failure", 0.01, 50.0)
+    without = hazard_of({name: VALUES[name] for name in ("magnitude", "pgv")}, Path("hazard.toml"))
+    for site in (None, without):
+        with pytest.raises(InputError, match=r"requires a hazard with a \[curve\]"):
+            at_risk(site, [one])
+    for other in (Requirement("impact", 0.3), Requirement("impact", 0.3, 30.0)):
+        with pytest.raises(InputError, match="all targets must be risks in the same number of years"):
+            at_risk(hazard(), [one, other])
+    with pytest.raises(InputError, match="Begin the curve at a larger velocity"):
+        at_risk(hazard(), [Requirement("failure", 1e-4, 50.0)])
+    with pytest.raises(InputError, match="Begin the curve at a smaller velocity"):
+        at_risk(hazard(), [Requirement("failure", 0.9, 50.0)])
+
+
+def test_a_bearing_is_designed_for_a_risk(tmp_path: Path) -> None:
+    (tmp_path / "bearing.toml").write_text("[sampling]\ninitial = 60\nbudget = 60\n")
+    (tmp_path / "hazard.toml").write_text(
+        "[magnitude]\nM = 7.0\n[pgv]\nmedian_m_s = 1.0\ndispersion = 0.25\n"
+        f"[curve]\npgv_m_s = {VELOCITIES}\nannual_rate = {RATES}\n"
+    )
+    (tmp_path / "fixed.toml").write_text(
+        "T_b = 3.5\nmu = 0.11\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45.0\nk = 2e9\n"
+    )
+    result = activefail("run", tmp_path / "bearing.toml", "--out", tmp_path / "run")
+    assert result.code == 0, result.err
+    asked = ("--hazard", tmp_path / "hazard.toml", "--fixed", tmp_path / "fixed.toml", "--simulations", "100")
+    result = activefail("design", tmp_path / "run", "--target", "1% in 50 years", *asked, "--no-chart", "--json")
+    assert result.code in (0, 3), result.err
+    found = json.loads(result.out)
+    risk = found["requirements"][0]["risk"]
+    assert risk["target"] == pytest.approx(0.01)
+    assert risk["low"] < risk["risk"] < risk["high"]
+    assert risk["risk"] == pytest.approx(-math.expm1(-50.0 * RATES[0] * found["probability"]))
+    assert (risk["high"] <= risk["target"]) == (found["status"] == "verified")
+    assert any("Pulses below 0.2 m/s" in sentence for sentence in found["assumptions"])
+    # A verified design of a report is one given a pulse.
+    assert not (tmp_path / "run" / "designs.json").exists()
+    refused(
+        activefail("report", tmp_path / "run", *asked[:4], "--target", "1% in 50 years"), "given a pulse of the hazard"
+    )
