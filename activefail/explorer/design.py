@@ -218,6 +218,13 @@ class DesignAnswers:
         P = np.array([self._probability(asked.site, asked.bearing, x, points) for x in grid.tolist()])
         value = least_value(grid, P, asked.target)
         is_met = bool(np.isfinite(value))
+        if is_met and low < value < high:
+            # Between two values of the grid the probability may exceed the target that its interpolation meets.
+            k = int(np.searchsorted(grid, value))
+            between = np.array([value, grid[k]])
+            at_value = self._probability(asked.site, asked.bearing, value, points)
+            if at_value > asked.target >= P[k]:
+                value = least_value(between, np.array([at_value, P[k]]), asked.target)
         # A smaller one may meet the target where a larger one does not: failure is not monotone.
         at = value if is_met else high if P.min() <= asked.target else float(grid[int(np.argmin(P))])
         probability = self._probability(asked.site, asked.bearing, at, points)

@@ -48,14 +48,14 @@ def plot_moves(moves: Sequence[Move], probability: float, outcome: str, quantiti
 
     Args:
         moves: in the order of the rows.
-        probability: at the variables' own values.
+        probability: with all variables at their base values.
         outcome: whose probability it is, in words.
         quantities: of the variables, by name.
     """
     with styled():
         figure = Figure(figsize=(6.4, 1.3 + 0.4 * len(moves)), layout="constrained")
         axes = figure.add_subplot()
-        axes.axvline(probability, color=GREY, linestyle=":", label="own values")
+        axes.axvline(probability, color=GREY, linestyle=":", label="base values")
         for row, move in enumerate(moves):
             axes.plot([move.at_low, probability, move.at_high], [row] * 3, color=GREY, linewidth=0.8, zorder=1)
         rows = range(len(moves))

@@ -201,7 +201,7 @@ def write_sensitivity(sensitivity: Sensitivity, campaign: Campaign, out: Path) -
         name = plain(or_worse(sensitivity.outcome, outcomes))
         figures[MOVES] = plot_moves(sensitivity.moves, sensitivity.probability, name, quantities)
         share = percent(sensitivity.probability)
-        at_own = f"At the variables' own values the probability is {share}, without an interval."
+        at_own = f"With all variables at their base values the probability is {share}, without an interval."
         lines += ["## One variable at a time", "", at_own, "", *_markdown(move_rows(sensitivity)), ""]
         lines += [f"![One variable at a time]({MOVES}.svg)", ""]
     if sensitivity.indices:

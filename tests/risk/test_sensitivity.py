@@ -303,7 +303,7 @@ def test_the_command_leads_with_one_variable_at_a_time_under_a_hazard(home: Path
     done = activefail(*words, "--fixed", home / "fixed.toml", "--samples", "16", "--out", tmp_path)
     assert done.code == 0, done.err
     assert done.out.index("at its 10 % quantile") < done.out.index("Sobol' indices")
-    assert "at the variables' own values, without an interval" in done.out
+    assert "with all variables at their base values, without an interval" in done.out
     assert {"one_at_a_time.svg", "indices.png"} <= {file.name for file in tmp_path.iterdir()}
     found = json.loads(activefail(*words, "--bearing", home / "fixed.toml", "--samples", "16", "--json").out)
     assert found["output"] == "probability given the design"

@@ -110,10 +110,15 @@ def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
     shown = f"{capacity.level:.3g}{unit}"
     if interval.low is None and interval.high is None:
         return shown
-    low, high = ("?" if end is None else f"{end:.3g}" for end in (interval.low, interval.high))
-    unknown = f" (?: {interval.reason})" if interval.reason else ""
+    if interval.low is not None and interval.high is not None:
+        ends = f"interval {interval.low:.3g} to {interval.high:.3g}"
+    elif interval.high is not None:
+        ends = f"interval up to {interval.high:.3g}, its lower end unknown"
+    else:
+        ends = f"interval from {interval.low:.3g}, its upper end unknown"
+    unknown = f" ({interval.reason})" if interval.reason else ""
     middle = "" if interval.middle is None else f"; {interval.middle:.3g} with the simulations"
-    return f"{shown}{middle}, interval {low} to {high}{unknown}"
+    return f"{shown}{middle}, {ends}{unknown}"
 
 
 def _of_pulses(parts: Deaggregation) -> list[tuple[str, str]]:

@@ -51,7 +51,7 @@ Begin = Callable[[int], Callable[[int], None]]
 
 @dataclass(frozen=True)
 class Move:
-    """The probability at two values of one variable, with the others at their own values.
+    """The probability at two values of one variable, with the others at their base values.
 
     Attributes:
         name: of the variable.
@@ -84,7 +84,7 @@ class Sensitivity:
         outside: share of the sampled designs outside the campaign's space, where the classifier extrapolates.
         notes: what the numbers mean and assume, as sentences.
         pulses: that integrate the probability of each design; 0 without a hazard.
-        probability: at the variables' own values, without an interval; NaN without a hazard.
+        probability: with all variables at their base values, without an interval; NaN without a hazard.
         moves: one variable at a time, by decreasing effect; empty without a hazard.
         length_scales: of the classifier's features by name, in standard deviations of the feature.
         p_values: of the campaign's variables in a logistic regression of its initial design; empty without a fit.
