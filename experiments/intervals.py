@@ -142,7 +142,7 @@ def plans(rng, draws=20_000, bias=0.045, error=0.043):
     return sorted(lines)
 
 
-def overconfident(sd, isolated, repeats=200):
+def overconfident(sd, isolated, by_importance, repeats=200):
     """How often the upper bound of a look holds with a classifier that is far too sure.
 
     Two standard normal variables; failure beyond u = 1.28, with a wave, and isolated failures. The classifier knows
@@ -155,10 +155,17 @@ def overconfident(sd, isolated, repeats=200):
         scattered = (cells[:, 0] * 7919 + cells[:, 1] * 104729) % 1000 < 1000 * isolated
         return (X[:, 0] + 0.03 * np.sin(9.0 * X[:, 1]) > 1.28) | scattered
 
+    def latent(X):
+        return (X[:, 0] - 1.28) / sd
+
     P = fails(space.from_unit(np.random.default_rng(0).random((2_000_000, 2)))).mean()
     holds, below = 0, []
     for seed in range(repeats):
-        plan = plan_strata(lambda X: (X[:, 0] - 1.28) / sd, space, 300, np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        if by_importance:
+            plan = plan_estimate(latent, space, integrated(latent, space, rng), 300, rng)
+        else:
+            plan = plan_strata(latent, space, 300, rng)
         high = plan.estimate(fails(plan.designs), np.ones(300, dtype=bool), 0.92).high
         holds += high >= P
         below += [1.0 - high / P] if high < P else []
@@ -191,9 +198,10 @@ def main():
         "a classifier that is too sure: its sd, isolated failures, P, upper bounds of 96 % that hold, and else by how"
     )
     print("much they are too low (median)")
-    for sd, isolated in itertools.product((0.05, 0.1, 0.2), (0.0, 0.002, 0.005)):
-        P, holds, below = overconfident(sd, isolated)
-        print(f"  {sd}, {100 * isolated:g} %: {P:.4f}, {holds:.3f}, {100 * below:.1f} %")
+    for sd, isolated, by_importance in itertools.product((0.05, 0.1, 0.2), (0.0, 0.002, 0.005), (False, True)):
+        P, holds, below = overconfident(sd, isolated, by_importance)
+        kind = "importance" if by_importance else "strata"
+        print(f"  {kind} {sd}, {100 * isolated:g} %: {P:.4f}, {holds:.3f}, {100 * below:.1f} %")
     print("plans of two looks: n of the first, its share of 5 %, both aims, verified, median and mean below the target")
     for _, n, alpha, k1, k2, verified, median, mean in plans(np.random.default_rng(0))[:6]:
         print(f"  {n}, {alpha}, {k1}, {k2}: {verified:.3f}, {100 * median:.1f} %, {100 * mean:.1f} %")

@@ -56,7 +56,7 @@ def move_rows(sensitivity: Sensitivity) -> list[list[str]]:
         return []
     labels = _labels(sensitivity)
     low, high = f"{100 * LOW:g} %", f"{100 * HIGH:g} %"
-    rows = [["variable", "own value", f"at its {low} quantile", f"at its {high} quantile"]]
+    rows = [["variable", "base value", f"at its {low} quantile", f"at its {high} quantile"]]
     for move in sensitivity.moves:
         at_low = f"{percent(move.at_low)} at {significant(move.low)}"
         at_high = f"{percent(move.at_high)} at {significant(move.high)}"
