@@ -780,7 +780,7 @@ class Run:
         Raises:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
-        from activefail.risk.fragility.findings import checked_ladder, fragility
+        from activefail.risk.fragility.calculation import checked_ladder, fragility
 
         check_whole("verify", verify, 0)
         outcome = self._boundary_named(outcome)

@@ -81,7 +81,9 @@ def sensitivity(
         return
     print(visible(words.heading(found, campaign.simulator.outcomes)))
     if found.moves:
-        print(f"\nprobability {percent(found.probability)} with all variables at their base values, without an interval")
+        print(
+            f"\nprobability {percent(found.probability)} with all variables at their base values, without an interval"
+        )
         print("\n".join(map(visible, words.aligned(words.move_rows(found)))))
     if found.indices:
         print("\nSobol' indices")

@@ -15,7 +15,8 @@ from activefail.risk.design.designing import chart_of
 from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.stored import StoredDesign, stored_designs
 from activefail.risk.design.task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets
-from activefail.risk.fragility.findings import FragilityFindings, fragility
+from activefail.risk.fragility.calculation import fragility
+from activefail.risk.fragility.findings import FragilityFindings
 from activefail.space import DesignSpace
 from activefail.verification.probability import Estimator
 from activefail.visible import quoted
