@@ -10,19 +10,19 @@ from typing import NamedTuple
 from numba import njit
 from numba.extending import overload
 
-from activefail.bearing import integrator
+from activefail.bearing import ground, integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
 from activefail.bearing.kernels import INLINE, KERNEL
+from activefail.bearing.ground import Ricker, Segment
 from activefail.bearing.lanes import Lanes, lanes, numbers
-from activefail.bearing.pulse import ground_acceleration, ground_jerk
 from activefail.bearing.tuples import axpy_rows, scaled
 
 COORDINATES = 5
 
 
 class System(NamedTuple):
-    """The constants of a bearing under a pulse, for the kernels."""
+    """The constants of a bearing and its ground motion, for the kernels."""
 
     slider_mass: float  # m [kg]
     slider_inertia: float  # I [kg m2]
@@ -33,8 +33,7 @@ class System(NamedTuple):
     tilt_limit: float  # tilt beyond which the slider overturns [rad]
     bottom: Plate
     top: Plate
-    amplitude: float  # A_p [m/s2]
-    period: float  # T_p [s]
+    motion: Ricker | Segment  # of the ground
 
 
 class Energy(NamedTuple):
@@ -45,7 +44,7 @@ class Energy(NamedTuple):
     input: float  # power of the ground motion's inertial forces
 
 
-def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
+def system(bearing: Bearing, motion: Pulse | Segment, model: Model) -> System:
     """The constants of the equations of motion, with masses and dampers from the model's settings."""
     area = math.pi * bearing.slider_diameter**2 / 4.0
     slider_mass = model.slider_density * area * bearing.slider_height
@@ -80,8 +79,7 @@ def system(bearing: Bearing, pulse: Pulse, model: Model) -> System:
         tilt_limit=math.atan2(bearing.slider_diameter, bearing.slider_height),
         bottom=plate(*masses[0]),
         top=plate(*masses[1]),
-        amplitude=float(pulse.amplitude),
-        period=float(pulse.period),
+        motion=Ricker(float(motion.amplitude), float(motion.period)) if isinstance(motion, Pulse) else motion,
     )
 
 
@@ -217,8 +215,8 @@ def dfp_acceleration(system, t, q, v):
     at = vertices(system, q, v)
     force = vertex_force(at.u, at.w, at.du, at.dw, at.plate)
     f_x, f_z = force.u, at.up * force.w
-    ground = ground_acceleration(t, system.amplitude, system.period)
-    return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(at.r_x * f_z - at.r_z * f_x), ground)
+    moved = ground.acceleration(system.motion, t)
+    return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(at.r_x * f_z - at.r_z * f_x), moved)
 
 
 @njit(**INLINE)
@@ -271,10 +269,9 @@ def dfp_linearisation(system, t, q, v):
         (z_vx, z_vz, z_omega),
         (r_x * z_vx - r_z * x_vx, r_x * z_vz - r_z * x_vz, r_x * z_omega - r_z * x_omega),
     )
-    ground = ground_acceleration(t, system.amplitude, system.period)
-    jerk = ground_jerk(t, system.amplitude, system.period)
+    moved, jerk = ground.acceleration(system.motion, t), ground.jerk(system.motion, t)
     return (
-        _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(r_x * f_z - r_z * f_x), ground),
+        _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(r_x * f_z - r_z * f_x), moved),
         _by_coordinates(system, *_of_plates_rows(by_position)),
         _by_coordinates(system, *_of_plates_rows(by_velocity)),
         (-jerk, 0.0, 0.0, -jerk, 0.0),
@@ -302,8 +299,8 @@ def energy_of(system, t, q, v, force):
     stored = 0.5 * m * (v[0] * v[0] + v[1] * v[1]) + 0.5 * system.slider_inertia * v[2] * v[2]
     stored += 0.5 * M * (v[3] * v[3] + v[4] * v[4]) + GRAVITY * (m * q[1] + M * q[4])
     elastic, dissipation = of_plates(force.stored), of_plates(force.dissipation)
-    ground = ground_acceleration(t, system.amplitude, system.period)
-    return Energy(stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], -(m * v[0] + M * v[3]) * ground)
+    moved = ground.acceleration(system.motion, t)
+    return Energy(stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], -(m * v[0] + M * v[3]) * moved)
 
 
 @njit(cache=True, **KERNEL)

@@ -15,11 +15,19 @@ from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
 from activefail.bearing.barrier import barrier
+from activefail.bearing.course import (
+    at_sample,
+    from_sample,
+    is_over,
+    longest_step,
+    next_state,
+    shaking,
+    to_come,
+)
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
 from activefail.bearing.dynamics import COORDINATES, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
 from activefail.bearing.kernels import KERNEL, check_compiled
-from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
 from activefail.errors import InputError
 from activefail.space import Array
 
@@ -64,15 +72,15 @@ def _record(history, row, system, state):
 
 
 @njit(cache=True, nogil=True, **KERNEL)
-def integrate(system, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
+def integrate(system, samples, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
     """Integrate one bearing from rest until it fails, its outcome is settled or, with `to_the_end`, its time is over.
 
-    The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `KernelResult`.
+    `samples` are those of an accelerogram, None for a pulse. The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `KernelResult`.
     """
-    t = -HALF_DURATION * system.period
-    pulse_end = -t
-    end = pulse_end + free_time
-    state = start(t, 1e-3 * system.period, equilibrium(system), (0.0, 0.0, 0.0, 0.0, 0.0))
+    t, motion_end, first = shaking(system, samples)
+    end = motion_end + free_time
+    sample = 0
+    state = start(t, first, equilibrium(system), (0.0, 0.0, 0.0, 0.0, 0.0))
     control = Control(tolerance, SCALE_Q, SCALE_V, most)
 
     weight = system.plate_mass * GRAVITY
@@ -87,32 +95,34 @@ def integrate(system, capacity, free_time, confinement, tolerance, longest, most
     peak_displacement, peak_rim_force, peak_gap, peak_tilt = 0.0, 0.0, 0.0, 0.0
     outcome, cause, touched, rows = o.NO_IMPACT, o.NONE, False, 0
     while True:
-        _record(history, rows, system, state)
+        sample = at_sample(samples, t, sample)
+        now = from_sample(system, samples, sample)
+        _record(history, rows, now, state)
         rows += 1
         if t >= end:
             break
         # The outcome is settled after an impact if failure is impossible, and after the pulse if a rim touch is.
-        if (touched or t > pulse_end) and not to_the_end:
+        if (touched or is_over(samples, t, motion_end)) and not to_the_end:
             reach = levels.failure if touched else min(levels.touch, levels.failure)
-            pushed = growth * impulse_to_come(t, system.amplitude, system.period)
+            pushed = growth * to_come(now, samples, t, sample)
             if math.sqrt(max(0.0, before.stored - levels.least)) + pushed < math.sqrt(reach - levels.least):
                 break
-        # At most a tenth of the pulse, so that no step from rest skips it.
-        bound = min(longest, 0.1 * system.period) if t < pulse_end else longest
+        bound = longest_step(now, samples, t, sample, motion_end, longest)
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
-        status, state, middle_q, middle_v = advance(system, state, control, min(bound, end - t))
+        status, stepped, middle_q, middle_v = advance(now, state, control, min(bound, end - t))
+        state = next_state(samples, state, stepped)
         if status != ACCEPTED:
             outcome, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
             break
         step = state.t - t
         t = state.t
-        after, seen = o.examine(system, t, state.q, state.v)
+        after, seen = o.examine(now, t, state.q, state.v)
         if not math.isfinite(after.stored):
             outcome, cause = o.NUMERICAL_FAILURE, o.NOT_FINITE
             break
 
-        halfway, seen_middle = o.examine(system, t - 0.5 * step, middle_q, middle_v)
+        halfway, seen_middle = o.examine(now, t - 0.5 * step, middle_q, middle_v)
         peak_displacement = max(peak_displacement, abs(state.q[3]), abs(middle_q[3]))
         peak_rim_force = max(peak_rim_force, seen.rim_force, seen_middle.rim_force)
         peak_gap = max(peak_gap, seen.confinement_gap)
@@ -137,7 +147,7 @@ def integrate(system, capacity, free_time, confinement, tolerance, longest, most
                 failure_time = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
             else:
                 outcome, cause = o.NUMERICAL_FAILURE, o.NO_TOUCH
-            _record(history, rows, system, state)
+            _record(history, rows, now, state)
             rows += 1
             break
         before, seen_before = after, seen
@@ -168,6 +178,7 @@ def _simulate(
     free_time = FREE_PERIODS * 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
     run: KernelResult = integrate(
         system(bearing, pulse, model),
+        None,
         bearing.displacement_capacity,
         free_time,
         model.loss_of_confinement,

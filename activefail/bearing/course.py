@@ -1,0 +1,169 @@
+"""How a ground motion goes on: a pulse has one formula for all times, an accelerogram one between two samples.
+
+`simulation.integrate` calls these functions with the samples of an accelerogram, or with None for a pulse. The type
+chooses the formula, so that a pulse pays nothing for accelerograms.
+"""
+
+from numba import types
+from numba.extending import overload
+
+from activefail.bearing.dynamics import System
+from activefail.bearing.ground import Samples, Segment, is_type
+from activefail.bearing.integrator import State
+from activefail.bearing.kernels import INLINE
+from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
+
+_ROUNDING = 1e-9
+"""Part of an interval between samples that is taken as none."""
+
+
+def shaking(system, samples):
+    """Times at which the ground begins and ends to move, and the first step to try [s]."""
+    raise NotImplementedError
+
+
+def at_sample(samples, t, k):
+    """The last sample at or before t [s], if k is one before; 0 for a pulse."""
+    raise NotImplementedError
+
+
+def from_sample(system, samples, k):
+    """The system whose ground moves as after sample k."""
+    raise NotImplementedError
+
+
+def longest_step(system, samples, t, k, ends, longest):
+    """The longest step [s] at time t, after sample k, of a motion that ends at `ends`; at most `longest`."""
+    raise NotImplementedError
+
+
+def to_come(system, samples, t, k):
+    """∫ |ü_g| dt from time t on [m/s], after sample k."""
+    raise NotImplementedError
+
+
+def is_over(samples, t, ends):
+    """Whether a run without a rim touch may end: for an accelerogram at any time."""
+    raise NotImplementedError
+
+
+def next_state(samples, before, after):
+    """The state after a step, with the next step to try.
+
+    A step that a sample has shortened says nothing about the error: the one that was to be tried is tried next.
+    """
+    raise NotImplementedError
+
+
+@overload(shaking, jit_options=INLINE)
+def _shaking(system, samples):
+    def of_pulse(system, samples):
+        t = -HALF_DURATION * system.motion.period
+        return t, -t, 1e-3 * system.motion.period
+
+    def of_samples(system, samples):
+        return 0.0, (len(samples.acceleration) - 1) * samples.dt, min(1e-3, samples.dt)
+
+    return _of(samples, of_pulse, of_samples)
+
+
+@overload(at_sample, jit_options=INLINE)
+def _at_sample(samples, t, k):
+    def of_pulse(samples, t, k):
+        return 0
+
+    def of_samples(samples, t, k):
+        while k < len(samples.acceleration) - 1 and (k + 1) * samples.dt - t <= _ROUNDING * samples.dt:
+            k += 1
+        return k
+
+    return _of(samples, of_pulse, of_samples)
+
+
+@overload(from_sample, jit_options=INLINE)
+def _from_sample(system, samples, k):
+    def of_pulse(system, samples, k):
+        return system
+
+    def of_samples(system, samples, k):
+        a, dt = samples.acceleration, samples.dt
+        if k < len(a) - 1:
+            motion = Segment(a[k], (a[k + 1] - a[k]) / dt, k * dt)
+        else:
+            motion = Segment(0.0, 0.0, k * dt)
+        return System(
+            system.slider_mass,
+            system.slider_inertia,
+            system.plate_mass,
+            system.half_width,
+            system.half_height,
+            system.rim_height,
+            system.tilt_limit,
+            system.bottom,
+            system.top,
+            motion,
+        )
+
+    return _of(samples, of_pulse, of_samples)
+
+
+@overload(longest_step, jit_options=INLINE)
+def _longest_step(system, samples, t, k, ends, longest):
+    def of_pulse(system, samples, t, k, ends, longest):
+        # At most a tenth of the pulse, so that no step from rest skips it.
+        return min(longest, 0.1 * system.motion.period) if t < ends else longest
+
+    def of_samples(system, samples, t, k, ends, longest):
+        return min(longest, (k + 1) * samples.dt - t) if k < len(samples.acceleration) - 1 else longest
+
+    return _of(samples, of_pulse, of_samples)
+
+
+@overload(to_come, jit_options=INLINE)
+def _to_come(system, samples, t, k):
+    def of_pulse(system, samples, t, k):
+        return impulse_to_come(t, system.motion.amplitude, system.motion.period)
+
+    def of_samples(system, samples, t, k):
+        if k >= len(samples.acceleration) - 1:
+            return 0.0
+        h = (k + 1) * samples.dt - t
+        b = samples.acceleration[k + 1]
+        a = b - h * system.motion.jerk
+        area = 0.5 * h * (abs(a) + abs(b))
+        if a * b < 0.0:
+            area = 0.5 * h * (a * a + b * b) / (abs(a) + abs(b))
+        return area + samples.impulse[k + 1]
+
+    return _of(samples, of_pulse, of_samples)
+
+
+@overload(is_over, jit_options=INLINE)
+def _is_over(samples, t, ends):
+    def of_pulse(samples, t, ends):
+        return t > ends
+
+    def of_samples(samples, t, ends):
+        return True
+
+    return _of(samples, of_pulse, of_samples)
+
+
+@overload(next_state, jit_options=INLINE)
+def _next_state(samples, before, after):
+    def of_pulse(samples, before, after):
+        return after
+
+    def of_samples(samples, before, after):
+        if after.rejections > before.rejections:
+            return after
+        step = max(before.step, after.step)
+        return State(after.t, step, after.q, after.v, after.attempts, after.rejections, after.evaluations)
+
+    return _of(samples, of_pulse, of_samples)
+
+
+def _of(samples, of_pulse, of_samples):
+    if isinstance(samples, types.NoneType):
+        return of_pulse
+    return of_samples if is_type(samples, Samples) else None

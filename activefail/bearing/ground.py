@@ -1,0 +1,85 @@
+"""Ground motions for the kernels: a Ricker pulse, or a recorded acceleration between its samples.
+
+A kernel calls `acceleration` and `jerk` with a motion; the motion's type chooses the formula, as for the problems of
+`integrator`. An accelerogram is linear between its samples, and no step crosses one (`course`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from activefail.bearing.kernels import INLINE
+from activefail.bearing.pulse import ground_acceleration, ground_jerk
+from activefail.space import Array
+
+
+class Ricker(NamedTuple):
+    """The pulse of `pulse`."""
+
+    amplitude: float  # A_p [m/s2]
+    period: float  # T_p [s]
+
+
+class Segment(NamedTuple):
+    """A linear acceleration, from one sample of an accelerogram to the next."""
+
+    acceleration: float  # at the first sample [m/s2]
+    jerk: float  # [m/s3]
+    begin: float  # time of the first sample [s]
+
+
+class Samples(NamedTuple):
+    """An accelerogram, whose first sample is at time 0. Before it and after the last one the ground does not move."""
+
+    acceleration: Array  # (n,) [m/s2]
+    impulse: Array  # (n,) ∫ |ü_g| dt from each sample on [m/s]
+    dt: float  # [s]
+
+
+def samples(acceleration: Array, dt: float) -> Samples:
+    """The samples of an accelerogram for the kernels.
+
+    Args:
+        acceleration: (n,) [m/s2], at least two.
+        dt: [s].
+    """
+    a, b = np.abs(acceleration[:-1]), np.abs(acceleration[1:])
+    # Within an interval the linear acceleration changes its sign at most once.
+    crosses = acceleration[:-1] * acceleration[1:] < 0.0
+    total = np.maximum(a + b, np.finfo(float).tiny)
+    area = 0.5 * dt * np.where(crosses, (a * a + b * b) / total, a + b)
+    return Samples(np.ascontiguousarray(acceleration), np.append(np.cumsum(area[::-1])[::-1], 0.0), dt)
+
+
+def is_type(motion, kind):
+    """Whether a numba type is that of a NamedTuple."""
+    return getattr(motion, "instance_class", None) is kind
+
+
+def acceleration(motion, t):
+    """Ground acceleration ü_g [m/s2] at time t [s]; overloaded for each type of motion."""
+    raise NotImplementedError
+
+
+def jerk(motion, t):
+    """Its time derivative [m/s3]; overloaded for each type of motion."""
+    raise NotImplementedError
+
+
+@overload(acceleration, jit_options=INLINE)
+def _acceleration(motion, t):
+    if is_type(motion, Ricker):
+        return lambda motion, t: ground_acceleration(t, motion.amplitude, motion.period)
+    if is_type(motion, Segment):
+        return lambda motion, t: motion.acceleration + motion.jerk * (t - motion.begin)
+    return None
+
+
+@overload(jerk, jit_options=INLINE)
+def _jerk(motion, t):
+    if is_type(motion, Ricker):
+        return lambda motion, t: ground_jerk(t, motion.amplitude, motion.period)
+    if is_type(motion, Segment):
+        return lambda motion, t: motion.jerk
+    return None
