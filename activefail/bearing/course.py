@@ -4,12 +4,13 @@
 chooses the formula, so that a pulse pays nothing for accelerograms.
 """
 
+import math
+
 from numba import types
 from numba.extending import overload
 
 from activefail.bearing.dynamics import System
 from activefail.bearing.ground import Samples, Segment, is_type
-from activefail.bearing.integrator import State
 from activefail.bearing.kernels import INLINE
 from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
 
@@ -32,8 +33,12 @@ def from_sample(system, samples, k):
     raise NotImplementedError
 
 
-def longest_step(system, samples, t, k, ends, longest):
-    """The longest step [s] at time t, after sample k, of a motion that ends at `ends`; at most `longest`."""
+def longest_step(system, samples, t, step, k, ends, longest):
+    """The longest step [s] at time t, after sample k, of a motion that ends at `ends`; at most `longest`.
+
+    Of an accelerogram it is a whole part of the time to the next sample, no longer than the step to be tried if this
+    is shorter: a remainder would be a tiny step, after which the next ones grow threefold at most.
+    """
     raise NotImplementedError
 
 
@@ -44,14 +49,6 @@ def to_come(system, samples, t, k):
 
 def is_over(samples, t, ends):
     """Whether a run without a rim touch may end: for an accelerogram at any time."""
-    raise NotImplementedError
-
-
-def next_state(samples, before, after):
-    """The state after a step, with the next step to try.
-
-    A step that a sample has shortened says nothing about the error: the one that was to be tried is tried next.
-    """
     raise NotImplementedError
 
 
@@ -108,13 +105,16 @@ def _from_sample(system, samples, k):
 
 
 @overload(longest_step, jit_options=INLINE)
-def _longest_step(system, samples, t, k, ends, longest):
-    def of_pulse(system, samples, t, k, ends, longest):
+def _longest_step(system, samples, t, step, k, ends, longest):
+    def of_pulse(system, samples, t, step, k, ends, longest):
         # At most a tenth of the pulse, so that no step from rest skips it.
         return min(longest, 0.1 * system.motion.period) if t < ends else longest
 
-    def of_samples(system, samples, t, k, ends, longest):
-        return min(longest, (k + 1) * samples.dt - t) if k < len(samples.acceleration) - 1 else longest
+    def of_samples(system, samples, t, step, k, ends, longest):
+        if k >= len(samples.acceleration) - 1:
+            return longest
+        left = (k + 1) * samples.dt - t
+        return min(longest, left / math.ceil(left / step))
 
     return _of(samples, of_pulse, of_samples)
 
@@ -145,20 +145,6 @@ def _is_over(samples, t, ends):
 
     def of_samples(samples, t, ends):
         return True
-
-    return _of(samples, of_pulse, of_samples)
-
-
-@overload(next_state, jit_options=INLINE)
-def _next_state(samples, before, after):
-    def of_pulse(samples, before, after):
-        return after
-
-    def of_samples(samples, before, after):
-        if after.rejections > before.rejections:
-            return after
-        step = max(before.step, after.step)
-        return State(after.t, step, after.q, after.v, after.attempts, after.rejections, after.evaluations)
 
     return _of(samples, of_pulse, of_samples)
 

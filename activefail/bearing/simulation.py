@@ -20,7 +20,6 @@ from activefail.bearing.course import (
     from_sample,
     is_over,
     longest_step,
-    next_state,
     shaking,
     to_come,
 )
@@ -107,11 +106,10 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
             pushed = growth * to_come(now, samples, t, sample)
             if math.sqrt(max(0.0, before.stored - levels.least)) + pushed < math.sqrt(reach - levels.least):
                 break
-        bound = longest_step(now, samples, t, sample, motion_end, longest)
+        bound = longest_step(now, samples, t, state.step, sample, motion_end, longest)
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
-        status, stepped, middle_q, middle_v = advance(now, state, control, min(bound, end - t))
-        state = next_state(samples, state, stepped)
+        status, state, middle_q, middle_v = advance(now, state, control, min(bound, end - t))
         if status != ACCEPTED:
             outcome, cause = o.NUMERICAL_FAILURE, o.STEPS if status == TOO_MANY_STEPS else o.UNDERFLOW
             break
