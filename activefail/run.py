@@ -646,30 +646,19 @@ class Run:
             return predictions_frame(self.campaign, classifier, designs, X.index if hasattr(X, "columns") else None)
 
     def model(self, outcome: str | None = None) -> Any:
-        """The latent of a boundary as a BoTorch model of a GPyTorch variational GP.
+        """The latent of a boundary as a BoTorch model.
 
-        Its inputs are the scaled features, (..., q, m), that `features` computes from designs.
+        Its inputs are the scaled features, (..., q, m), that `features` computes from designs. A boundary that is
+        learned from outcomes is a GPyTorch variational GP. One that is learned from a margin is an exact GP: minus the
+        warped margin, without training data of its own, so it cannot be conditioned on more observations.
 
         Args:
             outcome: of the boundary; the (main) target if None.
 
         Raises:
-            InputError: if the outcome has no boundary, its boundary is learned from a margin, or there is no simulation
-                to learn from.
+            InputError: if the outcome has no boundary, or there is no simulation to learn from.
         """
-        from activefail.surrogate.classifier import Latent
-
-        boundaries = self.campaign.simulator.outcomes[1:]
-        outcome = self.boundary if outcome is None else outcome
-        if outcome not in boundaries:
-            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
-        latent = self.classifier.latent(outcome)
-        if not isinstance(latent, Latent):
-            raise InputError(
-                f"outcome: the boundary of {outcome} is learned from a margin, whose regression has no BoTorch model; "
-                '`classifier.learns = "outcomes"` learns it from the outcomes.'
-            )
-        return latent.model
+        return self.classifier.latent(self._boundary_named(outcome)).model
 
     def predict_table(
         self,
