@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.reliability.estimate import SURE, UNIFORM, ProbabilityEstimate, Standardised
+from activefail.reliability.estimate import SURE, ProbabilityEstimate, Standardised
 from activefail.space import REACH, Array, DesignSpace
 from activefail.weighted import WeightedRows
 
-_EDGES = (0.005, 0.02, 0.08, 0.25)
+_EDGES = (0.0005, 0.02, 0.15)
 """Probabilities of being wrong that separate the strata of each side."""
+
+_BY_VOLUME = 0.5
+"""Share of the simulations that are shared out by volume."""
 
 _PRIOR = (0.2, 1.5)
 """The prior of the share q of wrong predictions of a stratum is Beta(0.2 + q, 1.5 − q), q by the classifier."""
@@ -213,7 +216,7 @@ def _planned(
     neyman = volume * np.sqrt(np.maximum(doubt, _LEAST_DOUBT) * (1.0 - doubt))
     rows_of = [np.flatnonzero((stratum == k) & (weight > 0.0)) for k in range(2 * sides)]
     most = np.array([m if with_replacement and len(rows) else len(rows) for rows in rows_of])
-    counts = _rounded(m * ((1.0 - UNIFORM) * neyman / neyman.sum() + UNIFORM * volume), most)
+    counts = _rounded(m * ((1.0 - _BY_VOLUME) * neyman / neyman.sum() + _BY_VOLUME * volume), most)
     drawn = []
     for rows, count in zip(rows_of, counts, strict=True):
         if count:

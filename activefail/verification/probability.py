@@ -24,7 +24,8 @@ from activefail.reliability.estimate import (
 from activefail.reliability.strata import StratifiedPlan, plan_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.classifier import Classifier, Latent
+from activefail.surrogate.margin import MarginLatent
 from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
 from activefail.weighted import BLOCKS, WeightedRows
 
@@ -179,8 +180,8 @@ class Estimator:
 
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan | StratifiedPlan:
         """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
-        question = _thinned(question, simulations)
-        return planned(self.campaign, self.standardised(outcome), self.iteration, simulations, question)
+        latent = self.classifier.latent(outcome)
+        return _planned(self.campaign, latent, self.iteration, simulations, _thinned(question, simulations))
 
     def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
         """Simulate fresh designs for the probability of an outcome or a more severe one.
@@ -196,8 +197,8 @@ class Estimator:
         """
         assert self.executor is not None
         severity = self.campaign.simulator.outcomes.index(outcome)
-        of_designs, question = self.standardised(outcome), _thinned(question, simulations)
-        fresh = _fresh(self.campaign, of_designs, self.iteration, severity, simulations, question)
+        latent, question = self.classifier.latent(outcome), _thinned(question, simulations)
+        fresh = _fresh(self.campaign, latent, self.iteration, severity, simulations, question)
         outcomes = simulated_outcomes(self.campaign, self.store, self.executor, fresh.name, fresh.designs)
         assert outcomes is not None  # no stop was requested
         return fresh.sampled(outcomes, severity)
@@ -228,12 +229,12 @@ def stored_estimate(
         question: the distribution of the variables.
     """
     severity = campaign.simulator.outcomes.index(outcome)
-    of_designs = standardised_latent(classifier.latent(outcome), campaign.features)
+    latent = classifier.latent(outcome)
     sizes = estimate_sizes(store, severity, iteration, question.digest)
     if (thinned := _thinned(question, 0)) is not question:
         sizes += estimate_sizes(store, severity, iteration, thinned.digest)
     for simulations in sizes:
-        fresh = _fresh(campaign, of_designs, iteration, severity, simulations, _thinned(question, simulations))
+        fresh = _fresh(campaign, latent, iteration, severity, simulations, _thinned(question, simulations))
         outcomes = stored_outcomes(store, fresh.name, fresh.designs)
         if outcomes is not None:
             return fresh.sampled(outcomes, severity).estimate(confidence)
@@ -249,9 +250,15 @@ def _thinned(question: Question, simulations: int) -> Question:
 
 
 def _fresh(
-    campaign: Campaign, of_designs: Standardised, iteration: int, severity: int, simulations: int, question: Question
+    campaign: Campaign,
+    latent: Latent | MarginLatent,
+    iteration: int,
+    severity: int,
+    simulations: int,
+    question: Question,
 ) -> _Fresh:
     rows = question.space
+    of_designs = standardised_latent(latent, campaign.features)
     is_complete = isinstance(rows, WeightedRows) and not rows.is_sample and simulations >= len(rows.X)
     error = 0.0
     if isinstance(rows, WeightedRows) and is_complete:
@@ -261,7 +268,7 @@ def _fresh(
         model, none = float((rows.weight * (z > 0.0)).mean()), Doubt(0.0, 0.0)
         plan: Plan | StratifiedPlan = Plan(rows.X, rows.weight, z > 0.0, z, model, 0.0, none, none)
     else:
-        plan = planned(campaign, of_designs, iteration, simulations, question)
+        plan = _planned(campaign, latent, iteration, simulations, question)
         error = error_of_rows(of_designs, question)
     name = name_of_estimate(severity, iteration, simulations, question.digest)
     designs, first, place = question.designs(plan.designs), None, None
@@ -278,13 +285,15 @@ def error_of_rows(standardised: Standardised, question: Question) -> float:
     return float(rows.standard_error(standardised(question.designs(rows.X)) > 0.0))
 
 
-def planned(
-    campaign: Campaign, of_designs: Standardised, iteration: int, simulations: int, question: Question
+def _planned(
+    campaign: Campaign, latent: Latent | MarginLatent, iteration: int, simulations: int, question: Question
 ) -> Plan | StratifiedPlan:
-    """The fresh simulations that estimate a probability under a question, from the latent as a function of designs.
+    """The fresh simulations that estimate a probability under a question.
 
-    Under the campaign's own distribution, and wherever the outcome is rare, they are drawn by importance.
+    They are drawn by importance under the campaign's own distribution, where the outcome is rare, and where the
+    boundary is learned from a margin: unlike outcomes, margins show how far from it a design is.
     """
+    of_designs = standardised_latent(latent, campaign.features)
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
         rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
@@ -292,7 +301,7 @@ def planned(
     def standardised(X: Array) -> Array:
         return of_designs(question.designs(X))
 
-    if not question.is_own:
+    if not (question.is_own or isinstance(latent, MarginLatent)):
         plan = plan_strata(standardised, question.space, simulations, rng)
         if plan is not None:
             return plan

@@ -213,7 +213,7 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
         (["--fixed", "bearing.toml"], "--fixed requires --hazard."),
         (["--target", "0.1"], "--target requires --hazard."),
         (["--hazard", "site.toml", "--target", "2"], "target: must be between 0.001 and 0.9, got 2."),
-        (["--hazard", "site.toml", "--target", "V"], "target: must be a probability or a risk category (II, III, IV)"),
+        (["--hazard", "site.toml", "--target", "V"], "target: must be a probability, a risk category (II, III, IV)"),
         (["--hazard", "site.toml", "--target", "failure=0.1,damage=0.2"], "target: must be one target"),
         (["--hazard", "none.toml"], "none.toml"),
     ],
