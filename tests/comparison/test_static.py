@@ -1,12 +1,14 @@
 """The comparison: two samplings, one test set, nothing simulated twice."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from campaign.stub import Counting, Disc, disc
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.comparison.static import Score, compare, default_budgets, recalls, score, score_lines
+from activefail.comparison.static import Score, compare, default_budgets, recalls, score, score_lines, write_scores
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.asking import add
@@ -14,6 +16,7 @@ from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer, standing
 from activefail.record.memory import MemoryStore
+from activefail.report.evidence import read_scores
 from activefail.space import Array
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
@@ -212,7 +215,7 @@ def test_a_score_has_a_column_for_each_of_its_values(first: tuple[list[Score], i
         "recalled_broken": row.recall["broken"].recalled,
         "test_broken": row.recall["broken"].total,
     }
-    assert values | {"recall": row.recall} == vars(row)
+    assert values | {"recall": row.recall, "given": row.given} == vars(row)
 
 
 def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted_so() -> None:
@@ -233,7 +236,7 @@ def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted
     assert recall["lost"].interval == (0.0, 1.0)
 
 
-def test_given_simulations_count_among_the_first_of_the_campaign_and_the_scores_say_so() -> None:
+def test_given_simulations_count_among_the_first_of_the_campaign_and_the_scores_say_so(tmp_path: Path) -> None:
     campaign = disc(initial=12, budget=20, batch=4)
     store = MemoryStore(campaign.schema)
     X = campaign.space.from_unit(np.random.default_rng(3).random((6, campaign.space.dimension)))
@@ -251,3 +254,6 @@ def test_given_simulations_count_among_the_first_of_the_campaign_and_the_scores_
     with pytest.raises(InputError, match="between 2 and the 26 recorded simulations"):
         scores(campaign, store, [27], 60)
     assert not [line for line in score_lines(found[:1], "broken") if line.startswith("given: ")]
+    write_scores(found, ("safe", "broken"), 60, tmp_path / "scores.csv")
+    kept, _ = read_scores(tmp_path / "scores.csv", ("safe", "broken"))
+    assert [one.given for one in kept] == [one.given for one in found]

@@ -371,7 +371,7 @@ def test_an_asynchronous_campaign_is_not_asked() -> None:
 
 
 class Interleaved(RuleBasedStateMachine):
-    """Any order of ask, tell, drop, add, crash and reopening, in a run folder."""
+    """Any order of ask, tell, drop, add, corrections, crash and reopening, in a run folder."""
 
     folder: Path
 
@@ -416,13 +416,23 @@ class Interleaved(RuleBasedStateMachine):
     @rule(data=st.data(), other=st.booleans())
     def tell_again(self, data: st.DataObject, other: bool) -> None:
         number = data.draw(st.sampled_from(sorted(self.told)))
-        again = self.outcome(np.frombuffer(self.asked[number])[None])
         if not other:
-            assert tell(self.campaign, self.store, np.array([number]), again) == 0
+            assert tell(self.campaign, self.store, np.array([number]), self.result(number, self.told[number])) == 0
             return
-        wrong = Results(1 - again.outcome, again.cause, again.margins, again.seconds)
         with pytest.raises(InputError, match="already"):
-            tell(self.campaign, self.store, np.array([number]), wrong)
+            tell(self.campaign, self.store, np.array([number]), self.result(number, 1 - self.told[number]))
+
+    def result(self, number: int, outcome: int) -> Results:
+        answer = self.outcome(np.frombuffer(self.asked[number])[None])
+        return Results(np.array([outcome], dtype=np.int8), answer.cause, answer.margins, answer.seconds)
+
+    @precondition(lambda self: self.told)
+    @rule(data=st.data())
+    def correct(self, data: st.DataObject) -> None:
+        ids = data.draw(st.lists(st.sampled_from(sorted(self.told)), min_size=1, max_size=3, unique=True))
+        results = Results.concatenate([self.result(number, 1 - self.told[number]) for number in ids])
+        assert correct(self.campaign, self.store, np.array(ids), results) == len(ids)
+        self.told |= {number: 1 - self.told[number] for number in ids}
 
     @precondition(lambda self: self.flight())
     @rule(data=st.data())
@@ -509,7 +519,7 @@ class DiedError(Exception):
     """The process would be gone."""
 
 
-def test_any_order_of_ask_tell_drop_add_crash_and_reopening_keeps_every_design_in_one_place(
+def test_any_order_of_ask_tell_drop_add_correct_crash_and_reopening_keeps_every_design_in_one_place(
     tmp_path: Path, every_fault: bool
 ) -> None:
     Interleaved.folder = tmp_path
