@@ -242,6 +242,17 @@ class Run:
         return simulations_frame(self.campaign, self.store)
 
     @property
+    def corrections(self) -> "DataFrame":
+        """The corrected results, in the order of their correction.
+
+        The columns are `id`, then `former_outcome`, `former_cause` and `former_<margin>` of the result that was
+        replaced, then `outcome`, `cause` and the margins of the one that replaced it.
+        """
+        from activefail.findings.frames import corrections_frame
+
+        return corrections_frame(self.campaign, self.store)
+
+    @property
     def in_flight(self) -> "DataFrame":
         """The designs in flight: `id`, the variables in their units, and the fixed quantities."""
         from activefail.findings.frames import designs_frame
@@ -296,10 +307,12 @@ class Run:
         frame.attrs["reason"] = proposed.reason
         return frame
 
-    def tell(self, table: Any) -> int:
-        """Record results of designs in flight; they are durable once this returns.
+    def tell(self, table: Any, *, correct: bool = False) -> int:
+        """Record results of designs in flight, or correct recorded ones; they are durable once this returns.
 
-        A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded.
+        A result that was told before is ignored. If a row breaks a rule, nothing of the table is recorded. A correction
+        replaces the result of a simulation, whether it was told, added or simulated by the loop; `corrections` keeps
+        the former one. The classifier learns again as if it had got the right result at first.
 
         Args:
             table: a DataFrame, a dictionary of columns, a list of dictionaries, one dictionary, or a CSV file (its
@@ -307,15 +320,16 @@ class Run:
                 undefined), and optionally `cause`, `seconds` and the variables, which must not have changed. The
                 outcome "numerical_failure" is that of a simulation without a result. Where one margin has levels, the
                 outcome may be left out. Other columns are ignored, as are rows without outcome and margins.
+            correct: whether the table corrects recorded results; it must then hold no others.
 
         Returns:
-            Number of new results.
+            Number of new, or corrected, results.
 
         Raises:
             InputError: naming row, column, rule and value.
             StoreError: if the run is not open for writing, or the results cannot be recorded.
         """
-        from activefail.loop.asking import tell
+        from activefail.loop import asking
 
         given = _table(table)
         if not given.rows:
@@ -324,8 +338,12 @@ class Run:
             told, handed_out = self._told(given)
             warn = self._warner(told)
             with _rows_named(told):
-                new = tell(self.campaign, self.store, told.ids, told.results, handed_out, warn)
+                record = asking.correct if correct else asking.tell
+                new = record(self.campaign, self.store, told.ids, told.results, handed_out, warn)
             self._learned = None
+            if correct:
+                # It learned from the former results.
+                self._memory = None
         return new
 
     def is_told(self, table: Any) -> bool:
@@ -628,30 +646,19 @@ class Run:
             return predictions_frame(self.campaign, classifier, designs, X.index if hasattr(X, "columns") else None)
 
     def model(self, outcome: str | None = None) -> Any:
-        """The latent of a boundary as a BoTorch model of a GPyTorch variational GP.
+        """The latent of a boundary as a BoTorch model.
 
-        Its inputs are the scaled features, (..., q, m), that `features` computes from designs.
+        Its inputs are the scaled features, (..., q, m), that `features` computes from designs. A boundary that is
+        learned from outcomes is a GPyTorch variational GP. One that is learned from a margin is an exact GP: minus the
+        warped margin, without training data of its own, so it cannot be conditioned on more observations.
 
         Args:
             outcome: of the boundary; the (main) target if None.
 
         Raises:
-            InputError: if the outcome has no boundary, its boundary is learned from a margin, or there is no simulation
-                to learn from.
+            InputError: if the outcome has no boundary, or there is no simulation to learn from.
         """
-        from activefail.surrogate.classifier import Latent
-
-        boundaries = self.campaign.simulator.outcomes[1:]
-        outcome = self.boundary if outcome is None else outcome
-        if outcome not in boundaries:
-            raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
-        latent = self.classifier.latent(outcome)
-        if not isinstance(latent, Latent):
-            raise InputError(
-                f"outcome: the boundary of {outcome} is learned from a margin, whose regression has no BoTorch model; "
-                '`classifier.learns = "outcomes"` learns it from the outcomes.'
-            )
-        return latent.model
+        return self.classifier.latent(self._boundary_named(outcome)).model
 
     def predict_table(
         self,

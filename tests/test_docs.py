@@ -74,8 +74,9 @@ def test_the_guides_simulations_done_elsewhere_can_be_done(tmp_path, monkeypatch
     text = section(GUIDE, "## Simulations done elsewhere")
     found = re.findall(r"^```(\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     (campaign,) = (body for language, body in found if language == "toml")
-    answers, old = (body for language, body in found if language == "csv")
-    for name, body in (("lab.toml", campaign), ("answers.csv", answers), ("old.csv", old), ("plate.toml", PLATE)):
+    names = ("answers.csv", "old.csv", "fixes.csv")
+    tables = zip(names, (body for language, body in found if language == "csv"), strict=True)
+    for name, body in (("lab.toml", campaign), ("plate.toml", PLATE), *tables):
         (tmp_path / name).write_text(body)
     (tmp_path / "guides_plate.py").write_text("def run(d):\n    return 'failure' if d['x'] + d['y'] > 1 else 'safe'\n")
     said, todo = {}, []
@@ -92,6 +93,8 @@ def test_the_guides_simulations_done_elsewhere_can_be_done(tmp_path, monkeypatch
         if words[0] == "ask":
             todo = commandline.table(tmp_path / "todo.csv")
     assert "3 new results recorded; 1 design in flight" in said["activefail tell runs/lab --csv answers.csv"]
+    fixed = said["activefail tell runs/lab --csv fixes.csv --correct"]
+    assert fixed.startswith("id 0: safe, reserve 0.42 -> failure, reserve -0.42\n1 result corrected\n")
     assert "1 design dropped; 0 designs in flight" in said["activefail drop runs/lab --ids 3"]
     assert "2 simulations added" in said["activefail add runs/lab --csv old.csv"]
     assert "2 designs" in said["activefail ask runs/plate --n 2 --csv todo.csv"]

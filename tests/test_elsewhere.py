@@ -213,6 +213,41 @@ def test_a_classifier_of_outcomes_is_a_botorch_model_over_the_features(lab: Path
             run.model("safe")
 
 
+@pytest.mark.parametrize("truncated", [False, True])
+def test_a_regression_of_a_margin_is_a_botorch_model_over_the_features(lab: Path, truncated: bool) -> None:
+    import torch
+    from botorch.acquisition import PosteriorStandardDeviation
+
+    lab.write_text(LAB + '[classifier]\nlearns = "g"\n')
+    with af.create_run(lab.with_name("run"), lab) as run:
+        designs = answered(run.ask(8))
+        # At failure this simulation ends: the margin says no more than its sign.
+        run.tell(designs.assign(g=designs["g"].clip(0.0)) if truncated else designs)
+        latent, model = run.classifier.latent("failure"), run.model("failure")
+        assert latent.trained.truncated == truncated
+        X = run.space.latin_hypercube(40, np.random.default_rng(2))
+        F = run.features(X)
+        batched = torch.from_numpy(F).unsqueeze(1)
+        posterior, moments = model.posterior(batched), latent.moments(F)
+        np.testing.assert_allclose(posterior.mean.detach().numpy().ravel(), moments.mean, rtol=1e-6, atol=1e-8)
+        sd = posterior.variance.detach().sqrt().numpy().ravel()
+        np.testing.assert_allclose(sd, moments.sd, rtol=1e-6, atol=1e-8)
+        mean, covariance = latent.joint(F[:10])
+        joint = model.posterior(torch.from_numpy(F[:10]))
+        np.testing.assert_allclose(joint.mean.detach().numpy().ravel(), mean, rtol=1e-6, atol=1e-8)
+        scale = covariance.diagonal().max()
+        np.testing.assert_allclose(
+            joint.distribution.covariance_matrix.detach().numpy(), covariance, rtol=1e-6, atol=1e-7 * scale
+        )
+        # BoTorch's criteria and their gradients work on it.
+        batched.requires_grad_(True)
+        criterion = PosteriorStandardDeviation(model)(batched)
+        criterion.sum().backward()
+        assert batched.grad is not None
+        assert bool(torch.isfinite(batched.grad).all())
+        assert float(batched.grad.abs().max()) > 0.0
+
+
 @pytest.mark.parametrize(
     "given",
     [
@@ -310,6 +345,67 @@ def test_a_result_that_was_told_before_is_nothing(folder: Path) -> None:
         again = run.simulations[["id", "outcome", "g"]]
         assert run.tell(again) == 0
         assert len(run.history) == 8
+
+
+def test_a_wrong_result_is_corrected_and_the_former_one_stays_in_the_history(folder: Path, tmp_path: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        before, p = run.simulations, run.predict(run.simulations)["p_failure"]
+        row = before.iloc[2]
+        wrong = {"id": int(row["id"]), "g": -row["g"]}
+        assert len(run.corrections) == 0
+        assert run.tell(wrong, correct=True) == 1
+        assert run.tell(wrong, correct=True) == run.tell(wrong) == 0
+        with pytest.raises(InputError, match=f"row 0: id {wrong['id']} already has the result .*`correct` to replace"):
+            run.tell({"id": wrong["id"], "g": row["g"]})
+        now = run.simulations
+        assert now["g"].tolist() == [*before["g"][:2], -row["g"], *before["g"][3:]]
+        assert now["outcome"][2] != row["outcome"]
+        # It learns from the corrected results, in this process and in the next.
+        assert not np.array_equal(run.predict(before)["p_failure"], p)
+        again = run.predict(before)["p_failure"].tolist()
+    with af.open_run(folder) as run:
+        assert run.predict(before)["p_failure"].tolist() == again
+        (kept,) = run.corrections.to_dict("records")
+        assert (kept["id"], kept["former_g"], kept["g"]) == (wrong["id"], row["g"], -row["g"])
+        assert {kept["former_outcome"], kept["outcome"]} == {"safe", "failure"}
+        counts = run.counts
+    status = activefail("status", folder).out
+    assert "corrected  1 result\n" in status
+    assert f"all        {counts['safe']} safe, {counts['failure']} failure, 0 numerical failures" in status
+    table = written(tmp_path / "fixes.csv", [{"id": wrong["id"], "g": float(row["g"])}])
+    said = activefail("tell", folder, "--csv", table, "--correct").out
+    assert said.startswith(f"id {wrong['id']}: {now['outcome'][2]}, g {-row['g']} -> {row['outcome']}, g {row['g']}\n")
+    assert "1 result corrected\n" in said
+    with af.open_run(folder) as run:
+        assert run.simulations.equals(before)
+        np.testing.assert_array_equal(run.predict(before)["p_failure"], p)
+        assert len(run.corrections) == 2
+
+
+def test_a_correction_of_a_design_in_flight_or_changed_is_refused(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        with pytest.raises(InputError, match=r"row 0: id 8 has no result to correct .it is in flight"):
+            run.tell({"id": 8, "g": 1.0}, correct=True)
+        with pytest.raises(InputError, match="load"):
+            run.tell({"id": 0, "g": 1.0, "load": 1.0}, correct=True)
+        assert len(run.corrections) == 0
+    with af.open_run(folder) as run, pytest.raises(StoreError, match="opened for reading only"):
+        run.tell({"id": 0, "g": 100.0}, correct=True)
+
+
+def test_an_asynchronous_campaign_goes_on_by_hand_in_a_new_one(tmp_path: Path) -> None:
+    settings = BEARING.replace("batch = 4", "batch = 4, asynchronous = true").replace("budget = 16", "budget = 8")
+    (tmp_path / "old.toml").write_text(settings)
+    assert activefail("run", tmp_path / "old.toml", "--out", tmp_path / "old").code == 0
+    refused(
+        activefail("ask", tmp_path / "old", "--csv", tmp_path / "todo.csv"),
+        "Create a campaign without this setting and `add` the table of `activefail export` to it",
+    )
+    assert activefail("export", tmp_path / "old", "--csv", tmp_path / "old.csv").code == 0
+    (tmp_path / "new.toml").write_text(BEARING)
+    assert activefail("create", tmp_path / "new.toml", "--out", tmp_path / "new").code == 0
+    assert "8 simulations added" in activefail("add", tmp_path / "new", "--csv", tmp_path / "old.csv").out
+    assert activefail("ask", tmp_path / "new", "--csv", tmp_path / "todo.csv").code == 0
 
 
 def test_a_design_changed_in_its_last_digits_is_the_same_and_by_more_is_another(folder: Path) -> None:

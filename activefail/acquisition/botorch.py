@@ -67,8 +67,8 @@ class DesignAcquisition(AcquisitionFunction):
     ) -> None:
         if not isinstance(latent, Latent):
             raise TypeError(
-                "BoTorch's model exists only for a boundary that is learned from outcomes: set classifier.learns to "
-                "'outcomes'."
+                "These criteria are those of a boundary that is learned from outcomes: set classifier.learns to "
+                "'outcomes'. BoTorch's own acquisition functions also work on the model of a margin."
             )
         super().__init__(latent.model)
         self._latent = latent

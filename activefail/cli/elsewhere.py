@@ -150,15 +150,38 @@ def tell(
     csv: Annotated[
         Path, typer.Option(help="Table of results, with the column id; - is standard input.", show_default=False)
     ],
+    correct: Annotated[
+        bool, typer.Option("--correct", help="Replace recorded results that were wrong; the former ones are kept.")
+    ] = False,
     code: Code = None,
 ) -> None:
     """Record the results of designs that were handed out."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         with _shown_warnings():
-            new = opened.tell(table_input(csv))
+            new = opened.tell(table_input(csv), correct=correct)
         left, summary = opened.counts["in_flight"], opened.summary
-    print(f"{_counted(new, 'new result')} recorded; {_counted(left, 'design')} in flight")
+        if correct:
+            _show_corrections(opened, new)
+    if correct:
+        print(f"{_counted(new, 'result')} corrected")
+    else:
+        print(f"{_counted(new, 'new result')} recorded; {_counted(left, 'design')} in flight")
     show_unseen(summary)
+
+
+def _show_corrections(run: "Run", number: int) -> None:
+    """Print the last corrections: the former result, and the one that replaced it."""
+    corrections, names = run.corrections, ("outcome", "cause", *run.campaign.simulator.margins)
+    for row in corrections[len(corrections) - number :].to_dict("records"):
+        former, now = (
+            ", ".join(
+                str(value) if name in ("outcome", "cause") else f"{name} {value!r}"
+                for name in names
+                if (value := row[prefix + name]) != "" and value == value  # NaN differs from itself
+            )
+            for prefix in ("former_", "")
+        )
+        print(visible(f"id {row['id']}: {former} -> {now}"))
 
 
 def drop(

@@ -1,7 +1,7 @@
 """Compare a campaign with static designs of the same size on the same fresh designs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from activefail.execution.executor import Executor
 from activefail.loop.history import History
 from activefail.loop.initial import initial_sets
 from activefail.loop.learning import learn_from
+from activefail.record.batch import GIVEN
 from activefail.record.store import Store
 from activefail.shares import interval_percent, percent
 from activefail.space import Array
@@ -70,6 +71,7 @@ class Score:
         log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
         test_designs: size of the test set, without numerical failures.
         recall: by outcome; empty in a table written by an older version.
+        given: how many of the simulations the campaign did not ask for.
     """
 
     sampling: str
@@ -81,11 +83,12 @@ class Score:
     log_score: float
     test_designs: int
     recall: Mapping[str, Recall] = field(default_factory=dict)
+    given: int = 0
 
     @classmethod
     def columns(cls) -> list[str]:
-        """Names of the fields for a table, without recall."""
-        return [one.name for one in fields(cls) if one.name != "recall"]
+        """Names of the fields for a table, without recall and given simulations."""
+        return [one.name for one in fields(cls) if one.name not in ("recall", "given")]
 
     @staticmethod
     def recall_columns(outcomes: Sequence[str]) -> list[str]:
@@ -152,8 +155,9 @@ def compare(
 ) -> list[Score]:
     """Score the campaign's first n simulations and a static design of size n, for each budget n.
 
-    Simulations that the campaign did not ask for count among its first n. Both samplings train the same classifier.
-    Test set and static designs are simulated once and kept in the run folder.
+    Simulations that the campaign did not ask for count among its first n: it learned and chose from them, so without
+    them it would look better than what it cost. A score says how many they are. Both samplings train the same
+    classifier. Test set and static designs are simulated once and kept in the run folder.
 
     Raises:
         InputError: if a budget is below 2 or above the campaign's simulations, or the campaign has none.
@@ -180,7 +184,8 @@ def compare(
         for n in budgets:
             stage(f"learning from {n} active simulations")
             classifier = learn_from(campaign, history[:n])
-            scores.append(score("active", classifier, severity, n, X_test, outcome_test))
+            given = int((history.origin[:n] == GIVEN).sum())
+            scores.append(replace(score("active", classifier, severity, n, X_test, outcome_test), given=given))
         for n in budgets:
             stage(f"simulating and learning from {n} static simulations")
             hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
@@ -203,6 +208,7 @@ def score_lines(scores: Sequence[Score], boundary: str) -> list[str]:
         f"{interval_percent(row.low, row.high):>16}  {percent(row.outcome_accuracy, 2):>16}  {row.log_score:>9.4f}"
         for row in rows
     ]
+    lines += [f"given: {given}"] if (given := given_in_words(scores)) else []
     lines.append(
         "recall: share of the test designs with an outcome that are predicted to have it, with a 95 % interval"
     )
@@ -212,8 +218,19 @@ def score_lines(scores: Sequence[Score], boundary: str) -> list[str]:
     return lines
 
 
+def given_in_words(scores: Sequence[Score]) -> str:
+    """What to know of simulations that the campaign did not ask for; empty without any."""
+    counts = ", ".join(f"{one.given} of {one.simulations}" for one in scores if one.given)
+    if not counts:
+        return ""
+    return (
+        f"The campaign did not ask for {counts} of its simulations. They count among them; if they were chosen near "
+        "the boundary, the comparison favours the active side."
+    )
+
+
 def write_scores(scores: Sequence[Score], outcomes: Sequence[str], test_designs: int, path: Path) -> None:
     """Write scores to a CSV file, with the number of numerical failures in the test set."""
-    columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered"]
+    columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered", "given"]
     with writing(path, columns) as write:
-        write([[*score.row(), test_designs - score.test_designs] for score in scores])
+        write([[*score.row(), test_designs - score.test_designs, score.given] for score in scores])

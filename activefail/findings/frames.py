@@ -8,7 +8,8 @@ import numpy as np
 
 from activefail.campaign.assembly import Campaign, predicted_columns
 from activefail.errors import InputError
-from activefail.findings.tables import exported_columns, exported_names
+from activefail.findings.tables import exported_columns, exported_names, result_columns
+from activefail.loop.in_flight import HandedOut
 from activefail.record.asked import Asked
 from activefail.record.store import Store
 from activefail.space import Array
@@ -38,6 +39,17 @@ def simulations_frame(campaign: Campaign, store: Store) -> "DataFrame":
         for name, column in columns.items():
             parts[name].extend(column)
     return pd.DataFrame(parts)
+
+
+def corrections_frame(campaign: Campaign, store: Store) -> "DataFrame":
+    """The corrections of a record, in their order: `id`, the former results, and those that replaced them."""
+    import pandas as pd
+
+    corrections = store.corrections
+    columns: dict[str, Any] = {"id": HandedOut.of(store).ids[corrections.place]}
+    for prefix, results in (("former_", corrections.former), ("", corrections.results)):
+        columns |= {prefix + name: column for name, column in result_columns(campaign, results).items()}
+    return pd.DataFrame(columns)
 
 
 def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array, index: Any = None) -> "DataFrame":

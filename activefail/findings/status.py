@@ -50,7 +50,9 @@ class Status:
         summary = self.summary
         try:
             path = state_file(self.folder, summary.iteration)
-            return decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {summary.digest})[1]
+            chain, _ = summary.known
+            known, state = decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {chain})
+            return state if known == summary.known else {}
         except (OSError, ValueError, StoreError, DamagedError):
             return {}
 

@@ -19,7 +19,14 @@ from activefail.errors import StoreError
 from activefail.files import check_dots, read_regular
 from activefail.record.asked import LARGEST_ASKED, NO_ROW, Asked, decode_asked, rows_with_results
 from activefail.record.batch import GIVEN, INITIAL, Batch
-from activefail.record.layout import ASKED, LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
+from activefail.record.corrections import (
+    LARGEST_CORRECTIONS,
+    Corrections,
+    corrected,
+    decode_corrections,
+    record_digest,
+)
+from activefail.record.layout import ASKED, CORRECTIONS, LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
 from activefail.record.recovery import is_segment, plain_files
 from activefail.record.segment import Outline, chain_start, decode_outline, decode_segment
 from activefail.shares import percent
@@ -139,6 +146,10 @@ def _is_boundary(boundary: str | dict[str, Any]) -> bool:
     return bool(weights) and all(isinstance(one, int | float) and 0.0 < one <= sys.float_info.max for one in weights)
 
 
+def _corrections_in_words(number: int) -> str:
+    return f"{number} result{'' if number == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class Summary:
     """The state of a campaign in counts.
@@ -151,7 +162,8 @@ class Summary:
             campaign chose, and those that it did not ask for, by outcome, numerical failures last.
         in_flight: ids of the designs in flight.
         margins: names of the margins, if they were read.
-        digest: the record's digest after its last batch, if it was read.
+        known: digests of the chain after the last batch and of the corrections, if they were read.
+        corrected: number of corrections.
     """
 
     settings: SettingsInBrief
@@ -162,7 +174,13 @@ class Summary:
     given: NDArray[np.int64]
     in_flight: tuple[int, ...] = ()
     margins: tuple[str, ...] = ()
-    digest: str = ""
+    known: tuple[str, str] = ("", "")
+    corrected: int = 0
+
+    @property
+    def digest(self) -> str:
+        """The digest of the record."""
+        return record_digest(*self.known)
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -194,6 +212,7 @@ class Summary:
                 (title, ", ".join(f"{n} {name}" for n, name in zip(counts.tolist(), names, strict=True)))
                 for title, counts in self._origins
             ),
+            *([("corrected", _corrections_in_words(self.corrected))] if self.corrected else []),
             *([("in flight", self.flight_in_words)] if self.in_flight else []),
         ]
 
@@ -268,29 +287,52 @@ def read_summary(folder: Path) -> Summary | None:
         )
         brief = SettingsInBrief.of(settings)
         in_flight: tuple[int, ...] = ()
-        if outlines and outlines[-1].asked and not (folder / ASKED).exists():
+        corrections = Corrections.none(None)
+        outcome = [outline.outcome for outline in outlines]
+        listed, replaced = (folder / ASKED).exists(), (folder / CORRECTIONS).exists()
+        if outlines and ((outlines[-1].asked and not listed) or (outlines[-1].corrected and not replaced)):
             return None
-        if (folder / ASKED).exists() and outlines:
-            # Only designs tell which of those that were handed out have a result.
-            schema = outlines[0].schema
-            data = read_regular(folder / ASKED, LARGEST_ASKED)
-            asked = decode_asked(data, chain_start(settings, schema), len(schema.variables))
-            segments = [decode_segment(name, (folder / SEGMENTS / name).read_bytes()) for name in names]
-            if (known := outlines[-1].asked) and asked.digest_of(int(known.partition(" ")[0])) != known:
-                return None
-            in_flight = _in_flight(asked, [batch for segment in segments for batch in segment.batches])
+        if outlines and (listed or replaced):
+            # Only designs tell which of those that were handed out have a result, and which result was corrected.
+            schema, last = outlines[0].schema, outlines[-1]
+            start = chain_start(settings, schema)
+            segments = [decode_segment(one.name, (folder / SEGMENTS / one.name).read_bytes()) for one in outlines]
+            batches = [batch for segment in segments for batch in segment.batches]
+            if listed:
+                data = read_regular(folder / ASKED, LARGEST_ASKED)
+                asked = decode_asked(data, start, len(schema.variables))
+                if last.asked and asked.digest_of(_number(last.asked)) != last.asked:
+                    return None
+                in_flight = _in_flight(asked, batches)
+            if replaced:
+                data = read_regular(folder / CORRECTIONS, LARGEST_CORRECTIONS)
+                corrections = decode_corrections(data, start, schema)
+                batches, applied = corrected(batches, corrections)
+                if not applied.all() or (
+                    last.corrected and corrections.entry(_number(last.corrected)) != last.corrected
+                ):
+                    return None
+                outcome = [batch.results.outcome for batch in batches]
     except (OSError, MemoryError, RecursionError, ValueError, StoreError):
         return None
     if not outlines or not _is_chain(outlines, settings):
         return None
     outcomes = outlines[0].schema.outcomes
     counts = _by_origin(
-        np.concatenate([outline.outcome for outline in outlines]),
+        np.concatenate(outcome),
         np.concatenate([outline.origin for outline in outlines]),
         len(outcomes),
     )
     last, margins = outlines[-1], outlines[0].schema.margins
-    return Summary(brief, _shown(outcomes), int(last.iterations[-1]), *counts, in_flight, margins, last.after)
+    known = last.after, corrections.digest
+    return Summary(
+        brief, _shown(outcomes), int(last.iterations[-1]), *counts, in_flight, margins, known, len(corrections)
+    )
+
+
+def _number(entry: str) -> int:
+    """The number at the beginning of an entry of the provenance."""
+    return int(entry.partition(" ")[0])
 
 
 def _shown(names: Sequence[str]) -> tuple[str, ...]:

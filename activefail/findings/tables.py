@@ -15,7 +15,7 @@ from activefail.errors import InputError
 from activefail.loop.in_flight import HandedOut
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL, Batch
 from activefail.record.store import Store
-from activefail.simulators.interface import NUMERICAL_FAILURE, cause_name
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_name
 from activefail.space import Array
 
 if TYPE_CHECKING:
@@ -164,20 +164,27 @@ def exported_columns(campaign: Campaign, store: Store) -> Iterator[dict[str, Col
 
 
 def _columns(campaign: Campaign, batch: Batch, ids: NDArray[np.int64]) -> dict[str, Column]:
-    simulator, results, n = campaign.simulator, batch.results, len(batch)
-    outcomes = (*simulator.outcomes, "numerical_failure")
-    assert NUMERICAL_FAILURE == -1  # the last of these names
     columns: tuple[Column, ...] = (
         ids,
-        np.full(n, batch.iteration),
+        np.full(len(batch), batch.iteration),
         [_ORIGINS[origin] for origin in batch.origin.tolist()],
         *batch.designs.T,
-        [outcomes[outcome] for outcome in results.outcome.tolist()],
-        [cause_name(simulator.causes, cause) for cause in results.cause.tolist()],
-        *results.margins.T,
-        results.seconds,
+        *result_columns(campaign, batch.results).values(),
+        batch.results.seconds,
     )
     return dict(zip(exported_names(campaign), columns, strict=True))
+
+
+def result_columns(campaign: Campaign, results: Results) -> dict[str, Column]:
+    """The columns `outcome`, `cause` and the margins of n results."""
+    simulator = campaign.simulator
+    outcomes = (*simulator.outcomes, "numerical_failure")
+    assert NUMERICAL_FAILURE == -1  # the last of these names
+    columns: dict[str, Column] = {
+        "outcome": [outcomes[outcome] for outcome in results.outcome.tolist()],
+        "cause": [cause_name(simulator.causes, cause) for cause in results.cause.tolist()],
+    }
+    return columns | dict(zip(simulator.margins, results.margins.T, strict=True))
 
 
 def _as_text(column: Column) -> list[str]:

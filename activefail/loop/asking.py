@@ -46,8 +46,10 @@ def check_batches(campaign: Campaign) -> None:
     """
     if campaign.settings.sampling.asynchronous:
         raise InputError(
-            "sampling.asynchronous: `ask` and `add` work only on campaigns in batches. Leave this setting out: `ask` "
-            "learns from every result told so far, whatever their order."
+            "sampling.asynchronous: `ask`, `add` and corrections work only on campaigns in batches, because the "
+            "designs in flight of an asynchronous campaign follow from its results. Create a campaign without this "
+            "setting and `add` the table of `activefail export` to it: `ask` learns from every result told so far, "
+            "whatever their order."
         )
 
 
@@ -176,7 +178,8 @@ def new_results(
         if number in recorded:
             known = before(recorded[number])
             if not _is_same(known, answer):
-                raise RowError(row, f"id {number} already has the result {_shown(campaign, known)}", campaign, answer)
+                reason = f"id {number} already has the result {_shown(campaign, known)} ({_CORRECTING})"
+                raise RowError(row, reason, campaign, answer)
         elif number not in place:
             raise RowError(row, f"id {number} is unknown: no design was handed out with this id", campaign, answer)
         elif handed.asked.dropped[place[number]]:
@@ -187,6 +190,56 @@ def new_results(
         else:
             new.setdefault(number, row)
     return new
+
+
+_CORRECTING = "`tell` the id with `correct` to replace it"
+
+
+def correct(
+    campaign: Campaign,
+    store: Store,
+    ids: NDArray[np.int64],
+    results: Results,
+    handed_out: HandedOut | None = None,
+    before_commit: Callable[[], None] = lambda: None,
+) -> int:
+    """Replace recorded results that were wrong; the corrections are durable, all of them, once this returns.
+
+    The campaign learns from the beginning as if it had got the right results then. Its designs stay what they are. The
+    former results stay in the record.
+
+    Args:
+        campaign, store, handed_out, before_commit: as for `tell`.
+        ids: (n,) of simulations with a result, told, given or simulated by the loop.
+        results: of the n simulations.
+
+    Returns:
+        Number of results that were replaced. One that is recorded already is not counted.
+
+    Raises:
+        InputError: if the campaign is asynchronous, or an id has no result yet, or two; nothing is recorded then.
+        StoreError: if the corrections cannot be recorded.
+    """
+    check_batches(campaign)
+    handed = handed_out or HandedOut.of(store)
+    before, flight = _rows(store), set(handed.in_flight.id.tolist())
+    recorded = {number: row for row, number in enumerate(handed.ids.tolist())}
+    rows: dict[int, int] = {}
+    for row, number in enumerate(ids.tolist()):
+        answer = results[row : row + 1]
+        if number not in recorded:
+            way = "it is in flight: `tell` it without `correct`" if number in flight else "it is unknown or was dropped"
+            raise RowError(row, f"id {number} has no result to correct ({way})", campaign, answer)
+        first = rows.setdefault(number, row)
+        if not _is_same(results[first : first + 1], answer):
+            earlier = _shown(campaign, results[first : first + 1])
+            raise RowError(row, f"id {number} has the result {earlier} in an earlier row", campaign, answer)
+    wrong = [number for number, row in rows.items() if not _is_same(before(recorded[number]), results[row : row + 1])]
+    before_commit()
+    if wrong:
+        places = np.array([recorded[number] for number in wrong], dtype=np.int64)
+        store.correct(places, results[np.array([rows[number] for number in wrong])])
+    return len(wrong)
 
 
 class RowError(InputError):
@@ -266,7 +319,7 @@ def add(
             raise RowError(row, reason, campaign, answer)
         if design in recorded:
             before = known(recorded[design])
-            where = f"as id {ids[recorded[design]]}"
+            where = f"as id {ids[recorded[design]]} ({_CORRECTING})"
         elif design in new:
             before, where = results[new[design] : new[design] + 1], "in an earlier row"
         else:

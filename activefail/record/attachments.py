@@ -15,14 +15,23 @@ from activefail.simulators.interface import Results
 from activefail.space import Array
 
 
-def encode_state(iteration: int, arrays: Mapping[str, NDArray[Any]], chain: str) -> bytes:
-    """The bytes of a state's file; `chain` is the digest of the record from which the state was learned."""
+def encode_state(iteration: int, arrays: Mapping[str, NDArray[Any]], chain: str, corrected: str = "") -> bytes:
+    """The bytes of a state's file.
+
+    Args:
+        iteration, arrays: of the state.
+        chain: the digest of the batches from which it was learned.
+        corrected: the digest of the corrections of these batches; empty without any.
+    """
     content = {_dataset_name(name): array for name, array in arrays.items()}
-    return encode(content, {"schema_version": str(SCHEMA_VERSION), "iteration": str(iteration), "chain": chain})
+    attributes = {"schema_version": str(SCHEMA_VERSION), "iteration": str(iteration), "chain": chain}
+    return encode(content, attributes | ({"corrected": corrected} if corrected else {}))
 
 
-def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> tuple[str, dict[str, NDArray[Any]]]:
-    """The digest of the record that a state was learned from, which is one of these digests, and its arrays.
+def decode_state(
+    data: bytes, iteration: int, digests: Collection[str]
+) -> tuple[tuple[str, str], dict[str, NDArray[Any]]]:
+    """The digests of the batches, one of these digests, and of the corrections that a state learned from; its arrays.
 
     Raises:
         DamagedError: if the file is damaged, or belongs to another iteration or record.
@@ -33,7 +42,9 @@ def decode_state(data: bytes, iteration: int, digests: Collection[str]) -> tuple
         # The state may include a batch that was quarantined later.
         if image.attribute("chain") not in digests or image.attribute("iteration") != str(iteration):
             raise DamagedError("was not learned from the batches of this record")
-        return image.attribute("chain"), {unquote(name): _state_array(image, name) for name in image.names}
+        corrected = image.attributes("corrected").get("", "")
+        arrays = {unquote(name): _state_array(image, name) for name in image.names}
+        return (image.attribute("chain"), corrected), arrays
 
 
 def encode_set(X: Array, results: Results, schema: Schema, campaign: str, provenance: Mapping[str, str]) -> bytes:

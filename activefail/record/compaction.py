@@ -9,7 +9,7 @@ import json
 from collections.abc import Sequence
 from itertools import accumulate, groupby, takewhile
 
-from activefail.record.segment import ASKED_ENTRY, Segment
+from activefail.record.segment import ASKED_ENTRY, CORRECTED_ENTRY, Segment
 
 COMPACT_AT = 64
 """Number of segments of one level that are merged into one."""
@@ -45,7 +45,7 @@ def merge(segments: Sequence[Segment]) -> Segment:
     """One segment with the batches of consecutive segments."""
     provenance = {}
     for key in sorted({key for segment in segments for key in segment.provenance}):
-        if key == ASKED_ENTRY:
+        if key in (ASKED_ENTRY, CORRECTED_ENTRY):
             # It differs from batch to batch; only the last value is ever read.
             provenance[key] = next(one.provenance[key] for one in reversed(segments) if key in one.provenance)
             continue

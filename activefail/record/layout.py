@@ -23,6 +23,9 @@ FOLDERS = (SEGMENTS, STATES, SETS)
 ASKED = "asked.h5"
 """The designs that were handed out to be simulated elsewhere."""
 
+CORRECTIONS = "corrections.h5"
+"""The results that replaced others."""
+
 SIMULATIONS = "simulations"
 """The folder in which custom programs run."""
 
@@ -44,7 +47,7 @@ ESTIMATE = "probability.json"
 DESIGNS = "designs.json"
 """Where the simulations of verified designs are, for readers that do not repeat the search."""
 
-_RESERVED = (SETTINGS, LOCK, ASKED, REPORT, ESTIMATE, DESIGNS, *FOLDERS, SIMULATIONS, COMPARISON)
+_RESERVED = (SETTINGS, LOCK, ASKED, CORRECTIONS, REPORT, ESTIMATE, DESIGNS, *FOLDERS, SIMULATIONS, COMPARISON)
 
 
 def state_file(folder: Path, iteration: int) -> Path:
@@ -121,7 +124,11 @@ def run_folder_owning(path: Path) -> Path | None:
         folder = candidate.parent
         if not _is_run_folder(folder):
             continue
-        names = (SETTINGS, LOCK, ASKED, *FOLDERS, SIMULATIONS) if candidate == path else (*FOLDERS, SIMULATIONS)
+        names = (
+            (SETTINGS, LOCK, ASKED, CORRECTIONS, *FOLDERS, SIMULATIONS)
+            if candidate == path
+            else (*FOLDERS, SIMULATIONS)
+        )
         # Compare through the file system, which may ignore case; by name if the file does not exist yet.
         if candidate.name in names or any(_is_same(candidate, folder / name) for name in names):
             return folder

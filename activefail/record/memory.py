@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 from typing import Any, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
 from activefail.errors import StoreError
 from activefail.record.asked import Asked
 from activefail.record.batch import Batch, Schema, checked_copy, copy_results
+from activefail.record.corrections import Corrections, corrected, correcting
 from activefail.record.store import STATES_KEPT, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array
@@ -20,14 +22,15 @@ class MemoryStore:
         self.schema = schema
         self._batches: tuple[Batch, ...] = ()
         self._states: dict[int, dict[str, NDArray[Any]]] = {}
-        self._learned_from: dict[int, int] = {}
+        self._learned_from: dict[int, tuple[int, str]] = {}
         self._asked = Asked.none(len(schema.variables))
+        self._corrections = Corrections.none(schema)
         self._sets: dict[str, tuple[Array, Results]] = {}
         self._open = True
 
     @property
     def batches(self) -> tuple[Batch, ...]:
-        """All committed batches, in order."""
+        """All committed batches, in order, with the corrections."""
         return self._batches
 
     def commit(self, batch: Batch) -> None:
@@ -42,8 +45,10 @@ class MemoryStore:
         self._states = {i: self._states[i] for i in kept} | {iteration: checked_state(iteration, arrays)}
         self._learned_from[iteration] = self._batches_through(iteration)
 
-    def _batches_through(self, iteration: int) -> int:
-        return sum(batch.iteration <= iteration for batch in self._batches)
+    def _batches_through(self, iteration: int) -> tuple[int, str]:
+        """The number of batches of the iterations up to this one, and the digest of their corrections."""
+        batches = [batch for batch in self._batches if batch.iteration <= iteration]
+        return len(batches), self._corrections.before(sum(map(len, batches))).digest
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
         """The newest state (see Store)."""
@@ -67,6 +72,18 @@ class MemoryStore:
         self._check_open()
         check_asked(asked, self.schema)
         self._asked = asked.copy()
+
+    @property
+    def corrections(self) -> Corrections:
+        """The corrections of the batches (see Store)."""
+        return self._corrections.copy()
+
+    def correct(self, place: NDArray[np.int64], results: Results) -> None:
+        """Replace results of the batches (see Store)."""
+        self._check_open()
+        new = correcting(self._batches, place, results, self.schema)
+        self._corrections = self._corrections.and_then(new)
+        self._batches = tuple(corrected(self._batches, new)[0])
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

@@ -150,17 +150,23 @@ def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str)
     return Recovery(tuple(chain), tuple(covered), damaged)
 
 
+def quarantine_of(path: Path) -> Path:
+    """The name under which a file is quarantined, which no older one has."""
+    aside = path.with_name(path.name + QUARANTINE)
+    number = 1
+    while os.path.lexists(aside):
+        number += 1
+        aside = path.with_name(f"{path.name}{QUARANTINE}-{number}")
+    return aside
+
+
 def set_aside(path: Path, reason: str) -> str:
     """Quarantine a damaged file, never over an older one; returns the warning for the user.
 
     Raises:
         StoreError: with the system's reason.
     """
-    aside = path.with_name(path.name + QUARANTINE)
-    number = 1
-    while os.path.lexists(aside):
-        number += 1
-        aside = path.with_name(f"{path.name}{QUARANTINE}-{number}")
+    aside = quarantine_of(path)
     try:
         os.rename(path, aside)
     except OSError as error:

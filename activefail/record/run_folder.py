@@ -4,6 +4,7 @@
              segments/<first>-<last>.h5 whole batches, immutable; states can be learned again from them
              state/<iteration>.h5       what was learned; the last three
              asked.h5                   designs that were handed out to be simulated elsewhere
+             corrections.h5             results that replaced others
              sets/<name>.h5             designs outside the budget and their results, simulated once
              .lock                      one writer at a time
 
@@ -20,6 +21,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
 from activefail import __version__
@@ -29,8 +31,18 @@ from activefail.record import compaction
 from activefail.record.asked import LARGEST_ASKED, Asked, decode_asked, encode_asked
 from activefail.record.attachments import decode_set, decode_state, encode_set, encode_state
 from activefail.record.batch import Batch, Schema, checked_copy
+from activefail.record.corrections import (
+    LARGEST_CORRECTIONS,
+    Corrections,
+    corrected,
+    correcting,
+    decode_corrections,
+    encode_corrections,
+    record_digest,
+)
 from activefail.record.layout import (
     ASKED,
+    CORRECTIONS,
     FOLDERS,
     LARGEST_SETTINGS,
     LOCK,
@@ -49,12 +61,13 @@ from activefail.record.recovery import (
     check_campaign,
     is_segment,
     plain_files,
+    quarantine_of,
     read_segments,
     reading,
     recover,
     set_aside,
 )
-from activefail.record.segment import ASKED_ENTRY, Segment, chain_start, encode_segment
+from activefail.record.segment import ASKED_ENTRY, CORRECTED_ENTRY, Segment, chain_start, encode_segment
 from activefail.record.store import STATES_KEPT, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array
@@ -129,10 +142,12 @@ class FolderStore:
         self._rejected: set[int] = set()
         self._segments: list[Segment] = []
         self._asked: Asked | StoreError = Asked.none(0)
+        # All that the file lists; not all of them need apply to the batches.
+        self._corrections = Corrections.none(schema)
         self._start = ""
         self._batches: list[Batch] = []
-        # Built on demand: a commit must not copy all earlier batches.
-        self._batches_read: tuple[Batch, ...] | None = None
+        # With corrections. Built on demand: a commit must not copy all earlier batches.
+        self._joined: tuple[tuple[Batch, ...], Corrections] | None = None
         # The reason why this object may not write; empty if it may.
         self._refusal = "" if lock else f"{folder} was opened for reading only."
         if lock and not lock.held:
@@ -256,12 +271,14 @@ class FolderStore:
         self._segments = list(recovery.chain)
         self._batches = [batch for segment in recovery.chain for batch in segment.batches]
         self._asked = self._read_asked()
+        self._corrections = self._read_corrections()
         for name in plain_files(folder):
             if not is_segment(name) and not name.startswith(TEMPORARY) and QUARANTINE not in name:
                 self._warn(f"segments/{name} is ignored: its name is not that of a segment.")
         if self._lock:
             self._tidy(recovery)
             self._compare_provenance()
+            self._remove_lost_corrections()
         else:
             for name, reason in sorted(recovery.damaged.items()):
                 self._warn(f"segments/{name} {reason}; it is ignored. A writer will rename it to {QUARANTINE}.")
@@ -326,20 +343,30 @@ class FolderStore:
 
     @property
     def batches(self) -> tuple[Batch, ...]:
-        """All committed batches, in order."""
-        if self._batches_read is None:
-            self._batches_read = tuple(self._batches)
-        return self._batches_read
+        """All committed batches, in order, with the corrections."""
+        return self._join()[0]
+
+    def _join(self) -> tuple[tuple[Batch, ...], Corrections]:
+        """The batches with their corrections, and the corrections that apply to them."""
+        if self._joined is None:
+            batches, applied = corrected(self._batches, self._corrections)
+            self._joined = tuple(batches), self._corrections[applied]
+        return self._joined
 
     @property
     def segments(self) -> tuple[Segment, ...]:
-        """The chain of segments that hold the batches, in order."""
+        """The chain of segments that hold the batches, in order, without the corrections."""
         return tuple(self._segments)
 
     @property
-    def digest(self) -> str:
+    def _end(self) -> str:
         """The chain's digest after all batches; without batches, that of the settings and the schema."""
         return self._segments[-1].after if self._segments else self._start
+
+    @property
+    def digest(self) -> str:
+        """A digest of all batches and corrections; without either, of the settings and the schema."""
+        return record_digest(self._end, self._join()[1].digest)
 
     def _writable(self) -> Schema:
         """The schema for writing.
@@ -404,13 +431,15 @@ class FolderStore:
         provenance = self._provenance
         if not isinstance(self._asked, StoreError) and len(self._asked):
             provenance = provenance | {ASKED_ENTRY: self._asked.digest_of(len(self._asked))}
-        segment = Segment(self.settings, schema, first, self.digest, (copy,), provenance)
+        if len(self._corrections):
+            provenance = provenance | {CORRECTED_ENTRY: self._corrections.entry(len(self._corrections))}
+        segment = Segment(self.settings, schema, first, self._end, (copy,), provenance)
         data = encode_segment(segment)
         with self._writing():
             self._publish(segment, data)
             self._segments.append(segment)
             self._batches.append(copy)
-            self._batches_read = None
+            self._joined = None
         try:
             self.compact()
         except StoreError as error:
@@ -472,7 +501,7 @@ class FolderStore:
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep named arrays (see Store)."""
         self._writable()
-        data = encode_state(iteration, checked_state(iteration, arrays), self._digest_after(iteration))
+        data = encode_state(iteration, checked_state(iteration, arrays), *self._known_after(iteration))
         with self._writing():
             replace(state_file(self.folder, iteration), data, self._check_place)
             self._rejected.discard(iteration)
@@ -494,17 +523,17 @@ class FolderStore:
         names = [name for name in plain_files(folder) if re.fullmatch(r"\d{9,}\.h5", name)]
         return sorted((int(name.removesuffix(".h5")), folder / name) for name in names)
 
-    def _digest_after(self, iteration: int) -> str:
-        """The chain's digest after the last batch of the iterations up to this one."""
-        digest = self._start
+    def _known_after(self, iteration: int) -> tuple[str, str]:
+        """The chain's digest after the last batch of the iterations up to this one, and that of their corrections."""
+        digest, simulations = self._start, 0
         for segment in self._segments:
             if segment.batches[0].iteration > iteration:
                 break
             ends = itertools.accumulate(map(len, segment.batches), initial=segment.first)
             for batch, end in zip(segment.batches, itertools.islice(ends, 1, None), strict=True):
                 if batch.iteration <= iteration:
-                    digest = segment.chain[end]
-        return digest
+                    digest, simulations = segment.chain[end], end
+        return digest, self._join()[1].before(simulations).digest
 
     def latest_state(self) -> tuple[int, dict[str, NDArray[Any]]] | None:
         """The newest intact state of this record (see Store)."""
@@ -514,9 +543,9 @@ class FolderStore:
                 continue
             try:
                 with reading(path):
-                    chain, arrays = decode_state(path.read_bytes(), iteration, digests)
-                # A state of this record that lacks a later batch of its iteration is no fault.
-                if chain == self._digest_after(iteration):
+                    known, arrays = decode_state(path.read_bytes(), iteration, digests)
+                # A state of this record that lacks a later batch of its iteration, or a correction, is no fault.
+                if known == self._known_after(iteration):
                     return iteration, arrays
             except FileNotFoundError:
                 continue
@@ -572,6 +601,67 @@ class FolderStore:
         with self._writing():
             replace(self.folder / ASKED, data, self._check_place)
             self._asked = asked.copy()
+
+    @property
+    def corrections(self) -> Corrections:
+        """The corrections of the batches, in the order of their making (see Store)."""
+        return self._join()[1].copy()
+
+    def _read_corrections(self) -> Corrections:
+        """All corrections in the file.
+
+        Raises:
+            StoreError: if they cannot be read: without them, wrong results would be learned from.
+        """
+        path = self.folder / CORRECTIONS
+        corrections = Corrections.none(self.schema)
+        if self.schema is None:
+            return corrections
+        try:
+            with reading(path):
+                data = read_regular(path, LARGEST_CORRECTIONS)
+            corrections = decode_corrections(data, self._start, self.schema)
+        except FileNotFoundError:
+            pass
+        except (DamagedError, ValueError) as error:
+            raise StoreError(f"{path} {error}. It lists corrected results. Restore it from a copy.") from None
+        known = self._segments[-1].provenance.get(CORRECTED_ENTRY, "") if self._segments else ""
+        count = known.partition(" ")[0]
+        if known and not (re.fullmatch("[0-9]{1,9}", count) and corrections.entry(int(count)) == known):
+            raise StoreError(
+                f"{path} does not match the last batch: it was removed, or replaced by an older or a different list. "
+                "Restore it from a copy; without it, results that were corrected would be wrong again."
+            )
+        return corrections
+
+    def _remove_lost_corrections(self) -> None:
+        """Remove corrections of batches that were lost: they must not apply to what will be recorded at their places.
+
+        The former file stays, under another name.
+        """
+        kept = self._join()[1]
+        if len(kept) == len(self._corrections):
+            return
+        schema, path = self._writable(), self.folder / CORRECTIONS
+        aside = quarantine_of(path)
+        with self._writing():
+            publish(aside, encode_corrections(self._corrections, schema, self._start), self._check_place)
+            replace(path, encode_corrections(kept, schema, self._start), self._check_place)
+        lost = len(self._corrections) - len(kept)
+        self._corrections = kept
+        self._warn(
+            f"{CORRECTIONS}: the results that {lost} of the corrections replaced were lost; these corrections were "
+            f"removed. {aside.name} has the former file."
+        )
+
+    def correct(self, place: NDArray[np.int64], results: Results) -> None:
+        """Replace results of the batches (see Store)."""
+        schema = self._writable()
+        corrections = self._corrections.and_then(correcting(self.batches, place, results, schema))
+        data = encode_corrections(corrections, schema, self._start)
+        with self._writing():
+            replace(self.folder / CORRECTIONS, data, self._check_place)
+            self._corrections, self._joined = corrections, None
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

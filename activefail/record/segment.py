@@ -19,6 +19,9 @@ from activefail.visible import visible
 ASKED_ENTRY = "asked"
 """The entry of a batch's provenance that says which designs had been handed out."""
 
+CORRECTED_ENTRY = "corrected"
+"""The entry of a batch's provenance that says which results had been corrected."""
+
 SCHEMA_VERSION = 1
 """Version of the meaning of the files' datasets and attributes."""
 
@@ -114,6 +117,7 @@ class Outline:
         iterations, sizes: (number of batches,) int64.
         origin, outcome: (n,) int8.
         asked: which designs had been handed out (`record.asked.Asked.digest_of`); empty before the first.
+        corrected: which results had been corrected (`record.corrections.Corrections.entry`); empty before the first.
     """
 
     settings: str
@@ -127,6 +131,12 @@ class Outline:
     origin: NDArray[np.int8]
     outcome: NDArray[np.int8]
     asked: str
+    corrected: str
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return segment_name(self.first, self.last)
 
 
 def decode_outline(name: str, data: bytes) -> Outline:
@@ -181,8 +191,9 @@ def _outline(name: str, image: Image) -> Outline:
     if (name, image.attribute("settings_sha256")) != (segment_name(first, last), sha256(settings)):
         raise DamagedError(_MISNAMED)
     before, after = image.attribute("chain_before"), image.attribute("chain_after")
-    asked = image.attributes("provenance.").get(ASKED_ENTRY, "")
-    return Outline(settings, schema, first, last, before, after, iterations, sizes, origin, outcome, asked)
+    provenance = image.attributes("provenance.")
+    asked, corrected = (provenance.get(entry, "") for entry in (ASKED_ENTRY, CORRECTED_ENTRY))
+    return Outline(settings, schema, first, last, before, after, iterations, sizes, origin, outcome, asked, corrected)
 
 
 _MISNAMED = "does not match its name, its chain or its settings' SHA-256"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from activefail.errors import InputError
 from activefail.record.asked import Asked
 from activefail.record.batch import Batch, Schema
+from activefail.record.corrections import Corrections
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
@@ -20,9 +21,9 @@ STATES_KEPT = 3
 class Store(Protocol):
     """The record of a campaign: batches, states of what was learned, and sets of designs outside the budget.
 
-    **Durability.** A batch is durable once `commit` returns; a state or a set once `write_state` or `write_set`
-    returns. Durable data survives the process and, if the disk honours fsync, the loss of power. `MemoryStore` keeps
-    its data as long as the object lives.
+    **Durability.** A batch is durable once `commit` returns; a correction, a state or a set once `correct`,
+    `write_state` or `write_set` returns. Durable data survives the process and, if the disk honours fsync, the loss of
+    power. `MemoryStore` keeps its data as long as the object lives.
 
     **Readers.** Batches, states and sets are visible as a whole or not at all. A reader of a folder in which another
     process writes has the batches that were committed when the reader was opened, and no later ones. States and sets
@@ -49,7 +50,10 @@ class Store(Protocol):
 
     @property
     def batches(self) -> tuple[Batch, ...]:
-        """All committed batches, in the order of their commits; a later commit does not change the returned tuple."""
+        """All committed batches, in the order of their commits, with the corrections of their results.
+
+        A later commit or correction does not change the returned tuple.
+        """
         ...
 
     def commit(self, batch: Batch) -> None:
@@ -112,6 +116,28 @@ class Store(Protocol):
         Raises:
             InputError: if the designs have another number of variables.
             StoreError: if they cannot be written, or the store may not write; the former list stays.
+        """
+        ...
+
+    @property
+    def corrections(self) -> Corrections:
+        """The corrections of the batches, in the order of their making."""
+        ...
+
+    def correct(self, place: NDArray[np.int64], results: Results) -> None:
+        """Replace results of committed batches; durable, all or none of them, when this returns.
+
+        `batches` has the new results from then on; `corrections` keeps the former ones. States that were learned from
+        a former result are skipped.
+
+        Args:
+            place: (k,) of the simulations in the record, from 0; k ≥ 1.
+            results: the k new results.
+
+        Raises:
+            InputError: if there is none, a place is not one of the record or occurs twice, or a result does not match
+                the schema.
+            StoreError: if they cannot be written, or the store may not write; the former results stay.
         """
         ...
 

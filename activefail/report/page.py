@@ -15,6 +15,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import continue_command
 from activefail.campaign.provenance import provenance
 from activefail.campaign.question import has_pulse
+from activefail.comparison.static import given_in_words
 from activefail.distributions import in_words
 from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES
@@ -100,6 +101,7 @@ def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
         "static": static[0] if static and last not in static else None,
         "both": len({score.sampling for score in scores}) > 1,
         "test_size": curve.test_size,
+        "given": given_in_words(scores),
     }
 
 

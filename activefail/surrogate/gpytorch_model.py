@@ -1,13 +1,17 @@
-"""The trained posterior of a latent as a BoTorch model around a GPyTorch model.
+"""The trained posterior of a latent, of outcomes or of a margin, as a BoTorch model around a GPyTorch model.
 
 Only BoTorch's acquisition functions (`activefail.acquisition.botorch`) need it. Training and prediction use the
-matrices of `fitting`: GPyTorch takes five times as long for the same numbers. Tests compare covariance, posterior and
-bound. `Latent.model` imports this module when it is first read; the commands load neither GPyTorch nor BoTorch.
+matrices of `fitting` and `margin`: GPyTorch takes five times as long for the same numbers. Tests compare covariance,
+posterior and bound. `Latent.model` and `MarginLatent.model` import this module when they are first read; the commands
+load neither GPyTorch nor BoTorch.
 """
+
+import math
 
 import gpytorch
 import torch
 from botorch.models.approximate_gp import ApproximateGPyTorchModel
+from botorch.models.gpytorch import GPyTorchModel
 from torch import Tensor
 
 from activefail.surrogate.covariance import (
@@ -18,6 +22,8 @@ from activefail.surrogate.covariance import (
     lengthscale_prior,
 )
 from activefail.surrogate.fitting import Fit
+from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
+from activefail.surrogate.margin import LARGEST_FEATURE, NUGGET, MarginFit
 from activefail.surrogate.sites import Projection
 
 
@@ -106,3 +112,50 @@ def botorch_model(trained: Fit) -> ApproximateGPyTorchModel:
     return ApproximateGPyTorchModel(
         model=_VariationalGP(trained), likelihood=gpytorch.likelihoods.BernoulliLikelihood()
     )
+
+
+class MarginModel(gpytorch.models.ExactGP, GPyTorchModel):
+    """The posterior of a margin's regression: minus the warped margin, so positive beyond the boundary.
+
+    It has no training data of its own: its mean and covariance are those of the posterior, in closed form
+    [RasmussenWilliams2006, eqs. 2.25, 2.26 and 2.42], with the variance of the estimated constant mean.
+    """
+
+    _num_outputs = 1
+
+    def __init__(self, trained: MarginFit) -> None:
+        # BoTorch adds a likelihood's noise only on request; a margin has no more than its nugget.
+        likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive()).double()
+        super().__init__(None, None, likelihood)
+        self.covar_module = covariance_module(MARGIN_KERNEL, trained.features.shape[1])
+        set_hyperparameters(self.covar_module, trained.hyperparameters)
+        self.mean = trained.hyperparameters.mean
+        self.nugget = NUGGET * math.exp(trained.hyperparameters.log_outputscale)
+        likelihood.noise = self.nugget
+        solved = trained.solved
+        for name, array in (
+            ("X", trained.features),
+            ("L", solved.L),
+            ("weights", solved.weights),
+            ("ones", solved.ones),
+        ):
+            self.register_buffer(name, torch.tensor(array))
+        self.total = solved.total
+        self.eval()
+        self.requires_grad_(False)
+
+    @property
+    def batch_shape(self) -> torch.Size:
+        """The model is one Gaussian process."""
+        return torch.Size()
+
+    def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
+        """The joint distribution at scaled features, (..., q, m)."""
+        x = x.clamp(-LARGEST_FEATURE, LARGEST_FEATURE)
+        k = self.covar_module(x, self.X).to_dense()  # (..., q, n)
+        explained = torch.linalg.solve_triangular(self.L, k.mT, upper=False)
+        left = 1.0 - k @ self.ones  # (..., q)
+        covariance = self.covar_module(x).to_dense() - explained.mT @ explained
+        covariance = covariance + left.unsqueeze(-1) * left.unsqueeze(-2) / self.total
+        covariance = covariance + self.nugget * torch.eye(x.shape[-2], dtype=x.dtype)
+        return gpytorch.distributions.MultivariateNormal(-(self.mean + k @ self.weights), covariance)

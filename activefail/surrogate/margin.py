@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -24,6 +24,9 @@ from activefail.space import Array
 from activefail.surrogate.covariance import Hyperparameters, covariance, covariance_gradient
 from activefail.surrogate.fitting import pack, unpack
 from activefail.surrogate.moments import MarginMoments
+
+if TYPE_CHECKING:
+    from activefail.surrogate.gpytorch_model import MarginModel
 
 KERNEL = "matern52"
 """The kernel of every regression."""
@@ -50,7 +53,8 @@ _ALWAYS, _GROWTH = 30, 0.05
 
 _ROWS_AT_ONCE = 4096
 """Most points per call of a prediction, which limits its memory."""
-_MOST = 1e3
+
+LARGEST_FEATURE = 1e3
 """Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space."""
 
 _FARTHEST = 30.0
@@ -147,6 +151,15 @@ def _cavities(m: Array, variance: Array, linear: Array, precision: Array) -> tup
     return cavity_precision, cavity_mean, -cavity_mean * np.sqrt(cavity_precision)
 
 
+class Solved(NamedTuple):
+    """What predictions of a regression need of A = K + site variances."""
+
+    L: Array  # (n, n), lower; A = LLᵀ
+    weights: Array  # (n,), A⁻¹(target − mean)
+    ones: Array  # (n,), A⁻¹1
+    total: float  # 1ᵀA⁻¹1
+
+
 @dataclass(frozen=True)
 class MarginFit:
     """A trained regression of a margin.
@@ -174,12 +187,12 @@ class MarginFit:
     learned_on: int
 
     @cached_property
-    def _solved(self) -> tuple[Array, Array, Array, float]:
-        """The factor L of A = K + site variances, A⁻¹(target − mean), A⁻¹1 and 1ᵀA⁻¹1."""
+    def solved(self) -> "Solved":
+        """The solution of the linear system of the predictions."""
         A, target = linear_system(self)
         L = cholesky(A, lower=True)
         ones = cho_solve((L, True), np.ones(len(A)))
-        return L, cho_solve((L, True), target - self.hyperparameters.mean), ones, float(ones.sum())
+        return Solved(L, cho_solve((L, True), target - self.hyperparameters.mean), ones, float(ones.sum()))
 
     def _covariance(self, F: Array) -> Array:
         X = torch.from_numpy(self.features)
@@ -190,7 +203,7 @@ class MarginFit:
 
         The variance includes that of the estimated constant mean.
         """
-        L, weights, ones, total = self._solved
+        L, weights, ones, total = self.solved
         k = self._covariance(F)
         explained = solve_triangular(L, k, lower=True)
         s2 = math.exp(self.hyperparameters.log_outputscale)
@@ -199,7 +212,7 @@ class MarginFit:
 
     def between(self, F: Array, G: Array) -> Array:
         """Covariance of the warped margins at scaled features, (l, m) and (k, m) -> (l, k), without the nugget."""
-        L, _, ones, total = self._solved
+        L, _, ones, total = self.solved
         k, j = self._covariance(F), self._covariance(G)
         prior = covariance(KERNEL, self.hyperparameters, torch.from_numpy(F), torch.from_numpy(G)).numpy()
         explained = solve_triangular(L, k, lower=True).T @ solve_triangular(L, j, lower=True)
@@ -207,7 +220,7 @@ class MarginFit:
 
     def joint(self, F: Array) -> tuple[Array, Array]:
         """Mean, (l,), and covariance, (l, l), of the warped margin at scaled features, (l, m)."""
-        _, weights, _, _ = self._solved
+        _, weights, _, _ = self.solved
         K = self.between(F, F)
         K[np.diag_indices(len(K))] += NUGGET * math.exp(self.hyperparameters.log_outputscale)
         return self.hyperparameters.mean + self._covariance(F).T @ weights, K
@@ -218,7 +231,7 @@ class MarginFit:
         In closed form [RasmussenWilliams2006, section 5.4.2]. A censored point's own site is left out too.
         """
         A, target = linear_system(self)
-        L, _, ones, total = self._solved
+        L, _, ones, total = self.solved
         Q = cho_solve((L, True), np.eye(len(A))) - np.outer(ones, ones) / total
         diagonal = Q.diagonal()
         # The variance of a left-out observation includes its own site's variance, which is not that of the margin.
@@ -408,6 +421,13 @@ class MarginLatent:
         return False
 
     @cached_property
+    def model(self) -> "MarginModel":
+        """The posterior, without pending designs, as a BoTorch model over the scaled features, (..., q, m)."""
+        from activefail.surrogate.gpytorch_model import MarginModel
+
+        return MarginModel(self.trained)
+
+    @cached_property
     def _pending_factor(self) -> Array:
         assert self.pending is not None
         return np.asarray(cholesky(self.trained.joint(self.pending)[1], lower=True))
@@ -419,7 +439,7 @@ class MarginLatent:
 
     def moments(self, F: Array) -> MarginMoments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
-        F = np.clip(F, -_MOST, _MOST)
+        F = np.clip(F, -LARGEST_FEATURE, LARGEST_FEATURE)
         rows = range(0, max(1, len(F)), _ROWS_AT_ONCE)
         parts = [self._moments(F[first : first + _ROWS_AT_ONCE]) for first in rows]
         mean, sd = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -434,7 +454,7 @@ class MarginLatent:
 
     def joint(self, F: Array) -> tuple[Array, Array]:
         """Joint mean, (n,), and covariance, (n, n), at scaled features, (n, m)."""
-        F = np.clip(F, -_MOST, _MOST)
+        F = np.clip(F, -LARGEST_FEATURE, LARGEST_FEATURE)
         mean, covariance = self.trained.joint(F)
         if self.pending is not None:
             explained = self._explained(F)

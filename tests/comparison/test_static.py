@@ -1,18 +1,22 @@
 """The comparison: two samplings, one test set, nothing simulated twice."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from campaign.stub import Counting, Disc, disc
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.comparison.static import Score, compare, default_budgets, recalls, score
+from activefail.comparison.static import Score, compare, default_budgets, recalls, score, score_lines, write_scores
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
+from activefail.loop.asking import add
 from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer, standing
 from activefail.record.memory import MemoryStore
+from activefail.report.evidence import read_scores
 from activefail.space import Array
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread
@@ -211,7 +215,7 @@ def test_a_score_has_a_column_for_each_of_its_values(first: tuple[list[Score], i
         "recalled_broken": row.recall["broken"].recalled,
         "test_broken": row.recall["broken"].total,
     }
-    assert values | {"recall": row.recall} == vars(row)
+    assert values | {"recall": row.recall, "given": row.given} == vars(row)
 
 
 def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted_so() -> None:
@@ -230,3 +234,26 @@ def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted
     assert recall["broken"].in_words == "33.3 % (1 of 3; 0.8 to 90.6 %)"
     assert recall["lost"].in_words == "– (none in the test set)"
     assert recall["lost"].interval == (0.0, 1.0)
+
+
+def test_given_simulations_count_among_the_first_of_the_campaign_and_the_scores_say_so(tmp_path: Path) -> None:
+    campaign = disc(initial=12, budget=20, batch=4)
+    store = MemoryStore(campaign.schema)
+    X = campaign.space.from_unit(np.random.default_rng(3).random((6, campaign.space.dimension)))
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, 12)
+        add(campaign, store, X, campaign.simulator.run(X))
+        run(campaign, store, executor, 20)
+    found = scores(campaign, store, [12, 18, 26], 60)
+    assert [(one.simulations, one.given) for one in found if one.sampling == "active"] == [(12, 0), (18, 6), (26, 6)]
+    assert all(one.given == 0 for one in found if one.sampling == "static")
+    # The static design is as large as what the active side learned from, given simulations included.
+    assert [one.simulations for one in found if one.sampling == "static"] == [12, 18, 26]
+    (line,) = [line for line in score_lines(found, "broken") if line.startswith("given: ")]
+    assert "did not ask for 6 of 18, 6 of 26 of its simulations" in line
+    with pytest.raises(InputError, match="between 2 and the 26 recorded simulations"):
+        scores(campaign, store, [27], 60)
+    assert not [line for line in score_lines(found[:1], "broken") if line.startswith("given: ")]
+    write_scores(found, ("safe", "broken"), 60, tmp_path / "scores.csv")
+    kept, _ = read_scores(tmp_path / "scores.csv", ("safe", "broken"))
+    assert [one.given for one in kept] == [one.given for one in found]

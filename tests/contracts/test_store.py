@@ -207,6 +207,7 @@ def test_a_closed_store_refuses_writing_and_still_shows_its_batches(kind: Kind) 
         lambda: store.write_state(1, {"a": np.zeros(1)}),
         lambda: store.write_set("test", np.zeros((2, 2)), results(2, 0)),
         lambda: store.write_asked(asked(0)),
+        lambda: store.correct(np.array([0]), results(1, 0)),
     ):
         with pytest.raises(StoreError, match="closed"):
             write()
@@ -395,3 +396,75 @@ def test_a_batch_without_designs_is_refused() -> None:
 def test_a_schema_of_anything_but_tuples_of_texts_is_refused() -> None:
     with pytest.raises(ValueError, match="outcomes"):
         Schema(("a",), ["none"], (), ())
+
+
+def test_a_corrected_result_replaces_the_former_one_which_is_kept(kind: Kind) -> None:
+    committed = [batch(3, 0), batch(2, 1, 1)]
+    for one in committed:
+        kind.store.commit(one)
+    before = kind.store.batches
+    new = results(2, 7)
+    kind.store.correct(np.array([4, 1]), new)
+    store = kind.reopen()
+    assert [batch_bits(one) for one in before] == [batch_bits(one) for one in committed]
+    wanted = [replace(one, results=Results(*(column.copy() for column in columns(one.results)))) for one in committed]
+    for row, (number, place) in enumerate([(1, 1), (0, 1)]):
+        for column, value in zip(columns(wanted[number].results), columns(new), strict=True):
+            column[place] = value[row]
+    assert [batch_bits(one) for one in store.batches] == [batch_bits(one) for one in wanted]
+    kept = store.corrections
+    assert kept.place.tolist() == [4, 1]
+    assert bits(*columns(kept.results)) == bits(*columns(new))
+    former = Results.concatenate([committed[1].results[1:2], committed[0].results[1:2]])
+    assert bits(*columns(kept.former)) == bits(*columns(former))
+
+
+def columns(one: Results) -> list[NDArray[np.generic]]:
+    return [one.outcome, one.cause, one.margins, one.seconds]
+
+
+def test_a_result_is_corrected_again_and_what_is_committed_later_follows(kind: Kind) -> None:
+    kind.store.commit(batch(3, 0))
+    for seed in (1, 2):
+        kind.store.correct(np.array([0]), results(1, seed))
+    kind.reopen().commit(batch(2, 1, 1))
+    store = kind.reopen()
+    assert bits(*columns(store.batches[0].results[:1])) == bits(*columns(results(1, 2)))
+    assert bits(*columns(store.corrections.former[1:])) == bits(*columns(results(1, 1)))
+    assert batch_bits(store.batches[1]) == batch_bits(batch(2, 1, 1))
+
+
+def test_states_that_learned_from_a_corrected_result_are_skipped_and_earlier_ones_hold(kind: Kind) -> None:
+    for iteration in range(3):
+        kind.store.commit(batch(2, iteration, iteration))
+        kind.store.write_state(iteration, {"i": np.array(iteration)})
+    kind.store.correct(np.array([3]), results(1, 9))
+    store = kind.reopen()
+    saved = store.latest_state()
+    assert saved is not None
+    assert saved[0] == 0
+    store.write_state(2, {"i": np.array(7)})
+    saved = kind.reopen().latest_state()
+    assert saved is not None
+    assert (saved[0], saved[1]["i"]) == (2, 7)
+
+
+def test_what_the_caller_does_to_corrections_later_does_not_reach_the_store(kind: Kind) -> None:
+    kind.store.commit(batch(2, 0))
+    new = results(1, 3)
+    kind.store.correct(np.array([1]), new)
+    new.margins[:] = 77.0
+    kind.store.corrections.results.margins[:] = 77.0
+    for one in (kind.store.batches[0].results[1:], kind.store.corrections.results):
+        assert bits(one.margins) == bits(results(1, 3).margins)
+
+
+@pytest.mark.parametrize("place", [[], [5], [-1], [1, 1]])
+def test_places_to_correct_are_different_ones_of_the_record(kind: Kind, place: list[int]) -> None:
+    kind.store.commit(batch(5, 0))
+    with pytest.raises(InputError, match="must be different places below 5"):
+        kind.store.correct(np.array(place, dtype=np.int64), results(len(place), 0))
+    with pytest.raises(InputError, match="`margins` must have 3 columns"):
+        kind.store.correct(np.array([0]), Results(*(np.zeros(1, dtype=np.int8),) * 2, np.zeros((1, 2)), np.zeros(1)))
+    assert len(kind.store.corrections) == 0
+    assert [batch_bits(one) for one in kind.reopen().batches] == [batch_bits(batch(5, 0))]

@@ -17,6 +17,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import ActivefailError
-from activefail.loop.asking import add, ask, drop, tell
+from activefail.loop.asking import add, ask, correct, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.progress import Observer
@@ -168,9 +169,15 @@ def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int
 DROPPED = 7
 """The id of the design that is given up: one that the criterion chose."""
 
+WRONG = (2, 6)
+"""The ids of simulations whose result is corrected: one of the initial design, and the one that was given."""
+
 
 def elsewhere(record: Telling) -> None:
-    """Take the campaign to its budget by `ask`, `tell`, `drop` and `add`; every step follows from the record alone."""
+    """Take the campaign to its budget by `ask`, `tell`, `drop`, `add` and corrections.
+
+    Every step follows from the record alone.
+    """
     one, gate = campaign(), record.gate
     # A line that is told within a command would be one more system call of it.
     record.lists_commits = False
@@ -186,6 +193,15 @@ def elsewhere(record: Telling) -> None:
             with gate.marked("drop"):
                 drop(record, np.array([DROPPED]))
             record.tell(f"dropped {DROPPED}")
+        elif len(record.corrections) < 2 * len(WRONG) and {*WRONG} <= {*handed_out.ids.tolist()}:
+            # First wrong ones, then the right ones again.
+            rows = np.flatnonzero(np.isin(handed_out.ids, WRONG))
+            results = one.simulator.run(history.designs[rows])
+            if not len(record.corrections):
+                results = replace(results, outcome=(1 - results.outcome).astype(np.int8))
+            with gate.marked("correct"):
+                correct(one, record, handed_out.ids[rows], results)
+            record.tell(f"corrected {len(record.corrections)}")
         elif len(flight):
             part = flight[:2]
             with gate.marked("tell"):

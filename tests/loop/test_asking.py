@@ -17,7 +17,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError, SimulationError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop import choosing
-from activefail.loop.asking import RowError, add, ask, drop, tell
+from activefail.loop.asking import RowError, add, ask, correct, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.initial import initial_designs
@@ -359,7 +359,9 @@ def test_an_initial_design_in_which_everything_failed_is_followed_by_another() -
 def test_an_asynchronous_campaign_is_not_asked() -> None:
     campaign = disc(asynchronous=True, batch=2)
     store = MemoryStore(campaign.schema)
-    with pytest.raises(InputError, match=r"sampling\.asynchronous: `ask` and `add` work only on campaigns in batches"):
+    with pytest.raises(
+        InputError, match=r"sampling\.asynchronous: `ask`, `add` and corrections work only on campaigns in batches"
+    ):
         ask(campaign, store, 1, BUDGET)
     with pytest.raises(InputError, match=r"sampling\.asynchronous"):
         add(campaign, store, np.zeros((1, 2)), results(0))
@@ -369,7 +371,7 @@ def test_an_asynchronous_campaign_is_not_asked() -> None:
 
 
 class Interleaved(RuleBasedStateMachine):
-    """Any order of ask, tell, drop, add, crash and reopening, in a run folder."""
+    """Any order of ask, tell, drop, add, corrections, crash and reopening, in a run folder."""
 
     folder: Path
 
@@ -414,13 +416,23 @@ class Interleaved(RuleBasedStateMachine):
     @rule(data=st.data(), other=st.booleans())
     def tell_again(self, data: st.DataObject, other: bool) -> None:
         number = data.draw(st.sampled_from(sorted(self.told)))
-        again = self.outcome(np.frombuffer(self.asked[number])[None])
         if not other:
-            assert tell(self.campaign, self.store, np.array([number]), again) == 0
+            assert tell(self.campaign, self.store, np.array([number]), self.result(number, self.told[number])) == 0
             return
-        wrong = Results(1 - again.outcome, again.cause, again.margins, again.seconds)
         with pytest.raises(InputError, match="already"):
-            tell(self.campaign, self.store, np.array([number]), wrong)
+            tell(self.campaign, self.store, np.array([number]), self.result(number, 1 - self.told[number]))
+
+    def result(self, number: int, outcome: int) -> Results:
+        answer = self.outcome(np.frombuffer(self.asked[number])[None])
+        return Results(np.array([outcome], dtype=np.int8), answer.cause, answer.margins, answer.seconds)
+
+    @precondition(lambda self: self.told)
+    @rule(data=st.data())
+    def correct(self, data: st.DataObject) -> None:
+        ids = data.draw(st.lists(st.sampled_from(sorted(self.told)), min_size=1, max_size=3, unique=True))
+        results = Results.concatenate([self.result(number, 1 - self.told[number]) for number in ids])
+        assert correct(self.campaign, self.store, np.array(ids), results) == len(ids)
+        self.told |= {number: 1 - self.told[number] for number in ids}
 
     @precondition(lambda self: self.flight())
     @rule(data=st.data())
@@ -507,7 +519,7 @@ class DiedError(Exception):
     """The process would be gone."""
 
 
-def test_any_order_of_ask_tell_drop_add_crash_and_reopening_keeps_every_design_in_one_place(
+def test_any_order_of_ask_tell_drop_add_correct_crash_and_reopening_keeps_every_design_in_one_place(
     tmp_path: Path, every_fault: bool
 ) -> None:
     Interleaved.folder = tmp_path
@@ -629,3 +641,120 @@ def test_a_hypercube_that_was_begun_is_finished_whatever_became_of_the_one_befor
     assert len(HandedOut.of(store).initial_left(campaign)) == 5
     third = ask(campaign, store, 6, BUDGET).designs
     assert (third.origin.tolist(), len(third)) == ([INITIAL] * 5, 5)
+
+
+def begun(campaign: Campaign, store: Store, batches: int, wrong: tuple[int, ...] = ()) -> Store:
+    """A store with told batches of an initial design, in which some ids got wrong results."""
+    for _ in range(batches):
+        designs = ask(campaign, store, BATCH, BUDGET).designs
+        results = campaign.simulator.run(designs.designs)
+        outcome = np.where(np.isin(designs.id, wrong), 1 - results.outcome, results.outcome).astype(np.int8)
+        tell(campaign, store, designs.id, Results(outcome, results.cause, results.margins, results.seconds))
+    return store
+
+
+def right(campaign: Campaign, store: Store, ids: list[int]) -> tuple[np.ndarray, Results]:
+    handed = HandedOut.of(store)
+    rows = [handed.ids.tolist().index(number) for number in ids]
+    return np.array(ids), campaign.simulator.run(handed.history.designs[rows])
+
+
+def test_a_corrected_campaign_goes_on_bit_for_bit_like_one_that_was_told_right_results(looped: Store) -> None:
+    campaign = disc()
+    store = begun(campaign, MemoryStore(campaign.schema), INITIAL_SIZE // BATCH, wrong=(1, 6))
+    wrong = current(campaign, store, write=True)
+    assert correct(campaign, store, *right(campaign, store, [1, 2, 6])) == 2
+    asked_and_told(campaign, whole, store)
+    assert rows(store) == rows(looped)
+    current(campaign, store, write=True)
+    assert state(store) == state(looped)
+    X = campaign.space.from_unit(np.random.default_rng(0).random((50, 2)))
+    assert not np.array_equal(
+        wrong.classifier.probabilities(X), classifier_after(campaign, store.batches[:3]).probabilities(X)
+    )
+
+
+def test_a_correction_after_proposals_gives_the_same_bits_whoever_is_interrupted(tmp_path: Path) -> None:
+    campaign = disc()
+    folders = [tmp_path / name for name in ("straight", "interrupted")]
+    for number, folder in enumerate(folders):
+
+        def opened(folder: Path = folder) -> FolderStore:
+            return FolderStore.open(folder, campaign.schema, write=True)
+
+        create_folder(folder, campaign).close()
+        with opened() as store:
+            begun(campaign, store, 5, wrong=(3, 14))
+            memory = Memory()
+            current(campaign, store, True, memory)
+            correct(campaign, store, *right(campaign, store, [3, 14]))
+            if number == 0:
+                # The process that corrects goes on; the other one ends, and its successors learn in two parts.
+                asked_and_told(campaign, whole, store)
+                current(campaign, store, write=True)
+                continue
+        for _ in range(2):
+            with opened() as store:
+                current(campaign, store, write=True)
+        (folder / "state" / f"{store.batches[-1].iteration:09d}.h5").unlink()
+        with opened() as store:
+            asked_and_told(campaign, whole, store)
+            current(campaign, store, write=True)
+    stores = [FolderStore.open(folder, campaign.schema, write=False) for folder in folders]
+    assert rows(stores[0]) == rows(stores[1])
+    assert state(stores[0]) == state(stores[1])
+    assert stores[0].corrections.digest == stores[1].corrections.digest != ""
+
+
+def test_a_correction_may_turn_a_failed_simulation_into_a_result_and_back() -> None:
+    campaign = disc()
+    store = begun(campaign, MemoryStore(campaign.schema), 3)
+    ids, results = right(campaign, store, [0])
+    failed = Results(np.full(1, NUMERICAL_FAILURE, dtype=np.int8), *(results.cause, results.margins, results.seconds))
+    for one, failures in ((failed, 1), (results, 0)):
+        assert correct(campaign, store, ids, one) == 1
+        assert len(HandedOut.of(store).history.failed_designs) == failures
+        current(campaign, store, write=False)
+
+
+def test_only_recorded_results_are_corrected_and_all_of_a_table_or_none() -> None:
+    campaign = disc()
+    store = begun(campaign, MemoryStore(campaign.schema), 1)
+    ask(campaign, store, 2, BUDGET)
+    drop(store, np.array([5]))
+    ids, results = right(campaign, store, [0])
+    other = Results((1 - results.outcome).astype(np.int8), results.cause, results.margins, results.seconds)
+    for number, way in ((4, "it is in flight: `tell` it without `correct`"), (5, "it is unknown or was dropped")):
+        with pytest.raises(RowError, match=f"id {number} has no result to correct \\({way}") as caught:
+            correct(campaign, store, np.array([0, number]), Results.concatenate([other, results]))
+        assert caught.value.row == 1
+    with pytest.raises(RowError, match=r"id 0 has the result .* in an earlier row"):
+        correct(campaign, store, np.array([0, 0]), Results.concatenate([other, results]))
+    assert len(store.corrections) == 0
+    with pytest.raises(RowError, match="`tell` the id with `correct` to replace it"):
+        tell(campaign, store, ids, other)
+    assert correct(campaign, store, np.array([0, 0]), Results.concatenate([other, other])) == 1
+    assert tell(campaign, store, ids, other) == 0
+    with pytest.raises(RowError):
+        tell(campaign, store, ids, results)
+
+
+def test_an_asynchronous_campaign_is_not_corrected_because_its_designs_in_flight_follow_from_its_results() -> None:
+    campaign = disc(asynchronous=True, batch=2)
+    store = take(campaign, budget=14)
+    with pytest.raises(InputError, match="an asynchronous campaign follow from its results"):
+        correct(campaign, store, *right(campaign, store, [0]))
+
+
+def test_given_results_and_those_of_the_loop_are_corrected_too(looped: Store) -> None:
+    campaign = disc()
+    store = take(campaign, budget=16)
+    X = campaign.space.from_unit(np.array([[0.3, 0.6]]))
+    add(campaign, store, X, campaign.simulator.run(X))
+    ids, results = right(campaign, store, [15, 16])
+    other = Results((1 - results.outcome).astype(np.int8), results.cause, results.margins, results.seconds)
+    assert correct(campaign, store, ids, other) == 2
+    take(campaign, store, budget=20)
+    assert HandedOut.of(store).history.outcome[[15, 16]].tolist() == other.outcome.tolist()
+    assert correct(campaign, store, ids, results) == 2
+    assert rows(store)[1][:16] == rows(looped)[1][:16]

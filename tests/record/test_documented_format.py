@@ -204,6 +204,63 @@ def test_the_pages_reader_knows_ids_and_what_is_in_flight_from_asked_h5(reader, 
     assert asked["origin"].tolist() == [0] * 6 + [1] * 3
 
 
+@pytest.fixture
+def corrected_run(asked_run):
+    """A run folder in which a result was corrected twice, and a given one once."""
+    import activefail
+
+    with activefail.open_run(asked_run, write=True) as run:
+        rows = run.simulations[["id", "g"]]
+        run.learn()
+        run.tell(rows[:1].assign(g=rows["g"] + 1.0), correct=True)
+        run.tell(rows[:1].assign(g=-0.5), correct=True)
+        run.tell(rows[rows["id"] == 6].assign(g=rows["g"] + 2.0), correct=True)
+        run.learn()
+    return asked_run
+
+
+def test_the_pages_reader_applies_corrections(reader, corrected_run, tmp_path):
+    schema, batches, chain = reader.read_record(corrected_run)
+    corrections = reader.read_corrections(corrected_run / "corrections.h5", schema, chain)
+    now, applied = reader.apply_corrections(batches, corrections)
+    assert applied == [0, 0, 3]
+    assert activefail("export", corrected_run, "--csv", tmp_path / "all.csv").code == 0
+    with (tmp_path / "all.csv").open(newline="") as file:
+        exported = [float(row["g"]) for row in csv.DictReader(file)]
+    assert np.concatenate([batch["margins"] for batch in now])[:, 0].tolist() == exported
+    assert exported[0] == -0.5
+    assert np.concatenate([batch["margins"] for batch in batches])[0, 0] == corrections["former_margins"][0, 0]
+    elsewhere, _ = reader.apply_corrections(batches[1:], corrections)
+    assert [batch["margins"].tolist() for batch in elsewhere] == [batch["margins"].tolist() for batch in batches[1:]]
+    with pytest.raises(reader.Damaged):
+        reader.read_corrections(corrected_run / "corrections.h5", schema, chain | {0: "0" * 64})
+
+
+def test_the_digest_of_corrections_in_a_state_is_that_of_the_page(reader, corrected_run):
+    schema, _, chain = reader.read_record(corrected_run)
+    corrections = reader.read_corrections(corrected_run / "corrections.h5", schema, chain)
+    digest = reader.sha256(*(column.tobytes() for column in corrections.values()))
+    path = max((corrected_run / "state").iterdir())
+    with reader.body(path.read_bytes()) as file:
+        assert reader.text(file.attrs["corrected"]) == digest
+    with FolderStore.open(corrected_run, write=False) as store:
+        assert store.corrections.entry(3) == f"3 {digest[:16]}"
+
+
+def test_the_page_lists_every_dataset_of_corrections_h5_with_its_type(reader, corrected_run):
+    part = PAGE[PAGE.index("## Corrections") : PAGE.index("## How the schema grows")]
+    listed = {
+        name: kind
+        for names, kind in re.findall(r"^\| (`[\w`, ]+`) \| (\w+) \| \(", part, re.MULTILINE)
+        for name in re.findall(r"\w+", names)
+    }
+    with reader.body((corrected_run / "corrections.h5").read_bytes()) as file:
+        assert set(file.attrs) == {"schema_version", "campaign"}
+        assert set(listed) == set(file)
+        for name, dataset in file.items():
+            assert listed[name] == "text" or np.dtype(listed[name]) == dataset.dtype, name
+
+
 def test_the_page_lists_every_dataset_of_asked_h5_with_its_type(reader, asked_run):
     listed = dict(re.findall(r"^\| `(\w+)` \| (\w+) \| \(k", PAGE, re.MULTILINE))
     with reader.body((asked_run / "asked.h5").read_bytes()) as file:
