@@ -4,8 +4,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from activefail.accelerogram_files import read_accelerogram
     from activefail.bearing import (
         TABLE_1,
+        Accelerogram,
         Bearing,
         Model,
         Pulse,
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
         Tolerance,
         simulate,
         simulate_one,
+        simulate_records,
     )
     from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
     from activefail.opening import create_run, open_run
@@ -23,6 +26,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "TABLE_1",
+    "Accelerogram",
     "ActivefailError",
     "Bearing",
     "BusyError",
@@ -37,13 +41,21 @@ __all__ = [
     "Tolerance",
     "create_run",
     "open_run",
+    "read_accelerogram",
     "simulate",
     "simulate_one",
+    "simulate_records",
 ]
 
 _ERRORS = ("ActivefailError", "BusyError", "InputError", "SimulationError", "StoreError")
 
-_MODULES = {"Run": "run", "create_run": "opening", "open_run": "opening", **dict.fromkeys(_ERRORS, "errors")}
+_MODULES = {
+    "read_accelerogram": "accelerogram_files",
+    "Run": "run",
+    "create_run": "opening",
+    "open_run": "opening",
+    **dict.fromkeys(_ERRORS, "errors"),
+}
 
 
 def __getattr__(name: str) -> Any:

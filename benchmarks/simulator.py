@@ -52,7 +52,7 @@ REPEATS = 5
 
 def pack(constants: System) -> Array:
     """A system as an array: passing the tuple itself from Python costs a peer more than the right-hand side."""
-    return np.array([*constants[:7], *constants.bottom, *constants.top, constants.amplitude, constants.period])
+    return np.array([*constants[:7], *constants.bottom, *constants.top, *constants.motion])
 
 
 @njit
@@ -100,18 +100,18 @@ def look(t, y, p):
 @njit(error_model="numpy")
 def settled(t, touched, stored, constants, levels):
     """Whether the outcome is settled, as in `activefail.bearing.simulation`."""
-    if not touched and t <= HALF_DURATION * constants.period:
+    if not touched and t <= HALF_DURATION * constants.motion.period:
         return False
     reach = levels.failure if touched else min(levels.touch, levels.failure)
     growth = np.sqrt(0.5 * (constants.plate_mass + constants.slider_mass))
-    pushed = growth * impulse_to_come(t, constants.amplitude, constants.period)
+    pushed = growth * impulse_to_come(t, constants.motion.amplitude, constants.motion.period)
     return np.sqrt(max(0.0, stored - levels.least)) + pushed < np.sqrt(reach - levels.least)
 
 
 @njit(error_model="numpy")
 def euler(constants, q, v, end, step, levels):
     """Label by semi-implicit Euler with a fixed step, and the steps; events are checked every 0.5 ms."""
-    t, touched = -HALF_DURATION * constants.period, False
+    t, touched = -HALF_DURATION * constants.motion.period, False
     steps, every = 0, max(1, round(5e-4 / step))
     while t < end:
         a = dfp_acceleration(constants, t, q, v)
@@ -145,7 +145,7 @@ class Answer(NamedTuple):
 def problem(row: Array) -> tuple[System, Barrier, float]:
     """A design's constants, energy levels and end time."""
     constants = system(Bearing.from_row(row.tolist(), 0.30), Pulse.from_table(*row[7:].tolist()), Model())
-    return constants, barrier(constants, True), HALF_DURATION * constants.period + FREE_PERIODS * float(row[0])
+    return constants, barrier(constants, True), HALF_DURATION * constants.motion.period + FREE_PERIODS * float(row[0])
 
 
 def solve(solver: type[OdeSolver], row: Array, relative: float) -> Answer:
@@ -155,11 +155,11 @@ def solve(solver: type[OdeSolver], row: Array, relative: float) -> Answer:
     p = pack(constants)
     stepper = solver(
         lambda t, y: slope(t, y, p),
-        -HALF_DURATION * constants.period,
+        -HALF_DURATION * constants.motion.period,
         np.array([*equilibrium(constants), 0.0, 0.0, 0.0, 0.0, 0.0]),
         end,
-        first_step=1e-3 * constants.period,
-        max_step=min(Tolerance().longest_step, 0.1 * constants.period),
+        first_step=1e-3 * constants.motion.period,
+        max_step=min(Tolerance().longest_step, 0.1 * constants.motion.period),
         rtol=relative,
         atol=relative * SCALE,
         jac=lambda t, y: jacobian(t, y, p),
@@ -218,12 +218,12 @@ def solve_by_solve_ivp(derivative: bool, row: Array, relative: float) -> Answer:
 
     path = solve_ivp(
         lambda t, y: slope(t, y, p),
-        (-HALF_DURATION * constants.period, end),
+        (-HALF_DURATION * constants.motion.period, end),
         np.array([*equilibrium(constants), 0.0, 0.0, 0.0, 0.0, 0.0]),
         method="LSODA",
         events=[event(place) for place in range(5)],
-        first_step=1e-3 * constants.period,
-        max_step=min(Tolerance().longest_step, 0.1 * constants.period),
+        first_step=1e-3 * constants.motion.period,
+        max_step=min(Tolerance().longest_step, 0.1 * constants.motion.period),
         rtol=relative,
         atol=relative * SCALE,
         **({"jac": lambda t, y: jacobian(t, y, p)} if derivative else {}),
@@ -283,7 +283,7 @@ def numbalsoda_solver() -> Callable[[Array, float], Answer] | None:
         constants, _, _ = problem(row)
         p = np.array([*pack(constants), 0.0])
         y = np.array([*equilibrium(constants), 0.0, 0.0, 0.0, 0.0, 0.0])
-        times = np.arange(-HALF_DURATION * constants.period, end, OUTPUT_STEP)
+        times = np.arange(-HALF_DURATION * constants.motion.period, end, OUTPUT_STEP)
         outcome = run(p, y, times, relative)
         return Answer(outcome, time.process_time() - began, np.nan, p[25], np.nan)
 

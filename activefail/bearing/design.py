@@ -156,6 +156,11 @@ class Pulse:
         if not math.isfinite(self.amplitude):
             raise InputError(f"The amplitude of a pulse must be finite, got {self.amplitude}.")
 
+    @property
+    def peak(self) -> float:
+        """Peak ground acceleration [m/s2]."""
+        return abs(self.amplitude)
+
     @classmethod
     def from_table(cls, T_p: float, A_p: float) -> Self:
         """The pulse of a row of Table 1: s, g.
@@ -273,9 +278,9 @@ def check_designs(X: Array) -> Array:
 
 
 def outside_table_1(row: Sequence[float]) -> list[str]:
-    """Messages for the variables of a design, a row of TABLE_1, that are outside the paper's ranges."""
+    """Messages for the variables of a design, a row of TABLE_1 or its bearing, that are outside the paper's ranges."""
     return [
         f"{parameter.name} = {value:g} lies outside the paper's range {parameter.low:g} to {parameter.high:g}"
-        for parameter, value in zip(TABLE_1.parameters, row, strict=True)
+        for parameter, value in zip(TABLE_1.parameters, row, strict=False)
         if not parameter.low <= value <= parameter.high
     ]

@@ -13,8 +13,8 @@ from numba.extending import overload
 from activefail.bearing import ground, integrator
 from activefail.bearing.contact import Plate, vertex_force, vertex_jacobian
 from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse
-from activefail.bearing.kernels import INLINE, KERNEL
 from activefail.bearing.ground import Ricker, Segment
+from activefail.bearing.kernels import INLINE, KERNEL
 from activefail.bearing.lanes import Lanes, lanes, numbers
 from activefail.bearing.tuples import axpy_rows, scaled
 

@@ -7,13 +7,15 @@ from numba import njit
 from scipy.interpolate import CubicHermiteSpline
 
 from activefail.bearing import outcome as o
+from activefail.bearing.accelerogram import STILL, Accelerogram
 from activefail.bearing.contact import gap, vertex_force
-from activefail.bearing.design import GRAVITY
+from activefail.bearing.design import GRAVITY, Pulse
 from activefail.bearing.dynamics import System, lever, seen_by_plate, speed_seen_by_plate, system
 from activefail.bearing.pulse import ground_acceleration
 from activefail.bearing.simulation import Response
 from activefail.errors import InputError
 from activefail.space import Array
+from activefail.visible import visible
 
 LONGEST_STEP = 0.01
 """Longest interval of `Motion.fine_times` [s]; longer steps are divided for smooth lines."""
@@ -55,10 +57,18 @@ class Motion:
         # The last step may be so short that the spline's coefficients overflow.
         keep = np.append(np.diff(response.t) > 1e-9, True)
         self.response = response
-        self.system: System = system(response.bearing, response.pulse, response.model)
+        # Contacts do not depend on the ground's motion.
+        motion = response.pulse if isinstance(response.pulse, Pulse) else STILL
+        self.system: System = system(response.bearing, motion, response.model)
         self.steps: Array = response.t[keep]
         self._q = CubicHermiteSpline(self.steps, response.q[keep], response.v[keep])
         self._v = CubicHermiteSpline(self.steps, response.v[keep], response.a[keep])
+
+    @property
+    def time_label(self) -> str:
+        """Label of a time axis."""
+        origin = "record's first sample" if isinstance(self.response.pulse, Accelerogram) else "pulse's centre"
+        return f"Time from the {origin} [s]"
 
     @property
     def start(self) -> float:
@@ -99,6 +109,8 @@ class Motion:
     def ground(self, t: Array) -> Array:
         """Ground acceleration at times t, shape (n,) [m/s²]."""
         pulse = self.response.pulse
+        if isinstance(pulse, Accelerogram):
+            return pulse.at(t)
         return np.array([ground_acceleration(instant, pulse.amplitude, pulse.period) for instant in t.tolist()])
 
     def contacts(self, t: Array) -> tuple[Array, Array]:
@@ -151,10 +163,17 @@ def describe_design(response: Response) -> str:
             rf"$h_{{rim}}$ {1e3 * bearing.rim_height:.0f} mm",
             rf"$p$ {bearing.pressure / 1e6:.1f} MPa",
             rf"$k$ {bearing.stiffness / 10.0**exponent:.2f}$\cdot 10^{{{exponent}}}$ N/m$^{{1.5}}$",
-            rf"$T_p$ {pulse.period:.2f} s",
-            rf"$A_p$ {minus(f'{pulse.amplitude / GRAVITY:.3f}')} g",
+            *_describe_motion(pulse),
         )
     )
+
+
+def _describe_motion(pulse: Pulse | Accelerogram) -> tuple[str, ...]:
+    if isinstance(pulse, Accelerogram):
+        # A dollar sign would begin mathtext.
+        name = visible(pulse.name).replace("$", "")
+        return (*([name] if name else []), rf"PGA {pulse.peak / GRAVITY:.3f} g", rf"PGV {pulse.peak_velocity:.2f} m/s")
+    return rf"$T_p$ {pulse.period:.2f} s", rf"$A_p$ {minus(f'{pulse.amplitude / GRAVITY:.3f}')} g"
 
 
 def response_lines(response: Response) -> list[str]:

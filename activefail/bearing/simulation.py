@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
+from activefail.bearing.accelerogram import STILL, Accelerogram
 from activefail.bearing.barrier import barrier
 from activefail.bearing.course import (
     at_sample,
@@ -23,7 +24,7 @@ from activefail.bearing.course import (
     shaking,
     to_come,
 )
-from activefail.bearing.design import GRAVITY, Bearing, Model, Pulse, Tolerance, check_designs
+from activefail.bearing.design import GRAVITY, TABLE_1, Bearing, Model, Pulse, Tolerance, check_designs
 from activefail.bearing.dynamics import COORDINATES, equilibrium, system
 from activefail.bearing.integrator import ACCEPTED, TOO_MANY_STEPS, Control, acceleration, advance, start
 from activefail.bearing.kernels import KERNEL, check_compiled
@@ -74,7 +75,9 @@ def _record(history, row, system, state):
 def integrate(system, samples, capacity, free_time, confinement, tolerance, longest, most, to_the_end, history):
     """Integrate one bearing from rest until it fails, its outcome is settled or, with `to_the_end`, its time is over.
 
-    `samples` are those of an accelerogram, None for a pulse. The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `KernelResult`.
+    `samples` are those of an accelerogram, None for a pulse.
+
+    The accepted steps are written to `history`, shape (rows, 16), as far as it has rows. Returns a `KernelResult`.
     """
     t, motion_end, first = shaking(system, samples)
     end = motion_end + free_time
@@ -170,13 +173,18 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
 
 
 def _simulate(
-    bearing: Bearing, pulse: Pulse, model: Model, tolerance: Tolerance, history: Array, to_the_end: bool = False
+    bearing: Bearing,
+    pulse: Pulse | Accelerogram,
+    model: Model,
+    tolerance: Tolerance,
+    history: Array,
+    to_the_end: bool = False,
 ) -> KernelResult:
     # T_b as in the paper's eq. 2, without the slider's height.
     free_time = FREE_PERIODS * 2.0 * math.pi * math.sqrt(2.0 * bearing.radius / GRAVITY)
     run: KernelResult = integrate(
-        system(bearing, pulse, model),
-        None,
+        system(bearing, pulse if isinstance(pulse, Pulse) else STILL, model),
+        None if isinstance(pulse, Pulse) else pulse.samples,
         bearing.displacement_capacity,
         free_time,
         model.loss_of_confinement,
@@ -198,14 +206,14 @@ class Response:
         cause: index into `activefail.bearing.outcome.CAUSES`.
         margins: limit-state margins and other observations of the motion.
         statistics: statistics of the solver.
-        t: (n,) times of the accepted steps, 0 at the pulse's centre [s].
+        t: (n,) times of the accepted steps, 0 at the pulse's centre or at the record's first sample [s].
         q: (n, 5) x_s, z_s, theta, x_t, z_t [m, rad].
         v: (n, 5) their velocities [m/s, rad/s].
         a: (n, 5) their accelerations relative to the ground [m/s2, rad/s2].
     """
 
     bearing: Bearing
-    pulse: Pulse
+    pulse: Pulse | Accelerogram
     model: Model
     outcome: int
     cause: int
@@ -271,16 +279,16 @@ class Responses:
 
 def simulate_one(
     bearing: Bearing,
-    pulse: Pulse,
+    pulse: Pulse | Accelerogram,
     model: Model | None = None,
     tolerance: Tolerance | None = None,
     to_the_end: bool = False,
 ) -> Response:
-    """Simulate one bearing under one pulse and keep its motion.
+    """Simulate one bearing under one pulse or record and keep its motion.
 
     Args:
         bearing: the bearing.
-        pulse: the ground motion.
+        pulse: the ground motion, a pulse or a record.
         model: settings of the model.
         tolerance: accuracy of the integration.
         to_the_end: whether to continue, unlike `simulate`, until 2.5 T_b after the pulse once the outcome is settled.
@@ -358,10 +366,59 @@ def simulate(
     """
     check_compiled()
     X = check_designs(X)
-    model, tolerance = model or Model(), tolerance or Tolerance()
+    model = model or Model()
+    designs = [_design(row, values, model) for row, values in enumerate(X.tolist())]
+    return _simulated(designs, model, tolerance or Tolerance(), threads, progress)
+
+
+def simulate_records(
+    X: Array,
+    records: Sequence[Accelerogram],
+    model: Model | None = None,
+    tolerance: Tolerance | None = None,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+    to_the_end: bool = False,
+) -> Responses:
+    """Simulate bearings under records on all cores; as `simulate`, with one record for each row.
+
+    Without a rim touch a run ends as soon as the energy to come cannot reach a rim, at any time of the record. The
+    margins of such a run cover only what was simulated.
+
+    Args:
+        X: (n, 7) bearings: T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
+        records: n records; `Accelerogram.scaled` scales one.
+        model, tolerance, threads, progress: as for `simulate`.
+        to_the_end: whether to continue once the outcome is settled, as for `simulate_one`.
+
+    Raises:
+        InputError: as `simulate` does, or if the numbers of bearings and records differ.
+    """
+    check_compiled()
+    X = np.asarray(X)
+    if X.ndim != 2 or X.shape[1] != TABLE_1.dimension - 2:
+        raise InputError(f"Bearings must be an (n, {TABLE_1.dimension - 2}) array, got shape {X.shape}.")
+    if len(records) != len(X):
+        raise InputError(f"records: must be one for each bearing, {len(X)}, got {len(records)}.")
+    # Values of a pulse that every check accepts; a record takes its place.
+    X = check_designs(np.column_stack([X, np.ones((len(X), 2))]))
+    model = model or Model()
+    bearings = [_design(row, values, model)[0] for row, values in enumerate(X.tolist())]
+    return _simulated(
+        list(zip(bearings, records, strict=True)), model, tolerance or Tolerance(), threads, progress, to_the_end
+    )
+
+
+def _simulated(
+    designs: Sequence[tuple[Bearing, Pulse | Accelerogram]],
+    model: Model,
+    tolerance: Tolerance,
+    threads: int | None,
+    progress: Callable[[int], None] | None,
+    to_the_end: bool = False,
+) -> Responses:
     if threads is not None and threads < 1:
         raise InputError(f"`threads` must be at least 1, got {threads}.")
-    designs = [_design(row, values, model) for row, values in enumerate(X.tolist())]
     n = len(designs)
     outcome, cause, seconds = np.empty(n, dtype=np.int8), np.empty(n, dtype=np.int8), np.empty(n)
     margins, statistics = np.empty((n, len(o.Margins._fields))), np.empty((n, len(o.Statistics._fields)))
@@ -370,13 +427,13 @@ def simulate(
     def run(rows: range) -> int:
         for row in rows:
             began = time.perf_counter()
-            answer = _simulate(*designs[row], model, tolerance, no_history)
+            answer = _simulate(*designs[row], model, tolerance, no_history, to_the_end)
             outcome[row], cause[row] = answer.outcome, answer.cause
             margins[row], statistics[row] = answer.margins, answer.statistics
             seconds[row] = time.perf_counter() - began
         return len(rows)
 
-    if designs and not integrate.signatures:
+    if designs:
         # Compile on one thread, before timing starts.
         _simulate(*designs[0], model, Tolerance(most_steps=1), no_history)
     # Short chunks: a keyboard interrupt waits for the running ones only.

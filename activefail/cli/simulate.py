@@ -16,7 +16,7 @@ from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.bearing import Model, Tolerance
+    from activefail.bearing import Accelerogram, Model, Tolerance
 
 
 def simulate(
@@ -33,6 +33,15 @@ def simulate(
     k: Annotated[float | None, typer.Option(help="Contact stiffness [N/m^1.5].", show_default=False)] = None,
     t_p: Annotated[float | None, typer.Option(help="Pulse period T_p [s].", show_default=False)] = None,
     a_p: Annotated[float | None, typer.Option(help="Pulse amplitude A_p [g].", show_default=False)] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Ground-motion record in place of the pulse (docs/records.md).", show_default=False),
+    ] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of the record: g, m/s2 or cm/s2.", show_default=False)] = None,
+    scale: Annotated[float | None, typer.Option(help="Factor on the record; 1 by default.", show_default=False)] = None,
+    dt: Annotated[
+        float | None, typer.Option(help="Interval of a record without times [s].", show_default=False)
+    ] = None,
     csv: Annotated[
         Path | None,
         typer.Option(
@@ -59,7 +68,7 @@ def simulate(
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
     tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
 ) -> None:
-    """Simulate one bearing under one pulse, or a table of designs."""
+    """Simulate one bearing under one pulse or record, or a table of designs."""
     from activefail.bearing.design import TABLE_1, Model, Tolerance
 
     for option, path in {"--plot": plot, "--animate": animate}.items():
@@ -76,9 +85,20 @@ def simulate(
     )
     integration = Tolerance(relative=tolerance)
     present = {option: value for option, value in design.items() if value is not None}
+    if record is not None:
+        for option, value in (("--t-p", t_p), ("--a-p", a_p), ("--csv", csv)):
+            if value is not None:
+                raise InputError(f"--record cannot be combined with {option}.")
+        motion = _read_record(record, unit, scale, dt)
+        _check_single({option: value for option, value in design.items() if option not in ("--t-p", "--a-p")}, out)
+        _simulate_one(list(present.values()), motion, model, integration, plot, animate)
+        return
+    for option, of_record in (("--unit", unit), ("--scale", scale), ("--dt", dt)):
+        if of_record is not None:
+            raise InputError(f"{option} requires --record.")
     if csv is None:
         _check_single(design, out)
-        _simulate_one(list(present.values()), model, integration, plot, animate)
+        _simulate_one(list(present.values()), None, model, integration, plot, animate)
         return
     if present or plot or animate:
         single = [*present, "--plot" if plot else "--animate"][0]
@@ -86,26 +106,49 @@ def simulate(
     _simulate_table(csv, out, model, integration)
 
 
+def _read_record(path: Path, unit: str | None, scale: float | None, dt: float | None) -> "Accelerogram":
+    from activefail.accelerogram_files import UNITS, read_accelerogram
+
+    if unit is None:
+        raise InputError(f"--record requires --unit, one of {', '.join(UNITS)}: files do not say it reliably.")
+    found = read_accelerogram(path, unit, dt)
+    return found if scale is None else found.scaled(scale)
+
+
 def _check_single(design: Mapping[str, float | None], out: Path | None) -> None:
     missing = [option for option, value in design.items() if value is None]
     if missing:
-        raise InputError(f"A design needs all nine variables; missing: {', '.join(missing)}. (Or use --csv and --out.)")
+        number = {7: "seven", 9: "nine"}[len(design)]
+        raise InputError(
+            f"A design needs all {number} variables; missing: {', '.join(missing)}. (Or use --csv and --out.)"
+        )
     if out is not None:
         raise InputError("--out requires --csv; for one design use --plot or --animate.")
 
 
 def _simulate_one(
-    design: list[float], model: "Model", tolerance: "Tolerance", plot: Path | None, animate: Path | None
+    design: list[float],
+    record: "Accelerogram | None",
+    model: "Model",
+    tolerance: "Tolerance",
+    plot: Path | None,
+    animate: Path | None,
 ) -> None:
-    from activefail.bearing.design import Bearing, Pulse, outside_table_1
+    from activefail.bearing.design import GRAVITY, Bearing, Pulse, outside_table_1
     from activefail.bearing.motion import response_lines
     from activefail.bearing.simulation import simulate_one
 
     check_file(plot, "a plot", (".png", ".svg", ".pdf"))
     check_file(animate, "a film", (".gif", ".mp4"))
-    bearing, pulse = Bearing.from_row(design, model.slider_diameter), Pulse.from_table(*design[7:])
+    bearing = Bearing.from_row(design, model.slider_diameter)
+    motion = record if record is not None else Pulse.from_table(*design[7:])
     # The plots show the motion beyond the moment that decides the outcome.
-    response = simulate_one(bearing, pulse, model, tolerance, to_the_end=True)
+    response = simulate_one(bearing, motion, model, tolerance, to_the_end=True)
+    if record is not None:
+        print(
+            f"record     {visible(record.name)}: {len(record.acceleration)} samples of {record.dt:g} s, PGA "
+            f"{record.peak / GRAVITY:.3g} g, PGV {record.peak_velocity:.3g} m/s"
+        )
     print("\n".join(response_lines(response)))
     for note in outside_table_1(design):
         print(f"note: {note}", file=sys.stderr)

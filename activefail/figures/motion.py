@@ -72,7 +72,7 @@ def plot_response(response: Response) -> Figure:
         for panel in (shift, ground, uplift, tilt, rim):
             mark_events(panel, response)
             panel.set_xlim(motion.start, motion.end + 0.01 * (motion.end - motion.start))
-            panel.set_xlabel("Time from the pulse's centre [s]")
+            panel.set_xlabel(motion.time_label)
         _zoom_on_failure(response, (uplift, tilt, rim))
         _legend_above(ground)
         _plot_loop(loop, motion, t, q)
@@ -108,7 +108,7 @@ def plot_histories(response: Response, width: float = 5.2) -> Figure:
             panel.set(title="", ylabel=label)
         _legend_above(ground)
         tilt.set_xlim(motion.onset, motion.end + 0.01 * (motion.end - motion.onset))
-        tilt.set_xlabel("Time from the pulse's centre [s]")
+        tilt.set_xlabel(motion.time_label)
         figure.align_ylabels()
     return figure
 
@@ -393,7 +393,7 @@ class BearingDrawing:
     def _arrow_outline(self, time: float) -> Array:
         """An arrow below the bottom plate, proportional to the ground acceleration, shape (7, 2)."""
         bearing, pulse = self.motion.response.bearing, self.motion.response.pulse
-        share = float(self.motion.ground(np.array([time]))[0]) / max(abs(pulse.amplitude), 1e-12)
+        share = float(self.motion.ground(np.array([time]))[0]) / max(pulse.peak, 1e-12)
         length, half = 0.4 * bearing.dish_diameter * share, 0.03 * bearing.slider_diameter
         neck = length - math.copysign(min(abs(length), 5.0 * half), length)
         x = np.array((0.0, neck, neck, length, neck, neck, 0.0))

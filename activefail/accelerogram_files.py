@@ -1,0 +1,144 @@
+"""Reads ground-motion records from text files: PEER's AT2, or columns of acceleration or of time and acceleration."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from activefail.bearing.accelerogram import Accelerogram
+from activefail.bearing.design import GRAVITY
+from activefail.errors import InputError
+from activefail.files import read_regular
+from activefail.visible import visible
+
+UNITS = {"g": GRAVITY, "m/s2": 1.0, "cm/s2": 0.01}
+"""Units of acceleration, in m/s2."""
+
+_LARGEST = 200_000_000
+"""Most bytes of a file."""
+
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
+
+_EVEN = 1e-3
+"""Largest difference of an interval of time from their mean, as a share: files round their times."""
+
+
+def read_accelerogram(path: Path, unit: str, dt: float | None = None) -> Accelerogram:
+    """Read a record.
+
+    A header that states DT and NPTS, as in PEER's AT2 files, is followed by accelerations, any number to a line.
+    Without one, each line has an acceleration, for which `dt` is needed, or a time and an acceleration; blanks, commas
+    or tabs separate columns. Lines before the first number are a header; so are lines that begin with #.
+
+    Args:
+        path: of the file.
+        unit: of the accelerations: "g", "m/s2" or "cm/s2". No file format says it reliably.
+        dt: interval between samples [s], for a single column.
+
+    Raises:
+        InputError: naming the file, the line, the rule and the value.
+    """
+    if unit not in UNITS:
+        raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}.")
+    try:
+        text = read_regular(path, _LARGEST, follow=True).decode("latin-1")
+    except OSError as error:
+        raise InputError(f"{visible(str(path))}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{visible(str(path))} {error}") from None
+    lines = text.splitlines()
+    try:
+        values, interval = (
+            _of_at2(lines) if re.search(r"\bNPTS\b", text[:2000], re.IGNORECASE) else _of_columns(lines, dt)
+        )
+        return Accelerogram(UNITS[unit] * values, interval, path.stem)
+    except InputError as error:
+        raise InputError(f"{visible(str(path))}: {error}") from None
+
+
+def _of_at2(lines: list[str]) -> tuple[np.ndarray, float]:
+    """Accelerations and interval of a file whose header states NPTS and DT."""
+    place = next(k for k, line in enumerate(lines) if re.search(r"\bNPTS\b", line, re.IGNORECASE))
+    stated = {}
+    for name in ("NPTS", "DT"):
+        found = re.search(rf"\b{name}\s*=?\s*({_NUMBER.pattern})", lines[place], re.IGNORECASE)
+        if found is None:
+            # The oldest files: two numbers, then their names.
+            found = re.match(rf"\s*({_NUMBER.pattern})[\s,]+({_NUMBER.pattern})", lines[place])
+            if found is None:
+                raise InputError(f"line {place + 1}: must state {name}, got {visible(lines[place])!r}.")
+            stated = {"NPTS": found[1], "DT": found[2]}
+            break
+        stated[name] = found[1]
+    values = np.array([x for k, line in enumerate(lines[place + 1 :], place + 2) for x in _numbers(line, k)])
+    count = _value(stated["NPTS"])
+    if len(values) != count:
+        raise InputError(f"NPTS: must be the number of accelerations, {len(values)}, got {count:g}.")
+    return values, _value(stated["DT"])
+
+
+def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
+    """Accelerations and interval of a file with one or two columns."""
+    rows: list[tuple[int, list[float]]] = []
+    for k, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        if not rows and not _NUMBER.match(line.strip()):
+            continue
+        rows.append((k, _numbers(line, k)))
+        if len(rows[-1][1]) != len(rows[0][1]) or len(rows[0][1]) > 2:
+            raise InputError(f"line {k}: must have one or two numbers, like every line, got {visible(line)!r}.")
+    if not rows:
+        raise InputError("must have accelerations, got none.")
+    values = np.array([numbers for _, numbers in rows])
+    if values.shape[1] == 1:
+        if dt is None:
+            raise InputError("has no times, so dt (--dt) is required.")
+        return values[:, 0], dt
+    if len(values) < 2:
+        raise InputError(f"must have at least 2 samples, got {len(values)}.")
+    steps = np.diff(values[:, 0])
+    mean = float((values[-1, 0] - values[0, 0]) / len(steps))
+    if dt is not None and abs(mean - dt) > _EVEN * dt:
+        raise InputError(f"dt: the times have an interval of {mean:.6g} s, got {dt:g} s.")
+    # Times are rounded to the digits of the file.
+    rounding = 2.0 * 10.0 ** -max(_digits(lines[rows[1][0] - 1]), 0)
+    bad = np.flatnonzero(~(np.abs(steps - mean) <= np.maximum(_EVEN * abs(mean), min(rounding, 0.4 * abs(mean)))))
+    if len(bad) or not mean > 0.0:
+        k = int(bad[0]) + 1 if len(bad) else 1
+        raise InputError(
+            f"line {rows[k][0]}: times must rise by equal intervals, {mean:.6g} s in the mean, got "
+            f"{steps[k - 1]:.6g} s."
+        )
+    return values[:, 1], mean
+
+
+def _digits(line: str) -> int:
+    """Digits after the point of a line's first number."""
+    first = re.split(r"[\s,;]+", line.strip())[0]
+    mantissa, _, exponent = first.lower().replace("d", "e").partition("e")
+    return len(mantissa.partition(".")[2]) - int(exponent or 0)
+
+
+def _numbers(line: str, k: int) -> list[float]:
+    """The numbers of line k.
+
+    Raises:
+        InputError: naming the line and what is no number.
+    """
+    numbers = []
+    for part in re.split(r"[\s,;]+", line.strip()):
+        if not part:
+            continue
+        if not _NUMBER.fullmatch(part):
+            raise InputError(f"line {k}: must be numbers, got {visible(part)!r}.")
+        numbers.append(_value(part))
+        if not math.isfinite(numbers[-1]):
+            raise InputError(f"line {k}: must be finite, got {visible(part)!r}.")
+    return numbers
+
+
+def _value(text: str) -> float:
+    """A number, whose exponent may be written as Fortran does."""
+    return float(text.lower().replace("d", "e"))

@@ -1,0 +1,151 @@
+"""Bearings under records: the physics that holds for any ground motion, and the early end of a run."""
+
+import numpy as np
+import pytest
+
+from activefail.bearing import (
+    TABLE_1,
+    Accelerogram,
+    Bearing,
+    Model,
+    Pulse,
+    Tolerance,
+    simulate,
+    simulate_one,
+    simulate_records,
+)
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.ground import samples
+from activefail.bearing.pulse import ground_acceleration
+from activefail.errors import InputError
+from activefail.space import Array
+
+MIRROR = np.array([-1.0, 1.0, -1.0, -1.0, 1.0])
+
+
+def synthetic(seed: int, peak: float = 0.4, dt: float = 0.01, seconds: float = 15.0) -> Accelerogram:
+    """A pulse with filtered noise, in an envelope."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, dt)
+    noise = np.convolve(rng.standard_normal(len(t)), np.exp(-np.arange(0.0, 1.0, dt) / 0.1), mode="same")
+    noise *= np.exp(-0.5 * ((t - 6.0) / 2.5) ** 2)
+    pulse = np.array([ground_acceleration(time - 5.0, 1.0, 2.0) for time in t])
+    a = pulse + 0.5 * noise / np.abs(noise).max()
+    return Accelerogram(peak * GRAVITY * a / np.abs(a).max(), dt, f"synthetic {seed}")
+
+
+def bearings(n: int, seed: int = 0) -> Array:
+    return TABLE_1.from_unit(np.random.default_rng(seed).random((n, 9)))[:, :7]
+
+
+def sampled(period: float, amplitude: float, dt: float) -> Accelerogram:
+    t = np.arange(0.0, 3.0 * period + dt, dt) - 1.5 * period
+    return Accelerogram(np.array([ground_acceleration(time, amplitude * GRAVITY, period) for time in t]), dt)
+
+
+def bearing_of(row: Array) -> Bearing:
+    return Bearing.from_row(row.tolist(), Model().slider_diameter)
+
+
+def test_the_impulse_to_come_is_the_integral_of_the_linear_interpolation() -> None:
+    a = np.array([0.3, -0.5, 0.0, 0.0, 2.0, 2.5, -1.0])
+    fine = np.linspace(0.0, 6.0, 600_001)
+    line = np.abs(np.interp(fine, np.arange(7.0), a))
+    area = np.concatenate([np.cumsum((0.5 * (line[1:] + line[:-1]) * 1e-5)[::-1])[::-1], [0.0]])
+    assert samples(a, 1.0).impulse == pytest.approx(area[::100_000], abs=1e-8)
+
+
+def test_a_run_that_may_end_early_has_the_outcome_of_the_whole_one() -> None:
+    X = bearings(120)
+    records = [synthetic(k % 12, peak) for k, peak in enumerate(np.geomspace(0.08, 1.2, 120))]
+    early, whole = (simulate_records(X, records, to_the_end=to_the_end) for to_the_end in (False, True))
+    assert early.outcome.tolist() == whole.outcome.tolist()
+    assert set(early.outcome.tolist()) == {0, 1, 2}
+    steps = [run.statistic("steps").sum() for run in (early, whole)]
+    assert steps[0] < 0.9 * steps[1]
+
+
+def test_a_mirrored_record_mirrors_the_motion() -> None:
+    for seed, row in enumerate(bearings(4, 1)):
+        record = synthetic(seed, 0.3)
+        one, other = (simulate_one(bearing_of(row), ground) for ground in (record, record.scaled(-1.0)))
+        assert other.outcome == one.outcome
+        assert other.t == pytest.approx(one.t, abs=1e-9)
+        assert other.q == pytest.approx(one.q * MIRROR, abs=1e-7)
+
+
+def test_energy_is_conserved_under_records() -> None:
+    found = simulate_records(bearings(60, 2), [synthetic(k, 0.5) for k in range(60)])
+    assert (found.outcome >= 0).all()
+    assert found.statistic("energy_error").max() < 5e-3
+    finer = simulate_records(
+        bearings(60, 2), [synthetic(k, 0.5) for k in range(60)], tolerance=Tolerance(relative=1e-6)
+    )
+    assert np.median(finer.statistic("energy_error")) < 0.1 * np.median(found.statistic("energy_error"))
+    assert (finer.outcome == found.outcome).mean() >= 0.98
+
+
+def test_no_step_crosses_a_sample() -> None:
+    record = synthetic(3, dt=0.02)
+    t = simulate_one(bearing_of(bearings(1)[0]), record).t
+    within = t[t < record.duration]
+    crossed = np.floor(within[1:] / record.dt - 1e-6) - np.floor(within[:-1] / record.dt + 1e-6)
+    assert crossed.max() <= 0
+
+
+def test_a_sampled_pulse_gives_the_outcome_and_the_peak_of_the_analytic_one() -> None:
+    X = TABLE_1.from_unit(np.random.default_rng(3).random((200, 9)))
+    records = [sampled(period, amplitude, 0.005) for period, amplitude in X[:, 7:]]
+    pulses, found = simulate(X), simulate_records(X[:, :7], records)
+    assert (pulses.outcome != found.outcome).sum() <= 1
+    for row in X[:20]:
+        bearing, pulse = bearing_of(row), Pulse.from_table(*row[7:].tolist())
+        exact = simulate_one(bearing, pulse, to_the_end=True)
+        near = simulate_one(bearing, sampled(row[7], row[8], 0.005), to_the_end=True)
+        if exact.outcome == near.outcome == 0:
+            peaks = [run.margins.peak_displacement_ratio for run in (exact, near)]
+            assert peaks[1] == pytest.approx(peaks[0], rel=5e-3)
+
+
+def test_the_order_of_the_method_holds_within_a_segment() -> None:
+    # A record of one long segment: the error falls with the tolerance as without samples.
+    record = Accelerogram(np.array([0.0, 1.5]), 1.2)
+    bearing = bearing_of(TABLE_1.from_unit(np.full((1, 9), 0.5))[0])
+    ends = [
+        simulate_one(bearing, record, tolerance=Tolerance(relative=tolerance)).margins.peak_displacement_ratio
+        for tolerance in (1e-4, 1e-6, 1e-10)
+    ]
+    assert abs(ends[1] - ends[2]) < 0.1 * abs(ends[0] - ends[2]) + 1e-9
+
+
+def test_a_million_samples_are_a_record() -> None:
+    quiet = Accelerogram(np.append(synthetic(0, 0.2).acceleration, np.zeros(1_000_000)), 0.01)
+    short = synthetic(0, 0.2)
+    row = bearings(1)
+    one, other = simulate_records(np.repeat(row, 2, axis=0), [quiet, short]).outcome
+    assert one == other
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "dt", "message"),
+    [
+        ([1.0], 0.01, "at least 2 samples"),
+        ([[1.0, 2.0]], 0.01, "one axis"),
+        ([0.0, float("nan")], 0.01, "sample 2 must be finite"),
+        (["a", "b"], 0.01, "must be numbers"),
+        ([0.0, 1.0], 0.0, "dt: must be positive"),
+        ([0.0, 1.0], float("inf"), "dt: must be positive"),
+    ],
+)
+def test_what_is_no_record_is_refused(acceleration: list[float], dt: float, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Accelerogram(acceleration, dt)  # type: ignore[arg-type]
+
+
+def test_bearings_and_records_must_match() -> None:
+    with pytest.raises(InputError, match="one for each bearing, 2, got 1"):
+        simulate_records(bearings(2), [synthetic(0)])
+    with pytest.raises(InputError, match=r"\(n, 7\) array"):
+        simulate_records(np.ones((2, 9)), [synthetic(0)] * 2)
+    with pytest.raises(InputError, match="scale: must be finite"):
+        synthetic(0).scaled(float("nan"))

@@ -1,0 +1,114 @@
+"""Files of ground-motion records, right and wrong ones, and the command that simulates one."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+
+from activefail import read_accelerogram
+from activefail.bearing.design import GRAVITY
+from activefail.errors import InputError
+
+HEADER = "PEER NGA STRONG MOTION DATABASE RECORD\nNorthridge, 1994\nACCELERATION TIME SERIES IN UNITS OF G\n"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "record.txt"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    "counts",
+    ["NPTS=   7, DT=   .0100 SEC,", "NPTS= 7, DT= 0.01 SEC", "   7    0.0100    NPTS, DT", "npts = 7 dt = 1.0D-2"],
+)
+def test_at2_files_are_read(tmp_path: Path, counts: str) -> None:
+    text = HEADER + counts + "\n  .1000000E-01  -.2000000E-01 3E-2\n 0.04 0.05\n.06\n-7.0D-2"
+    record = read_accelerogram(written(tmp_path, text), "g")
+    assert record.dt == pytest.approx(0.01)
+    assert record.acceleration == pytest.approx(GRAVITY * np.array([0.01, -0.02, 0.03, 0.04, 0.05, 0.06, -0.07]))
+    assert record.name == "record"
+
+
+@pytest.mark.parametrize("separator", [" ", ",", "\t", ", "])
+def test_columns_are_read(tmp_path: Path, separator: str) -> None:
+    rows = "".join(f"{0.005 * k:.4f}{separator}{k * k - 3}\n" for k in range(5))
+    record = read_accelerogram(written(tmp_path, "# comment\ntime acceleration\n" + rows), "cm/s2")
+    assert record.dt == pytest.approx(0.005)
+    assert record.acceleration == pytest.approx([-0.03, -0.02, 0.01, 0.06, 0.13])
+
+
+def test_a_single_column_needs_its_interval(tmp_path: Path) -> None:
+    path = written(tmp_path, "0.1\n-0.2\n")
+    assert read_accelerogram(path, "m/s2", 0.02).acceleration.tolist() == [0.1, -0.2]
+    with pytest.raises(InputError, match=r"dt \(--dt\) is required"):
+        read_accelerogram(path, "m/s2")
+
+
+def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 300.0:.3f} {k}\n" for k in range(300))
+    assert read_accelerogram(written(tmp_path, rows), "m/s2").dt == pytest.approx(1.0 / 300.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "must have accelerations, got none"),
+        ("words only\n", "must have accelerations, got none"),
+        ("0.00 1\n0.01 2\n0.03 3\n0.04 4\n", "line 3: times must rise by equal intervals"),
+        ("0.00 1\n0.01 2\n0.02 3\n0.022 4\n", "line 4: times must rise by equal intervals"),
+        ("0.02 1\n0.01 2\n0.00 3\n", "times must rise by equal intervals"),
+        ("0.00 1\n0.00 2\n", "times must rise by equal intervals"),
+        ("0.00 1\n0.01 nan\n", "line 2: must be numbers, got 'nan'"),
+        ("0.00 1\n0.01 2 3\n", "line 2: must have one or two numbers"),
+        ("0.00 1\n", "at least 2 samples"),
+        (HEADER + "NPTS= 3, DT= 0.01\n1 2\n", "NPTS: must be the number of accelerations, 2, got 3"),
+        (HEADER + "NPTS= 2, DT= 0.01\n1 x\n", "line 5: must be numbers, got 'x'"),
+        (HEADER + "NPTS= 1, DT= 0.01\n1\n", "at least 2 samples"),
+        (HEADER + "NPTS= 2, DT= 0\n1 2\n", "dt: must be positive"),
+        (HEADER + "NPTS: many\n1 2\n", "line 4: must state NPTS"),
+        ("1e999 2\n2 3\n", "line 1: must be finite"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match=re.escape(message)) as refusal:
+        read_accelerogram(path, "g")
+    assert str(path) in str(refusal.value)
+
+
+def test_a_wrong_unit_or_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="unit: must be one of g, m/s2, cm/s2, got 'mm'"):
+        read_accelerogram(written(tmp_path, "0 1\n1 2\n"), "mm")
+    for path in (tmp_path / "none.txt", tmp_path):
+        with pytest.raises(InputError, match=re.escape(str(path))):
+            read_accelerogram(path, "g")
+
+
+BEARING = (
+    "--t-b", "4", "--mu", "0.06", "--d-tot", "0.65", "--h-sl-ratio", "0.6", "--h-rim-ratio", "0.1", "--p", "45",
+    "--k", "2e9",
+)  # fmt: skip
+
+
+def test_the_command_simulates_a_record(tmp_path: Path) -> None:
+    t = np.arange(0.0, 6.0, 0.01)
+    path = written(tmp_path, "".join(f"{a:.6f}\n" for a in 0.3 * np.sin(2.0 * t) * np.exp(-((t - 3.0) ** 2))))
+    options = (*BEARING, "--record", path, "--dt", "0.01", "--unit", "g")
+    result = activefail("simulate", *options, "--scale", "0.5", "--plot", tmp_path / "motion.svg")
+    assert result.code == 0, result.err
+    assert "record     record: 600 samples of 0.01 s, PGA 0.1" in result.out
+    assert "outcome    no_impact" in result.out
+    assert "record" in (tmp_path / "motion.svg").read_text()
+    assert (
+        activefail("simulate", *options, "--scale", "6").out.splitlines()[1]
+        == "outcome    failure (loss_of_confinement)"
+    )
+    refused(activefail("simulate", *options, "--t-p", "1"), "--record cannot be combined with --t-p")
+    refused(activefail("simulate", *options[:-2]), "--record requires --unit, one of g, m/s2, cm/s2")
+    refused(activefail("simulate", *BEARING, "--scale", "2"), "--scale requires --record")
+    refused(
+        activefail("simulate", "--t-b", "4", "--record", path, "--unit", "g", "--dt", "0.01"), "all seven variables"
+    )
