@@ -68,15 +68,19 @@ class WeightedRows:
         return replace(self, names=tuple(self.names[column] for column in kept), X=self.X[:, kept])
 
     def thinned(self, n: int) -> "WeightedRows":
-        """At most n rows that stand for all: of more, a systematic sample by their weights, in n equal weights.
+        """At most n rows that stand for all: of more, a stratified sample by their weights, in n equal weights.
 
-        The sample is taken in the order of the last variable, the size of a pulse.
+        The strata are equal parts of the weight, in the order of the last variable, the size of a pulse. Each gives one
+        row at random, and rows of equal size are in random order: tables are often regular, such as each size with
+        several periods, and a regular choice would miss a part of them. The random numbers are always the same.
         """
         if len(self.X) <= n:
             return self
-        order = np.argsort(self.X[:, -1], kind="stable")
+        rng = np.random.default_rng(0)
+        order = np.lexsort((rng.random(len(self.X)), self.X[:, -1]))
         below = np.cumsum(self.weight[order])
-        places = np.minimum(np.searchsorted(below, (np.arange(n) + 0.5) / n * below[-1]), len(order) - 1)
+        at = (np.arange(n) + rng.random(n)) / n
+        places = np.minimum(np.searchsorted(below, at * below[-1]), len(order) - 1)
         by_block = np.argsort(np.arange(n) % BLOCKS, kind="stable")
         return WeightedRows(self.names, self.X[order[places[by_block]]], np.ones(n), is_sample=True)
 

@@ -245,6 +245,19 @@ def test_thinned_rows_keep_their_weights_and_know_their_error() -> None:
     assert float(every.standard_error(x)) == 0.0
 
 
+def test_a_regular_table_is_thinned_without_missing_a_part_of_it() -> None:
+    # Each size with two periods, one after the other, and twice as many rows as are kept.
+    sizes = np.repeat(np.linspace(0.1, 3.0, 8192), 2)
+    periods = np.tile([1.0, 2.0], 8192)
+    for order in (slice(None), slice(None, None, -1)):
+        rows = WeightedRows(("T_p", "PGV"), np.column_stack([periods, sizes])[order], np.ones(16384))
+        fails = (rows.column("T_p") == 1.0) & (rows.column("PGV") > 2.0)
+        thin = rows.thinned(8192)
+        failing = (thin.column("T_p") == 1.0) & (thin.column("PGV") > 2.0)
+        assert failing.mean() == pytest.approx(fails.mean(), abs=4.0 * float(thin.standard_error(failing)) + 1e-3)
+        assert 0.0 < float(thin.standard_error(failing)) < 0.01
+
+
 def test_rows_need_values_of_all_other_variables(tmp_path: Path) -> None:
     read = rows(tmp_path, "T_p,PGV\n2.0,1.0\n")
     with pytest.raises(InputError, match=r"^k: must have a value, because the hazard's pulses are rows of a file"):

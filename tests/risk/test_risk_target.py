@@ -75,11 +75,32 @@ def test_periods_have_their_distribution_given_the_velocity() -> None:
     assert share(rows, residual**2) == pytest.approx(1.0, abs=0.05)
 
 
-def test_periods_of_a_table_keep_their_weights() -> None:
-    table = WeightedRows(("T_p", "PGV"), np.array([[1.0, 0.5], [2.0, 1.0], [4.0, 2.0]]), np.array([0.2, 0.5, 0.3]))
-    rows = pulses_of_curve(replace(hazard(), rows=table))
-    for period, weight in ((1.0, 0.2), (2.0, 0.5), (4.0, 0.3)):
-        assert share(rows, rows.column("T_p") == period) == pytest.approx(weight, abs=0.02)
+def test_periods_of_a_table_are_those_of_its_pulses_of_similar_velocity() -> None:
+    rng = np.random.default_rng(0)
+    velocity = rng.lognormal(0.0, 0.6, 6000)
+    short = rng.random(6000) < 0.5
+    # Long periods where the velocity is large, as a table of correlated pulses has them.
+    period = np.where(short, 1.0, 2.0) * np.where(velocity > 1.0, 4.0, 1.0)
+    rows = pulses_of_curve(
+        replace(hazard(), rows=WeightedRows(("T_p", "PGV"), np.column_stack([period, velocity]), np.ones(6000)))
+    )
+    for large, periods in ((True, (4.0, 8.0)), (False, (1.0, 2.0))):
+        far = (rows.column("PGV") > 1.25) if large else (rows.column("PGV") < 0.8)
+        assert set(rows.column("T_p")[far]) == set(periods)
+        assert share(rows, far & (rows.column("T_p") == periods[0])) == pytest.approx(0.5 * share(rows, far), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("velocities", "rates"),
+    [([0.3, 0.305, 8.0], [1e-2, 1e-9, 1e-10]), ([0.3, 0.33, 3.0], [1e-2, 1e-6, 1e-7]), ([0.3, 3.0], [1e-2, 9.99e-3])],
+    ids=["a step", "steep", "flat"],
+)
+def test_no_curve_rests_on_a_few_pulses(velocities: list[float], rates: list[float]) -> None:
+    rows = pulses_of_curve(hazard(curve={"pgv_m_s": velocities, "annual_rate": rates}))
+    if rates[1] < 1e-3:
+        assert rows.weight.sum() ** 2 / (rows.weight**2).sum() > 1000
+    for velocity, rate in zip(velocities[1:], rates[1:], strict=True):
+        assert rates[0] * share(rows, rows.column("PGV") > velocity) == pytest.approx(rate, rel=0.05)
 
 
 def test_added_uncertainty_raises_the_risk_as_the_wider_fragility_does() -> None:

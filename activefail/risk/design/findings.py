@@ -229,7 +229,7 @@ class DesignFindings:
                     (
                         "risk",
                         f"{percent(middle, 2)} in {rate.years:g} years, {interval_percent(low, high)}; "
-                        f"target {percent(rate.risk(one.target))}; {rate.annual:g} pulses of at least "
+                        f"target {percent(rate.risk(one.target), 2)}; {rate.annual:g} pulses of at least "
                         f"{rate.velocity:g} m/s a year",
                     )
                 )
