@@ -236,7 +236,13 @@ class MarginFit:
         diagonal = Q.diagonal()
         # The variance of a left-out observation includes its own site's variance, which is not that of the margin.
         s2 = math.exp(self.hyperparameters.log_outputscale)
-        variance = 1.0 / diagonal - (A.diagonal() - s2 * (1.0 + NUGGET))
+        of_sites = A.diagonal() - s2 * (1.0 + NUGGET)
+        variance = 1.0 / diagonal - of_sites
+        # A site that says almost nothing has a variance that swallows the difference's digits.
+        vague = of_sites > s2
+        if vague.any():
+            with_site = self.moments(self.features[vague])[1] ** 2
+            variance[vague] = with_site / (1.0 - with_site / of_sites[vague])
         return target - (Q @ target) / diagonal, np.sqrt(np.maximum(variance, 1e-12))
 
     def warped(self, margin: Array) -> Array:

@@ -205,8 +205,9 @@ def test_a_result_that_is_told_twice_is_recorded_once_and_another_one_is_refused
     designs = ask(campaign, store, 2, BUDGET).designs
     assert tell(campaign, store, designs.id, results(0, 1)) == 2
     assert tell(campaign, store, designs.id, results(0, 1)) == 0
+    way = r"\(`tell` the id with `correct` to replace it\)"
     with pytest.raises(
-        RowError, match=r"id 1 already has the result broken, distance 0\.5; this row has safe, distance 0\.5"
+        RowError, match=rf"id 1 already has the result broken, distance 0\.5 {way}; this row has safe, distance 0\.5"
     ):
         tell(campaign, store, designs.id, results(0, 0))
     assert len(HandedOut.of(store).history) == 2
@@ -248,8 +249,9 @@ def test_an_added_design_in_flight_or_with_another_result_is_refused() -> None:
     ):
         add(campaign, store, designs.designs[:1], results(0))
     tell(campaign, store, designs.id, results(0, 1))
+    way = r"\(`tell` the id with `correct` to replace it\)"
     with pytest.raises(
-        RowError, match=r"the same design has the result safe, distance 0\.5 as id 0; this row has broken"
+        RowError, match=rf"the same design has the result safe, distance 0\.5 as id 0 {way}; this row has broken"
     ):
         add(campaign, store, designs.designs[:1], results(1))
     assert add(campaign, store, designs.designs, results(0, 1)) == 0
