@@ -824,7 +824,7 @@ class Run:
                 is made as small as the targets allow while the others are held.
             cost: expression of the variables to make small; the first free variable by default.
             confidence: one-sided, that the targets are met.
-            simulations: most fresh simulations for each target, outside the budget.
+            simulations: maximum number of fresh simulations for each target; not part of the budget.
             chart: whether to compute the chart of required values.
             stage: called with each stage of the work.
             executor: as for `take`.
