@@ -163,8 +163,8 @@ def response_lines(response: Response) -> list[str]:
     lines = [f"outcome    {response.outcome_name}{f' ({response.cause_name})' if response.cause_name else ''}"]
     if response.cause_name == "failure_without_rim_touch":
         lines.append(
-            "           the failure criterion was met before the slider touched a rim. This counts as a numerical failure; "
-            "check the units"
+            "           the failure criterion was met before the slider touched a rim. This counts as a numerical "
+            "failure; check the units"
         )
     elif response.outcome_name == "numerical_failure":
         lines.append("           the integration was abandoned; this says nothing about the bearing")

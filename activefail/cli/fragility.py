@@ -74,7 +74,7 @@ def fragility(
     ] = None,
     code: Code = None,
 ) -> None:
-    """Show fragility curves: the probability of each outcome or a worse one against pulse intensity or another variable."""
+    """Show fragility curves: the probability of each outcome, or worse, against pulse intensity or another variable."""
     check_output("--out", out)
     if csv is not None and csv != STANDARD:
         check_output("--csv", csv)

@@ -100,7 +100,9 @@ def test_no_curve_rests_on_a_few_pulses(velocities: list[float], rates: list[flo
     if rates[1] < 1e-3:
         assert rows.weight.sum() ** 2 / (rows.weight**2).sum() > 1000
     for velocity, rate in zip(velocities[1:], rates[1:], strict=True):
-        assert rates[0] * share(rows, rows.column("PGV") > velocity) == pytest.approx(rate, rel=0.05, abs=1e-3 * rates[0])
+        assert rates[0] * share(rows, rows.column("PGV") > velocity) == pytest.approx(
+            rate, rel=0.05, abs=1e-3 * rates[0]
+        )
 
 
 def test_added_uncertainty_raises_the_risk_as_the_wider_fragility_does() -> None:

@@ -1,4 +1,4 @@
-"""What moves a probability: indices against closed forms, one variable at a time, and what is refused."""
+"""The sensitivity of a probability: indices against closed forms, one variable at a time, and what is refused."""
 
 import importlib
 import json
@@ -242,7 +242,7 @@ def test_notes_warn_of_wide_intervals_impossible_estimates_and_rare_outcomes(cam
     assert "16 samples are too few" in told
     assert "`--samples 64`" in told
     assert any(index.first.value < 0.0 for index in few.indices)
-    assert "An estimate below 0 or above 1 is shown as it is" in told
+    assert "Estimates below 0 or above 1 are sampling errors" in told
     assert "of 32 sampled designs lie on the rarer side" in told
     many = question_sensitivity(campaign, lambda X: ndtri(X[:, 0]), "failure", campaign.question, 4096)
     assert not any("too few" in note or "rarer" in note for note in many.notes)
@@ -279,7 +279,7 @@ def test_the_command_prints_the_indices_and_writes_table_and_page(home: Path, tm
     options = ("--code", home, "--samples", "64")
     done = activefail("sensitivity", home / "run", *options, "--csv", tmp_path / "all.csv", "--out", tmp_path / "page")
     assert done.code == 0, done.err
-    assert "what moves the probability of failure under the design measure" in done.out
+    assert "sensitivity of the probability of failure under the design measure" in done.out
     assert "first index (95 % interval)" in done.out
     assert "no simulation" in done.out
     rows = table(tmp_path / "all.csv")

@@ -115,13 +115,13 @@ class DesignFindings:
             )
         if any(share > one.target for one, share in zip(task.requirements, self.at_upper, strict=False)):
             sentences.append(
-                "At the upper property bounds the classifier's probability exceeds the target. The design is "
-                "verified at the lower property bounds only."
+                "At the upper property bounds the classifier's probability exceeds the target. The fresh "
+                "simulations use the lower property bounds only."
             )
         if self.hazard is None and self.designed.question.is_of_campaign:
             sentences.append(
-                "The pulses or loads have the distribution of the campaign. This is usually not the hazard of a site; use "
-                "--hazard or --question."
+                "The pulses or loads have the distribution of the campaign. This is usually not the hazard of a site; "
+                "use --hazard or --question."
             )
         if missable := self.designed.missable:
             sentences.append(
@@ -246,7 +246,8 @@ class DesignFindings:
                 "from",
                 f"{designed.simulations} fresh simulations: {wrong} contradict the classifier"
                 + (f", {failed} are numerical failures" if failed else "")
-                + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; {100.0 * task.confidence:g} % confidence for the result",
+                + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; {100.0 * task.confidence:g} % confidence for the "
+                "result",
             )
         )
         if task.cost_text != task.free[0]:

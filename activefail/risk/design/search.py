@@ -1,7 +1,7 @@
 """The cheapest design whose probabilities of outcomes meet their targets, verified by fresh simulations."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal

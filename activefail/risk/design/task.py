@@ -252,7 +252,8 @@ def design_task(
         for name in (PERIOD, AMPLITUDE):
             if name in names:
                 raise InputError(
-                    f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the bearing."
+                    f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the "
+                    "bearing."
                 )
     if not 0.5 <= confidence < 1.0:
         raise InputError(f"confidence: must be at least 0.5 and below 1, got {confidence}.")

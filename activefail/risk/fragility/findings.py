@@ -100,8 +100,8 @@ class FragilityFindings:
             surprising = sum(level.estimate.surprising for level in one.verified)
             if surprising:
                 sentences.append(
-                    f"{surprising} of the fresh simulations contradict the classifier where it was sure, so its boundary is "
-                    "wrong there. Continue the campaign before you use these curves."
+                    f"{surprising} of the fresh simulations contradict the classifier where it was sure, so its "
+                    "boundary is wrong there. Continue the campaign before you use these curves."
                 )
         if self.has_verification:
             sentences.append(
