@@ -246,8 +246,8 @@ class DesignFindings:
                 "from",
                 f"{designed.simulations} fresh simulations: {wrong} contradict the classifier"
                 + (f", {failed} are numerical failures" if failed else "")
-                + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; {100.0 * task.confidence:g} % confidence for the "
-                "result",
+                + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; "
+                f"{100.0 * task.confidence:g} % confidence for the result",
             )
         )
         if task.cost_text != task.free[0]:
