@@ -528,6 +528,10 @@ def test_the_summary_has_the_quantiles_of_the_closed_forms(tmp_path: Path) -> No
     assert amplitude.dispersion == pytest.approx((sample["PGV"] - sample["T_p"]).std(), abs=1e-3)
     # Half way between the points of the curve, in logarithms.
     assert summary.rate_at_median == pytest.approx(1e-3)
+    # Nothing is extrapolated beyond the ends of the curve.
+    for pgvs in ("[0.1, 0.2]", "[0.9, 1.8]"):
+        beyond = f"[curve]\npgv_m_s = {pgvs}\nannual_rate = [1e-2, 1e-3]\n"
+        assert HazardSummary.of(hazard(tmp_path, CORRELATED + beyond)).rate_at_median is None
 
 
 def test_the_summary_of_rows_is_that_of_the_distribution_that_they_sample(tmp_path: Path) -> None:
