@@ -360,7 +360,6 @@ def test_a_wrong_argument_of_the_method_is_refused_by_name(run: Run, options: di
     ("options", "message"),
     [
         (["--samples", "100"], "samples: must be a power of two of at least 16, got 100"),
-        (["--samples", "8"], "8 is not in the range x>=16"),
         (["--outcome", "collapse"], "outcome: must be one of failure, got 'collapse'"),
         (["--hazard", "hazard.toml", "--question", "asked.toml"], "question: cannot be combined with hazard"),
         (["--hazard", "none.toml"], "none.toml: cannot be read"),
@@ -384,6 +383,13 @@ def test_what_cannot_be_answered_is_refused(
     for name, text in files.items():
         (home / name).write_text(text)
     refused(activefail("sensitivity", "run", "--code", home, *options), message)
+
+
+def test_the_command_refuses_fewer_than_16_samples() -> None:
+    result = activefail("sensitivity", "run", "--samples", "8")
+    assert (result.code, result.out) == (2, "")
+    assert "--samples" in result.err
+    assert "x>=16" in result.err
 
 
 def test_a_campaign_without_a_pulse_has_no_hazard(tmp_path: Path, home: Path) -> None:
