@@ -109,7 +109,9 @@ class CustomFeatures:
         try:
             F = np.asarray(returned, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"classifier.features: {self.name} must return numbers: {error}.") from None
+            raise InputError(
+                f"classifier.features: {self.name} must return an (n, m) array of numbers; NumPy reports: {error}."
+            ) from None
         if F.ndim != 2 or len(F) != len(X) or F.shape[1] == 0:
             raise InputError(
                 f"classifier.features: {self.name} must return one row of features per design, "

@@ -822,9 +822,9 @@ class Run:
             fixed: values of variables: by name, or a TOML file.
             free: names of the variables that may change, within the campaign's ranges; D_tot by default. The first one
                 is made as small as the targets allow while the others are held.
-            cost: expression of the variables to make small; the first free variable by default.
+            cost: expression to minimise; the first free variable by default.
             confidence: one-sided, that the targets are met.
-            simulations: most fresh simulations for each target, outside the budget.
+            simulations: maximum number of fresh simulations for each target; not part of the budget.
             chart: whether to compute the chart of required values.
             stage: called with each stage of the work.
             executor: as for `take`.
@@ -862,7 +862,7 @@ class Run:
         confidence: float = 0.95,
         begin: "Begin" = lambda _: lambda _: None,
     ) -> "Sensitivity":
-        """What moves the probability of an outcome: Sobol' indices, and one variable at a time (docs/sensitivity.md).
+        """Which variables affect the probability of an outcome: Sobol' indices, and one at a time.
 
         All numbers are the classifier's; nothing is simulated. Needs SALib.
 

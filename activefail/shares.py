@@ -34,6 +34,15 @@ def lognormal_interval(mean: float, sd: float, unreached: float = 0.0) -> tuple[
     return mean * math.exp(-spread), min(1.0, mean * math.exp(spread) + unreached)
 
 
+def bounds_percent(low: float, high: float) -> str:
+    """An interval with a bound to rely on, like "8.75 to 9.76 %": its upper end is rounded up, never down."""
+    for places in range(4, 9):
+        raised = math.ceil(10.0**places * high) / 10.0**places
+        if raised < 2.0 * high:
+            break
+    return interval_percent(low, min(1.0, raised), max(2, places - 2))
+
+
 def interval_percent(low: float, high: float, digits: int = 2) -> str:
     """An interval of a share, like "0.3 to 3.3 %"."""
     return f"{percent(low, digits).removesuffix(' %')} to {percent(high, digits)}"

@@ -526,7 +526,7 @@ def test_predictions_are_written_with_a_warning_where_they_extrapolate(folder: P
     (tmp_path / "in.csv").write_text(f"site,{HEADER}\nA,{ROW}\nB,{ROW.replace('0.06', '0.5')}\n")
     result = activefail("predict", folder, "--csv", tmp_path / "in.csv", "--out", tmp_path / "out.csv")
     assert result.code == 0
-    assert result.err == "warning: the classifier extrapolates: 1 designs lie outside the design space\n"
+    assert result.err == "warning: 1 design lies outside the design space, where the classifier extrapolates\n"
     assert result.out == f"written to {tmp_path / 'out.csv'}\n"
     for row in table(tmp_path / "out.csv"):
         assert sum(float(row[f"p_{name}"]) for name in ("no_impact", "impact", "failure")) == pytest.approx(1.0)

@@ -690,7 +690,7 @@ def test_a_fork_of_a_writer_hands_nothing_out(folder: Path) -> None:
             try:
                 run.ask(1)
             except StoreError as error:
-                code = 0 if "was opened for writing by another process" in str(error) else 2
+                code = 0 if "was opened in another process" in str(error) else 2
             finally:
                 os._exit(code)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

@@ -35,7 +35,8 @@ class TorchFeatures(torch.nn.Module):
         super().__init__()
         if features.formula is None:
             raise InputError(
-                f"Gradients need features with a formula; {', '.join(features.names)} are defined by a function."
+                f"Gradients require features that are expressions; {', '.join(features.names)} come from a Python "
+                "function."
             )
         self._formula = features.formula
         self._logarithmic = torch.from_numpy(np.asarray(features.logarithmic, dtype=bool))

@@ -254,10 +254,11 @@ def table_1_rows(X: Array) -> Array:
     try:
         X = np.ascontiguousarray(X, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"Designs must be numbers: {error}.") from None
+        raise InputError(f"designs: must be numbers: {error}.") from None
     if X.ndim != 2 or X.shape[1] != TABLE_1.dimension:
         raise InputError(
-            f"Designs must be an (n, {TABLE_1.dimension}) array of {', '.join(TABLE_1.names)}; got shape {X.shape}."
+            f"designs: must be an array of shape (n, {TABLE_1.dimension}) with the columns {', '.join(TABLE_1.names)}, "
+            f"got shape {X.shape}."
         )
     return X
 

@@ -181,7 +181,10 @@ def response_lines(response: Response) -> list[str]:
     margins, statistics = response.margins, response.statistics
     lines = [f"outcome    {response.outcome_name}{f' ({response.cause_name})' if response.cause_name else ''}"]
     if response.cause_name == "failure_without_rim_touch":
-        lines.append("           the slider failed before it touched a rim. This is not an outcome; check the units")
+        lines.append(
+            "           the failure criterion was met before the slider touched a rim. This counts as a numerical "
+            "failure; check the units"
+        )
     elif response.outcome_name == "numerical_failure":
         lines.append("           the integration was abandoned; this says nothing about the bearing")
     rows = [

@@ -40,5 +40,5 @@ def how_to_continue(folder: Path, campaign: Campaign) -> str:
     """How to continue a campaign, as a clause; if its code is unknown, with what the command needs."""
     clause = f"`{continue_command(folder, campaign)}` continues it"
     if campaign.needs_code and campaign.code is None and known_code(folder) is None:
-        clause += " once you name the folder of the custom code with --code"
+        clause += ", with --code and the folder of the custom code"
     return clause

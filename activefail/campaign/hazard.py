@@ -115,8 +115,8 @@ class Hazard:
         shift = rho * self.period_dispersion / given.dispersion * math.log(pgv / given.median_m_s) if rho else 0.0
         if abs(shift) > _FARTHEST:
             raise InputError(
-                f"pgv: is so far from its median of {given.median_m_s:g} m/s that the correlation with the period "
-                f"gives no period, got {pgv:g} m/s."
+                f"pgv: must be closer to its median, {given.median_m_s:g} m/s: at {pgv:g} m/s the correlation with the "
+                "period gives no finite period."
             )
         return self.median_period * math.exp(shift), self.period_dispersion * math.sqrt(1.0 - rho * rho)
 
@@ -174,7 +174,7 @@ class Hazard:
         settings, sentences = self.settings, []
         if settings.properties is None or self.bound == "nominal":
             none = "The hazard has no property bounds: the" if settings.properties is None else "The"
-            sentences.append(f"{none} bearing is exactly as designed.")
+            sentences.append(f"{none} bearing has exactly its nominal properties.")
         else:
             factors = ", ".join(f"{_IN_WORDS[name]} × {factor:g}" for name, factor in self.factors.items())
             sentences.append(
@@ -183,13 +183,11 @@ class Hazard:
                 else f"The {self.bound} property bounds do not change the bearing."
             )
         if not self.added_dispersion and not self.bias:
-            sentences.append(
-                "No uncertainty is added to that of the pulses: no record factor and none of the uncertainties of "
-                "FEMA P695."
-            )
+            sentences.append("Only the pulses are uncertain: the hazard has no record factor and no [uncertainty].")
         else:
             sentences.append(
-                f"The capacity has an added dispersion of {self.added_dispersion:.3g} and a bias of {self.bias:g}."
+                f"The capacity has an added dispersion (β) of {self.added_dispersion:.3g} and a bias of "
+                f"{self.bias:g}, both of ln PGV."
             )
         if settings.curve is None:
             sentences.append("The hazard has no curve of annual rates, so there is no risk in 50 years.")
@@ -320,8 +318,7 @@ def hazard_question(
         open_ones = [name for name in space.names if name not in {PERIOD, AMPLITUDE, *fixed}]
         if open_ones:
             raise InputError(
-                f"{open_ones[0]}: must have a value, because the hazard's pulses are rows of a file; give it with "
-                "--fixed."
+                f"{open_ones[0]}: needs a value, because the hazard is a table of pulses. Give it with --fixed."
             )
         values = {**fixed, **certain}
         return Question(hazard.title, space.names, pulses, values, factors, assumptions=tuple(hazard.assumptions))

@@ -222,7 +222,7 @@ class HazardSettings(Section):
         if not periods:
             raise ValueError("needs `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them")
         if self.pgv is None:
-            raise ValueError(f"needs `pgv` with `{periods[0]}`, got none; `samples` may replace both")
+            raise ValueError(f"`{periods[0]}` requires `pgv`, which is missing; `samples` may replace both")
         return self
 
     @property

@@ -15,7 +15,9 @@ from activefail.space import Array
 from activefail.weighted import WeightedRows
 
 MOST_ROWS = 20_000
-"""Most rows of a table: each is a prediction, or eight with added uncertainty, for each probability."""
+"""Most rows of a table.
+
+Each probability takes one prediction for each row; with added uncertainty, at least 2,048 predictions in all."""
 
 WEIGHT = "weight"
 

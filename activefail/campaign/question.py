@@ -272,7 +272,7 @@ def check_pulse(space: DesignSpace, what: str) -> None:
         if name not in known:
             raise InputError(f"{what}: needs the variable {name!r} of a pulse; the campaign has {', '.join(known)}.")
         if known[name].unit not in ("", unit):
-            raise InputError(f"{what}: needs {name} in {unit}; in the campaign its unit is {known[name].unit!r}.")
+            raise InputError(f"{what}: {name} must be in {unit}, but the campaign has it in {known[name].unit!r}.")
 
 
 def has_pulse(space: DesignSpace) -> bool:

@@ -164,7 +164,8 @@ def predict(
                 outside = opened.predict_table(table_input(csv), target, begin, after)
             show_unseen(summary)
         if outside:
-            show_warnings([f"the classifier extrapolates: {outside} designs lie outside the design space"])
+            lie = "design lies" if outside == 1 else "designs lie"
+            show_warnings([f"{outside} {lie} outside the design space, where the classifier extrapolates"])
         print(f"written to {name_of(out)}")
 
 

@@ -34,7 +34,9 @@ Code = Annotated[
 
 Fixed = Annotated[
     Path | None,
-    typer.Option("--fixed", "--bearing", help="File with values of variables, such as T_b = 4.0.", show_default=False),
+    typer.Option(
+        "--fixed", "--bearing", help="TOML file with values of variables, such as T_b = 4.0.", show_default=False
+    ),
 ]
 
 Workers = Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)]
@@ -45,7 +47,7 @@ ExecutorName = Annotated[
 
 Scheduler = Annotated[
     str | None,
-    typer.Option(help="Address of the Dask cluster, like tcp://head:8786.", metavar="ADDRESS", show_default=False),
+    typer.Option(help="Address of the Dask cluster, such as tcp://head:8786.", metavar="ADDRESS", show_default=False),
 ]
 
 

@@ -36,17 +36,21 @@ def design(
     fixed: Fixed = None,
     free: Annotated[
         str | None,
-        typer.Option(help="Variables that may change, such as D_tot,mu; D_tot by default.", show_default=False),
+        typer.Option(help="Variables to design, such as D_tot,mu; D_tot by default.", show_default=False),
     ] = None,
     cost: Annotated[
         str | None,
         typer.Option(
-            help="Expression of the variables to make small; the first free variable by default.", show_default=False
+            help="Expression to minimise, such as 'D_tot * (1 + 20 * mu)'; the first free variable by default.",
+            show_default=False,
         ),
     ] = None,
     confidence: Annotated[float, typer.Option(help="Confidence that the target is met.", min=0.5, max=0.999)] = 0.95,
     simulations: Annotated[
-        int, typer.Option(help="Most fresh simulations, for each target, outside the budget.", min=50, max=1_000_000)
+        int,
+        typer.Option(
+            help="Maximum number of fresh simulations for each target; not part of the budget.", min=50, max=1_000_000
+        ),
     ] = 500,
     chart: Annotated[bool, typer.Option(help="Compute the chart of required values, with --out.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,

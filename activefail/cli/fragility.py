@@ -27,7 +27,9 @@ def fragility(
     folder: RunFolder,
     hazard: Annotated[
         Path | None,
-        typer.Option(help="Hazard file: a bearing's curves against its pulses (docs/hazard.md).", show_default=False),
+        typer.Option(
+            help="Hazard file; the curves are against the intensity of its pulses (docs/hazard.md).", show_default=False
+        ),
     ] = None,
     fixed: Fixed = None,
     intensity: Annotated[
@@ -72,7 +74,7 @@ def fragility(
     ] = None,
     code: Code = None,
 ) -> None:
-    """Show the probability of each outcome against the pulses' intensity, or any variable, with its capacities."""
+    """Show fragility curves: the probability of each outcome, or worse, against pulse intensity or another variable."""
     check_output("--out", out)
     if csv is not None and csv != STANDARD:
         check_output("--csv", csv)

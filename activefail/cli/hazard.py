@@ -21,7 +21,11 @@ def hazard(
     file: Annotated[Path, typer.Argument(help="Hazard file (docs/hazard.md).", metavar="FILE", show_default=False)],
     folder: Annotated[
         Path | None,
-        typer.Argument(help="Run folder, for the share outside its design space.", metavar="DIR", show_default=False),
+        typer.Argument(
+            help="Run folder; shows the share of the pulses outside its design space.",
+            metavar="DIR",
+            show_default=False,
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the figure: hazard.png and hazard.svg.", show_default=False)
@@ -96,15 +100,15 @@ def _show(summary: "HazardSummary") -> None:
             f"{added.modelling:g}; together {added.total:.3g}"
         )
     for point in summary.curve:
-        print(f"curve        PGV {point.pgv:g} m/s is exceeded {point.rate:.3g} times a year", end="")
+        print(f"curve        PGV above {point.pgv:g} m/s: annual rate {point.rate:.3g}", end="")
         print(f" (return period {point.return_period:,.0f} years)")
     if summary.rate_at_median is not None:
         print(
-            f"             the median PGV is exceeded {summary.rate_at_median:.3g} times a year (return period "
+            f"             PGV above its median: annual rate {summary.rate_at_median:.3g} (return period "
             f"{1.0 / summary.rate_at_median:,.0f} years)"
         )
     targets = ", ".join(f"{100.0 * share:g} % for risk category {name}" for name, share in RISK_CATEGORIES.items())
-    print(f"targets      {targets}: P(failure) given MCE_R")
+    print(f"targets      {targets}; probability of failure given MCE_R (ASCE 7-16)")
 
 
 def _show_outside(outside: "Outside", added: str) -> None:

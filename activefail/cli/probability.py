@@ -55,8 +55,8 @@ def probability(
     else:
         print(f"interval   {interval}, with {100 * confidence:g} % confidence")
     print(
-        f"from       {findings.learned} simulations of the campaign, {findings.seen} of them ended in {name}, and "
-        f"{estimate.simulations} fresh ones{failed}, {estimate.beyond} of them in {name}"
+        f"from       {findings.learned} simulations of the campaign, {findings.seen} of them ended in {name}; and "
+        f"{estimate.simulations} fresh simulations{failed}, of which {estimate.beyond} ended in {name}"
     )
     print(
         f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; {estimate.wrong} of the fresh "

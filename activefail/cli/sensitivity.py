@@ -29,7 +29,7 @@ def sensitivity(
     hazard: Annotated[
         Path | None,
         typer.Option(
-            help="Hazard file (docs/hazard.md): what moves the probability of a design; pulses are integrated out.",
+            help="Hazard file (docs/hazard.md); the sensitivity of a design's probability, averaged over the pulses.",
             show_default=False,
         ),
     ] = None,
@@ -46,7 +46,10 @@ def sensitivity(
     ] = None,
     samples: Annotated[
         int | None,
-        typer.Option(help="Points of the sample, a power of two; by default as many as two minutes allow.", min=1),
+        typer.Option(
+            help="Points of the sample: a power of two, at least 16. Default: as many as take about two minutes.",
+            min=16,
+        ),
     ] = None,
     confidence: Annotated[float, typer.Option(help="Confidence of the intervals.", min=0.5, max=0.999)] = 0.95,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -56,10 +59,10 @@ def sensitivity(
     out: Annotated[Path | None, typer.Option(help="Folder for a page with pictures.", show_default=False)] = None,
     code: Code = None,
 ) -> None:
-    """Show what moves a probability, by the classifier alone: Sobol' indices, and one variable at a time."""
+    """Show which variables affect a probability most, by the classifier: Sobol' indices, and one at a time."""
     check_output("--out", out)
     if as_json and csv == STANDARD:
-        raise InputError("--json: cannot be combined with `--csv -`: both would be standard output.")
+        raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")
     from activefail.report import sensitivity as words
 
     with opened_run(folder, code=code) as opened:

@@ -60,11 +60,13 @@ def simulate(
     ] = None,
     slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
     restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of the contacts.")] = 0.65,
-    slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m3].")] = 7850.0,
+    slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m³].")] = 7850.0,
     loss_of_confinement: Annotated[
         bool, typer.Option(help="Count the bearing as failed once no rim restrains the slider.")
     ] = True,
-    restitution: Annotated[str, typer.Option(help="Mass in the contact damper: pairwise or assembly.")] = "pairwise",
+    restitution: Annotated[
+        str, typer.Option(help="Mass that sets the contact damping: pairwise or assembly.")
+    ] = "pairwise",
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
     tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
 ) -> None:

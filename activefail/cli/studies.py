@@ -25,17 +25,19 @@ def compare(
     budgets: Annotated[
         str | None,
         typer.Option(
-            help="With a run folder: numbers of simulations, like 250,500; six sizes by default.", show_default=False
+            help="With a run folder: numbers of simulations, such as 250,500; six sizes by default.", show_default=False
         ),
     ] = None,
     seeds: Annotated[
         int | None, typer.Option(help="With a campaign file: number of seeds; 5 by default.", min=1, max=100)
     ] = None,
     criteria: Annotated[
-        str | None, typer.Option(help="With a campaign file: criteria, like entropy,bald; by default the file's.")
+        str | None,
+        typer.Option(help="With a campaign file: criteria, such as entropy,bald; those of the file by default."),
     ] = None,
     features: Annotated[
-        str | None, typer.Option(help="With a campaign file: features, like paper,sliding; by default the file's.")
+        str | None,
+        typer.Option(help="With a campaign file: features, such as paper,sliding; those of the file by default."),
     ] = None,
     static: Annotated[
         str | None,

@@ -341,8 +341,8 @@ class DesignAnswers:
     def _notes(self, hazard: Hazard) -> list[str]:
         return [
             "These numbers are the classifier's and have no interval; a verification by fresh simulations has one.",
-            "The periods are those of the acceleration pulse, T_p; published periods of the velocity pulse are divided "
-            "by 1.22.",
+            "T_p is the period of the acceleration pulse. Published periods of the velocity pulse are divided by "
+            "1.2247 to give T_p.",
             *hazard.assumptions,
         ]
 

@@ -1,4 +1,4 @@
-"""Drawings of what moves a probability."""
+"""Drawings of the sensitivity of a probability."""
 
 from collections.abc import Mapping, Sequence
 

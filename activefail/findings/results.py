@@ -138,6 +138,10 @@ def at_the_boundary(findings: Findings) -> list[tuple[int, str]]:
         third = int(mildest[np.argmin(touch)])
         if third not in [row for row, _ in chosen]:
             chosen.append(
-                (third, f"The {thing} with {words(campaign.simulator.outcomes[0])} nearest to a more severe outcome")
+                (
+                    third,
+                    f'The simulated {thing} with the outcome "{words(campaign.simulator.outcomes[0])}" nearest to a '
+                    "more severe outcome",
+                )
             )
     return chosen

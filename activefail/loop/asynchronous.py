@@ -241,7 +241,10 @@ def _check_from_state(campaign: Campaign, known: History, state: Mapping[str, ND
         return None
     waiting = state[_WAITING]
     if waiting.dtype != np.float64 or waiting.ndim != 2 or waiting.shape[1] != campaign.space.dimension:
-        raise DamagedError(f"holds designs of a check of type {waiting.dtype} and shape {waiting.shape}")
+        raise DamagedError(
+            f"holds designs of a check that must be float64 of shape (n, {campaign.space.dimension}), got "
+            f"{waiting.dtype} of shape {waiting.shape}"
+        )
     designs = waiting.astype(np.float64)
     if not len(designs) or not campaign.space.contains(designs).all():  # false for NaN too
         raise DamagedError("holds designs of a check outside the design space, or none")

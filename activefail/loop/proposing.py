@@ -14,7 +14,7 @@ from activefail.verification.unseen import unseen_outcomes
 WIDENING = 2.0
 """Factor that stretches the proposals of a campaign that seeks a probability and learns from outcomes alone.
 
-Of a rare failure the design measure itself has no candidates."""
+The design measure alone gives hardly any candidates near a rare failure."""
 
 
 def next_designs(

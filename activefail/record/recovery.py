@@ -127,7 +127,7 @@ def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str)
         if segment.first > end:
             beyond.append(segment)
         elif segment.first == end:
-            strays[segment.name] = "does not continue the chain of this campaign"
+            strays[segment.name] = "does not follow the last batch of this campaign"
         elif segment in chain:
             continue
         elif segment.chain.items() <= digests.items():

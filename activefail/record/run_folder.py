@@ -377,7 +377,9 @@ class FolderStore:
         if self._refusal or self.schema is None:
             raise StoreError(self._refusal)
         if os.getpid() != self._pid:
-            raise StoreError(f"{self.folder} was opened for writing by another process; open it in this one.")
+            raise StoreError(
+                f"{self.folder} was opened in another process (before a fork); open it again in this process."
+            )
         return self.schema
 
     @contextmanager

@@ -20,7 +20,7 @@ _EDGES = (0.0005, 0.02, 0.15)
 """Probabilities of being wrong that separate the strata of each side."""
 
 _BY_VOLUME = 0.5
-"""Share of the simulations that are shared out by volume."""
+"""Share of the simulations that is allocated to strata by volume."""
 
 _PRIOR = (0.2, 1.5)
 """The prior of the share q of wrong predictions of a stratum is Beta(0.2 + q, 1.5 − q), q by the classifier."""

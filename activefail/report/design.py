@@ -13,6 +13,8 @@ from activefail.report.environment import page_environment
 from activefail.report.picture import picture
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required import RequiredChart
+from activefail.shares import percent
+from activefail.visible import or_worse
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +70,7 @@ def render_design(findings: DesignFindings) -> str:
     looks: list[dict[str, Any]] = [
         {
             "values": ", ".join(f"{name} = {value:.4g}" for name, value in look.candidate.values.items()),
-            "model": ", ".join(f"{share:.3g}" for share in look.candidate.model.tolist()),
+            "model": ", ".join(percent(share, 2) for share in look.candidate.model.tolist()),
             "confidence": f"{100.0 * look.of_bound:.3g} %",
             "estimates": look.estimates,
         }
@@ -89,6 +91,10 @@ def render_design(findings: DesignFindings) -> str:
             task=designed.task,
             units=units,
             looks=looks,
+            targets=[
+                f"P({or_worse(one.outcome, findings.campaign.simulator.outcomes)}) ≤ {100.0 * one.target:.4g} %"
+                for one in designed.task.requirements
+            ],
             chart=chart,
             lines=[line for line in findings.lines() if line[0] not in ("design", "note")],
         )

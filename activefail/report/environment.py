@@ -4,7 +4,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from activefail.findings.quantities import words
-from activefail.shares import interval_percent, percent
+from activefail.shares import bounds_percent, interval_percent, percent
 from activefail.visible import visible
 
 
@@ -35,4 +35,5 @@ def page_environment() -> Environment:
     )
     environment.filters |= {"subscripts": subscripts, "words": words, "percent": percent}
     environment.globals["interval_percent"] = interval_percent
+    environment.globals["bounds_percent"] = bounds_percent
     return environment

@@ -184,7 +184,10 @@ def _moving(study: Study) -> list[str]:
     sentences = []
     for conclusion, holds in CONCLUSIONS.items():
         against = [variant.name for variant in study.variants if not holds(variant.draws)]
-        sentences.append(f"{conclusion}: " + (f"not under {'; '.join(against)}." if against else "under every choice."))
+        sentences.append(
+            f"{conclusion}: "
+            + (f"does not hold under {'; '.join(against)}." if against else "holds under every choice.")
+        )
     return sentences
 
 
@@ -287,8 +290,8 @@ def _context(study: Study) -> dict[str, Any]:
         "gravity": GRAVITY,
         "slider_diameter": f"{Model().slider_diameter:.2f}",
         "peak_displacement": f"{_peak_displacement():.4f}",
-        "simulations": study.data.simulations,
-        "answered_fresh": int(np.sum(study.data.outcome_fresh >= 0)),
+        "simulations": f"{study.data.simulations:,}",
+        "answered_fresh": f"{int(np.sum(study.data.outcome_fresh >= 0)):,}",
         "numerical_failures": study.data.numerical_failures,
         "claims": [vars(line) for line in lines],
         "not_reproduced": [line.item for line in lines if line.verdict == NOT_REPRODUCED],

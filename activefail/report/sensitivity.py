@@ -1,4 +1,4 @@
-"""What moves a probability, as text, table and page."""
+"""The sensitivity of a probability, as text, table and page."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -73,7 +73,7 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 def heading(sensitivity: Sensitivity, outcomes: Sequence[str]) -> str:
     """What the numbers are about."""
     name = visible(or_worse(sensitivity.outcome, outcomes))
-    return f"what moves the probability of {name} under {visible(sensitivity.title)}, by the classifier"
+    return f"sensitivity of the probability of {name} under {visible(sensitivity.title)}, by the classifier"
 
 
 def about(sensitivity: Sensitivity) -> list[tuple[str, str]]:
@@ -84,7 +84,7 @@ def about(sensitivity: Sensitivity) -> list[tuple[str, str]]:
         lines.append(
             (
                 "mean",
-                f"{sensitivity.mean:.3g} over {over}, with the standard deviation {sensitivity.sd:.3g}; no interval",
+                f"{percent(sensitivity.mean)} over {over}; standard deviation {percent(sensitivity.sd)}; no interval",
             )
         )
     if others := {name: x for name, x in sensitivity.length_scales.items() if name not in sensitivity.units}:

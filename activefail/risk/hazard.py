@@ -14,6 +14,7 @@ from activefail.campaign.hazard_sections import RELATIONS, MagnitudeSection
 from activefail.campaign.pulse_table import velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.risk.design.task import RISK_CATEGORIES
+from activefail.risk.fragility.rates import exceedance
 from activefail.space import Array, DesignSpace
 from activefail.weighted import weighted_quantiles
 
@@ -154,7 +155,7 @@ class HazardSummary:
         period = self.hazard.settings.period
         if self.hazard.rows is not None:
             number = len(self.hazard.rows.weight)
-            return f"{number} pulses of {self.hazard.settings.samples}"
+            return f"{number} pulses from {self.hazard.settings.samples}"
         if isinstance(period, MagnitudeSection):
             is_own = period.dispersion is not None and RELATIONS[period.relation].dispersion != period.dispersion
             stated = "; the file gives the dispersion" if is_own else ""
@@ -165,8 +166,8 @@ class HazardSummary:
     def assumptions(self) -> list[str]:
         """What the hazard assumes and leaves out, as sentences."""
         return [
-            "T_p is the period at which the pulse's acceleration spectrum peaks. Its velocity spectrum peaks at "
-            f"√1.5 T_p = {_VELOCITY_PULSE}, which is taken for the published period of a velocity pulse.",
+            "T_p is the period at which the pulse's acceleration spectrum peaks. The velocity spectrum of the "
+            f"pulse peaks at √1.5 T_p = {_VELOCITY_PULSE}. Published periods are taken to be {_VELOCITY_PULSE}.",
             *self.hazard.assumptions,
         ]
 
@@ -245,5 +246,5 @@ def _spreads_of_rows(hazard: Hazard) -> tuple[tuple[Spread, ...], float]:
 def _rate_at(curve: tuple[CurvePoint, ...], pgv: float) -> float | None:
     if not curve or not curve[0].pgv <= pgv <= curve[-1].pgv:
         return None
-    x, y = np.log([[point.pgv, point.rate] for point in curve]).T
-    return float(np.exp(np.interp(math.log(pgv), x, y)))
+    pgvs, rates = np.array([[point.pgv, point.rate] for point in curve]).T
+    return float(exceedance(pgvs, rates, np.array([pgv]))[0])

@@ -115,8 +115,8 @@ class CommandSimulator:
         """
         if self.here is None:
             raise InputError(
-                f"simulator.command: {self.command!r} is a program named by the campaign. A run folder may come from "
-                "someone else, so such a program runs only if you name the folder of its files with --code."
+                f"simulator.command: {self.command!r} is a program that the campaign file names. A run folder may come "
+                "from someone else, so such a program runs only if you name the folder of its files with --code."
             )
         answers = []
         for row, design in zip(np.asarray(X), designs_by_name(self.space, X), strict=True):

@@ -260,7 +260,7 @@ def test_a_regular_table_is_thinned_without_missing_a_part_of_it() -> None:
 
 def test_rows_need_values_of_all_other_variables(tmp_path: Path) -> None:
     read = rows(tmp_path, "T_p,PGV\n2.0,1.0\n")
-    with pytest.raises(InputError, match=r"^k: must have a value, because the hazard's pulses are rows of a file"):
+    with pytest.raises(InputError, match=r"^k: needs a value, because the hazard is a table of pulses"):
         hazard_question(read, SETTINGS, TABLE_1, {name: value for name, value in BEARING.items() if name != "k"})
 
 
@@ -297,7 +297,7 @@ def test_property_bounds_are_factors_on_the_bearing(tmp_path: Path) -> None:
         assert (design[1], design[2]) == (pytest.approx(mu), pytest.approx(capacity))
     assert "friction × 0.8, displacement capacity × 0.95" in read.assumptions[0]
     assert "upper property bounds: friction × 1.3." in read.at_bound("upper").assumptions[0]
-    assert "exactly as designed" in read.at_bound("nominal").assumptions[0]
+    assert "exactly its nominal properties" in read.at_bound("nominal").assumptions[0]
 
 
 @pytest.mark.parametrize("campaign", ["mu = { value = 0.06 }", "friction = { low = 0.02, high = 0.1 }"])
@@ -314,7 +314,7 @@ def test_a_bound_on_what_the_campaign_does_not_vary_is_refused(tmp_path: Path, c
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     said = " ".join(asked(tmp_path, PERIOD + PGV).assumptions)
     assert "no property bounds" in said
-    assert "No uncertainty is added" in said
+    assert "Only the pulses are uncertain" in said
     assert "no curve of annual rates" in said
 
 
@@ -387,7 +387,7 @@ def test_a_file_is_a_hazard_or_a_question_by_its_keys(tmp_path: Path) -> None:
 
 def test_a_velocity_so_far_out_that_no_period_belongs_to_it_is_refused(tmp_path: Path) -> None:
     read = hazard(tmp_path, CORRELATED.replace("dispersion = 0.3", "dispersion = 0.01"))
-    with pytest.raises(InputError, match=r"pgv: is so far from its median of 0\.8 m/s"):
+    with pytest.raises(InputError, match=r"pgv: must be closer to its median, 0\.8 m/s"):
         read.pulses(pgv=8.0)
     with pytest.raises(InputError, match=r"pgv: must be positive and finite, got 0.0 m/s\."):
         read.pulses(pgv=0.0)
@@ -398,7 +398,7 @@ def test_a_velocity_so_far_out_that_no_period_belongs_to_it_is_refused(tmp_path:
 UNIT = "; is it in cm/s?"
 WRONG = [
     (PGV, "needs `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them"),
-    (PERIOD, "needs `pgv` with `pulse_period`, got none; `samples` may replace both"),
+    (PERIOD, "`pulse_period` requires `pgv`, which is missing; `samples` may replace both"),
     ("[magnitude]\nM = 7\n" + PERIOD + PGV, "`magnitude` cannot be combined with `pulse_period`"),
     (f'samples = "a.csv"\n{PGV}', "`samples` cannot be combined with `pgv`"),
     ('samples = ""\n', "samples: "),
@@ -528,6 +528,10 @@ def test_the_summary_has_the_quantiles_of_the_closed_forms(tmp_path: Path) -> No
     assert amplitude.dispersion == pytest.approx((sample["PGV"] - sample["T_p"]).std(), abs=1e-3)
     # Half way between the points of the curve, in logarithms.
     assert summary.rate_at_median == pytest.approx(1e-3)
+    # Nothing is extrapolated beyond the ends of the curve.
+    for pgvs in ("[0.1, 0.2]", "[0.9, 1.8]"):
+        beyond = f"[curve]\npgv_m_s = {pgvs}\nannual_rate = [1e-2, 1e-3]\n"
+        assert HazardSummary.of(hazard(tmp_path, CORRELATED + beyond)).rate_at_median is None
 
 
 def test_the_summary_of_rows_is_that_of_the_distribution_that_they_sample(tmp_path: Path) -> None:
@@ -567,7 +571,7 @@ def test_the_command_prints_draws_and_writes_json(tmp_path: Path, folder: Path) 
         "T_p          median 3 s, 5 to 95 % 1.32 to 6.83 s, dispersion 0.5",
         "correlation  0.6 between ln PGV and ln T_p",
         "uncertainty  design requirements 0.2, test data 0.1, modelling 0; together 0.224",
-        "exceeded 0.0001 times a year (return period 10,000 years)",
+        "annual rate 0.0001 (return period 10,000 years)",
         "targets      10 % for risk category II, 5 % for risk category III, 2.5 % for risk category IV",
         "of the pulses, with the added uncertainty, lie outside the campaign's design space; none is clipped",
         "             T_p above 5 s: 15.",
@@ -677,7 +681,7 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
     assert numbers["probability"] == pytest.approx(true, abs=0.03)
     said = " ".join(numbers["assumptions"])
     assert "no property bounds" in said
-    assert ("No uncertainty is added" in said) == (file == "rows.toml")
+    assert ("Only the pulses are uncertain" in said) == (file == "rows.toml")
     stored = sorted(path.name for path in (learned / "run" / "sets").iterdir())
     assert activefail("probability", learned / "run", *options).out == result.out
     assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored

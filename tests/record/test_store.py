@@ -564,7 +564,7 @@ def test_a_segment_of_another_campaign_with_the_same_settings_is_quarantined(tmp
     shutil.copy(segment_file(tmp_path / "other", 1), tmp_path / "run" / "segments")
     with FolderStore.open(tmp_path / "run", SCHEMA, write=True) as store:
         assert contents(store) == held
-        assert "does not continue the chain" in store.warnings[0]
+        assert "does not follow the last batch" in store.warnings[0]
     assert segments(tmp_path / "run")[-1] == "000000002-000000004.h5.quarantine"
 
 

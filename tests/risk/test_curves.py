@@ -70,7 +70,7 @@ def test_a_capacity_that_the_ladder_does_not_reach_has_a_reason() -> None:
     low = Curve(LADDER, 0.04 * CURVE.probability, 0.001)
     assert low.capacity(0.1) == (None, "the curve stays below 10.0 % up to its last level, 4.64")
     high = Curve(LADDER, 0.9 + 0.1 * CURVE.probability, 0.001)
-    assert high.capacity(0.1) == (None, "the curve exceeds 10.0 % already at its first level, 0.1")
+    assert high.capacity(0.1) == (None, "the curve already exceeds 10.0 % at its first level, 0.1")
 
 
 def test_the_fit_of_a_lognormal_curve_is_this_curve() -> None:
@@ -94,9 +94,9 @@ def test_the_fit_of_another_curve_has_a_misfit() -> None:
 def test_a_curve_without_a_median_is_not_fitted() -> None:
     low = Curve(LADDER, 0.04 * CURVE.probability, 0.001)
     assert fit_lognormal(low) is None
-    assert why_not_fitted(low) == "the curve does not extend from 0.1 to 0.5"
+    assert why_not_fitted(low) == "the curve does not cover 10 % to 50 %"
     linear = Curve(Ladder.between("x", "", -1.0, 1.0, 4, is_log=False), np.linspace(0.0, 1.0, 5), 0.001)
-    assert why_not_fitted(linear) == "the ladder has levels that are not positive"
+    assert why_not_fitted(linear) == "some levels of the curve are not positive"
 
 
 def test_the_risk_under_a_power_law_is_its_closed_form() -> None:
@@ -146,7 +146,7 @@ def test_capacities_get_intervals_from_the_verified_band(curve: Curve) -> None:
         assert interval.middle == pytest.approx(curve.capacity(p - 0.01).level, rel=0.005)
     unknown = capacity_interval(curve, verified, 0.025)
     assert unknown.low is None or unknown.high is None
-    assert unknown.reason.startswith("the band from ")
+    assert unknown.reason.startswith("the verified levels end at ")
     assert capacity_interval(curve, (), 0.1).reason == NOT_VERIFIED
     assert capacity_interval(curve, verified[:1], 0.1).reason == "only one level was verified"
 

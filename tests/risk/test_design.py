@@ -129,7 +129,7 @@ def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -
     )
     result = activefail("design", folder / "run", "--target", "0.01", *options)
     assert result.code == 3
-    assert "Out of reach: the classifier finds no design within the ranges" in result.out
+    assert "Out of reach: according to the classifier, no design within the ranges" in result.out
     assert "capacity is at the upper end of its range" in result.out
     assert "classifier" in result.out
 

@@ -114,7 +114,7 @@ def test_added_uncertainty_convolves_the_curve(uncertain: FragilityFindings) -> 
             capacity, interval = one.capacity(p)
             assert capacity.level == pytest.approx(median * math.exp(beta * ndtri(p)), rel=0.04)
             assert (interval.low, interval.high) == (None, None)
-        assert uncertain.margin(one) == pytest.approx(median / 0.8, rel=0.02)
+        assert uncertain.margin_ratio(one) == pytest.approx(median / 0.8, rel=0.02)
 
 
 def test_the_risk_is_the_integral_over_the_sites_rates(uncertain: FragilityFindings) -> None:
@@ -224,7 +224,7 @@ def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_
     kept = sorted(path.name for path in (ended / "run" / "sets").iterdir())
     assert "fragility against PGV [m/s], under a <site>" in result.out
     assert "95 % confidence" in result.out
-    assert "each has 95 % confidence by itself" in result.out
+    assert "each one alone has 95 % confidence" in result.out
     again = activefail(*command, "--json")
     assert sorted(path.name for path in (ended / "run" / "sets").iterdir()) == kept
     numbers = json.loads(again.out)
@@ -289,7 +289,7 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
     result = activefail(*command, "--out", tmp_path)
     assert result.code == 0, result.err
     assert "fragility against r, under the design measure" in result.out
-    assert "Integrated over T_p, A_p." in result.out
+    assert "The curve is integrated over T_p, A_p." in result.out
     assert "intervals  none: every number is the classifier's" in result.out
     assert not (tmp_path / "pelicun.csv").exists()
     table = activefail(*command, "--csv", "-")
@@ -305,7 +305,7 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ([], "hazard, against: one is required"),
+        ([], "hazard, against: exactly one is required"),
         (["--hazard", "site.toml", "--against", "r"], "against: cannot be combined with hazard."),
         (["--hazard", "site.toml", "--range", "1,2"], "bounds (--range): cannot be combined with hazard."),
         (["--hazard", "site.toml", "--question", "site.toml"], "question: cannot be combined with hazard."),
@@ -400,7 +400,7 @@ def test_a_hazard_that_cannot_be_asked_for_is_refused_with_its_file(
     path.write_text('samples = "pulses.csv"\n')
     if name == "fragility":
         result = activefail(name, ended / "run", "--code", ended, "--hazard", path)
-        refused(result, f"{path}: r: must have a value, because the hazard's pulses are rows of a file")
+        refused(result, f"{path}: r: needs a value, because the hazard is a table of pulses")
 
 
 def test_a_campaign_without_a_pulse_has_no_fragility_under_a_hazard(tmp_path: Path, ended: Path) -> None:

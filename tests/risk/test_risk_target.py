@@ -133,7 +133,7 @@ def test_targets_in_years_are_read() -> None:
 
 @pytest.mark.parametrize("text", ["1.2.3% in 50 years", "0% in 50 years", "95% in 50 years", "1% in 0 years"])
 def test_a_risk_that_is_none_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="a risk must be positive and at most"):
+    with pytest.raises(InputError, match="a risk must be above 0 and at most 90 %"):
         read_targets(text, ("safe", "failure"), "failure")
 
 

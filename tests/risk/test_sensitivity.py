@@ -1,4 +1,4 @@
-"""What moves a probability: indices against closed forms, one variable at a time, and what is refused."""
+"""The sensitivity of a probability: indices against closed forms, one variable at a time, and what is refused."""
 
 import importlib
 import json
@@ -242,7 +242,7 @@ def test_notes_warn_of_wide_intervals_impossible_estimates_and_rare_outcomes(cam
     assert "16 samples are too few" in told
     assert "`--samples 64`" in told
     assert any(index.first.value < 0.0 for index in few.indices)
-    assert "An estimate below 0 or above 1 is shown as it is" in told
+    assert "Estimates below 0 or above 1 are sampling errors" in told
     assert "of 32 sampled designs lie on the rarer side" in told
     many = question_sensitivity(campaign, lambda X: ndtri(X[:, 0]), "failure", campaign.question, 4096)
     assert not any("too few" in note or "rarer" in note for note in many.notes)
@@ -279,7 +279,7 @@ def test_the_command_prints_the_indices_and_writes_table_and_page(home: Path, tm
     options = ("--code", home, "--samples", "64")
     done = activefail("sensitivity", home / "run", *options, "--csv", tmp_path / "all.csv", "--out", tmp_path / "page")
     assert done.code == 0, done.err
-    assert "what moves the probability of failure under the design measure" in done.out
+    assert "sensitivity of the probability of failure under the design measure" in done.out
     assert "first index (95 % interval)" in done.out
     assert "no simulation" in done.out
     rows = table(tmp_path / "all.csv")
@@ -343,6 +343,7 @@ def test_pulses_of_a_file_have_indices_without_values_of_other_variables(
     ("options", "message"),
     [
         ({"samples": 16.5}, "samples: must be a whole number, got 16.5"),
+        ({"samples": 8}, "samples: must be a power of two of at least 16, got 8"),
         ({"samples": "16"}, "samples: must be a whole number, got '16'"),
         ({"hazard": 3}, "hazard: must be a path, got int"),
         ({"question": 3}, "question: must be a path, got int"),
@@ -359,7 +360,6 @@ def test_a_wrong_argument_of_the_method_is_refused_by_name(run: Run, options: di
     ("options", "message"),
     [
         (["--samples", "100"], "samples: must be a power of two of at least 16, got 100"),
-        (["--samples", "8"], "samples: must be a power of two of at least 16, got 8"),
         (["--outcome", "collapse"], "outcome: must be one of failure, got 'collapse'"),
         (["--hazard", "hazard.toml", "--question", "asked.toml"], "question: cannot be combined with hazard"),
         (["--hazard", "none.toml"], "none.toml: cannot be read"),
@@ -383,6 +383,13 @@ def test_what_cannot_be_answered_is_refused(
     for name, text in files.items():
         (home / name).write_text(text)
     refused(activefail("sensitivity", "run", "--code", home, *options), message)
+
+
+def test_the_command_refuses_fewer_than_16_samples() -> None:
+    result = activefail("sensitivity", "run", "--samples", "8")
+    assert (result.code, result.out) == (2, "")
+    assert "--samples" in result.err
+    assert "16" in result.err
 
 
 def test_a_campaign_without_a_pulse_has_no_hazard(tmp_path: Path, home: Path) -> None:

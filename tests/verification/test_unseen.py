@@ -197,11 +197,14 @@ def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is
 
 
 def test_nobody_reads_a_share_that_was_rounded_to_all_or_nothing():
-    from activefail.shares import interval_percent, percent
+    from activefail.shares import bounds_percent, interval_percent, percent
 
     assert [percent(p) for p in (0.5, 0.9995, 0.99996, 1.0, 0.0, 1e-5, 1e-12)] == [
         "50.0 %", "99.95 %", "99.996 %", "100 %", "0 %", "0.001 %", "< 0.000001 %",
     ]  # fmt: skip
     assert percent(1.0 - 1e-12) == "> 99.999999 %"
     assert interval_percent(0.0, 0.0327) == "0 to 3.27 %"
+    assert bounds_percent(0.08754, 0.09751) == "8.75 to 9.76 %"
+    assert bounds_percent(0.0, 0.0000121) == "0 to 0.002 %"
+    assert bounds_percent(0.98, 0.99999) == "98.00 to 100 %"
     assert percent(json.loads("NaN")) == "–"

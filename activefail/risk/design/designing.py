@@ -1,4 +1,4 @@
-"""Search a design from what a user states: targets, a hazard or a question, and which variables may change."""
+"""Search for a design that meets stated targets under a hazard or a question."""
 
 from collections.abc import Callable, Mapping
 

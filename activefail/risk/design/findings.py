@@ -11,7 +11,7 @@ from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.search import Designed
 from activefail.risk.design.task import LOOKS, Rate
-from activefail.shares import interval_percent, percent
+from activefail.shares import bounds_percent, percent
 from activefail.simulators.bearing import DfpSimulator
 from activefail.visible import or_worse, visible
 
@@ -76,7 +76,7 @@ class DesignFindings:
         task = self.designed.task
         sentences = list(self.designed.question.assumptions)
         if (rate := task.rate) is not None:
-            at_least = ", ".join(f"{share:.2g}" for share in self.at_least)
+            at_least = ", ".join(percent(share) for share in self.at_least)
             sentences.append(
                 f"Pulses below {rate.velocity:g} m/s, where the hazard's curve begins, are left out. At this velocity "
                 f"the classifier's probability is {at_least} (no interval). Above its last point the curve is "
@@ -84,49 +84,55 @@ class DesignFindings:
             )
         given = {name: task.question.fixed[name] for name in task.free if name in task.question.fixed}
         for name, value in given.items():
-            sentences.append(f"{name} is free: its given value {value:g} was not used.")
+            sentences.append(f"{name} is a free variable, so its given value {value:g} was ignored.")
         kept = [name for name in self.uncertain if name in self.campaign.space.names]
         if self.hazard is not None:
             kept = [name for name in kept if name not in ("T_p", "A_p")]
         if kept:
-            what = "have no value and vary" if len(kept) > 1 else "has no value and varies"
-            sentences.append(f"{', '.join(kept)} {what} as the question or the campaign says.")
+            sentences.append(
+                f"{', '.join(kept)}: no value is given, so the distribution of the question or the campaign applies."
+            )
         sentences.append(
             f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design space, "
             "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
         )
         sentences.append(
-            "Free variables stay within the campaign's ranges. The looks share the probability of a false result, "
-            f"{100.0 * (1.0 - task.confidence):.3g} %: "
+            "Free variables stay within the campaign's ranges. A look is a round of verification. A result is wrong "
+            f"with a probability of at most {100.0 * (1.0 - task.confidence):.3g} %, which the looks share: "
             + " and ".join(f"{100.0 * (1.0 - task.of_bound(look)):.3g} %" for look in range(len(LOOKS)))
             + "."
         )
-        kind = "smallest" if task.cost_text == task.free[0] else "cheapest"
+        kind = "small" if task.cost_text == task.free[0] else "cheap"
         if self.designed.last.candidate.is_between:
             sentences.append(
-                f"The probability rises again on both sides of this design: it is the {kind} of the range around the "
-                "safest one."
+                "The probability exceeds the target again on both sides of this range of designs. This design is the "
+                f"{kind}est one in the range that contains the safest design."
             )
         else:
             sentences.append(
-                f"The design is the {kind} beyond which the classifier's probability stays below its aim. Another one "
-                "may meet the target too, because failure is not monotone."
+                f"Beyond this design, the classifier's probability stays below the search's goal. A {kind}er design "
+                "may also meet the target, because the probability need not fall as the design grows."
             )
         if any(share > one.target for one, share in zip(task.requirements, self.at_upper, strict=False)):
             sentences.append(
-                "At the upper property bounds the classifier's probability exceeds the target. The verification holds "
-                "at the lower ones alone."
+                "At the upper property bounds the classifier's probability exceeds the target. The fresh "
+                "simulations use the lower property bounds only."
             )
         if self.hazard is None and self.designed.question.is_of_campaign:
-            sentences.append("The pulses or loads are distributed as in the campaign, which is seldom a hazard.")
+            sentences.append(
+                "The pulses or loads have the distribution of the campaign. This is usually not the hazard of a site; "
+                "use --hazard or --question."
+            )
         if missable := self.designed.missable:
             sentences.append(
-                "The bounds presume that no failure is hidden where the classifier is sure. Without this, up to "
-                f"{percent(missable)} of the distribution could fail unseen there "
+                "The bounds assume that there are no failures where the classifier is sure of survival. Without this "
+                f"assumption, up to {percent(missable)} of the designs drawn could fail there without having been seen "
                 f"({100.0 * self.designed.last.of_bound:.3g} % confidence)."
             )
         if isinstance(self.campaign.simulator, DfpSimulator):
-            sentences.append("The model has rims that do not yield, plane motion, and no vertical ground motion.")
+            sentences.append(
+                "The bearing model is planar. Its rims do not yield, and there is no vertical ground motion."
+            )
         return sentences
 
     @property
@@ -139,17 +145,17 @@ class DesignFindings:
             case "not verified" if designed.surprising:
                 return (
                     f"Not verified: {designed.surprising} of the fresh simulations contradict the classifier where it "
-                    "was sure. It has missed something: continue the campaign, then search again."
+                    "was sure, so its boundary is wrong there. Continue the campaign, then search again."
                 )
             case "not verified":
                 return (
-                    f"Not verified: {len(designed.looks)} looks did not show that this design meets the target. More "
-                    "simulations may show it."
+                    f"Not verified: after {len(designed.looks)} looks, an upper bound still exceeds its target. More "
+                    "simulations (--simulations) may lower it."
                 )
             case _:
                 return (
-                    "Out of reach: the classifier finds no design within the ranges that meets the target, and "
-                    "simulations show that the nearest one, this one, does not."
+                    "Out of reach: according to the classifier, no design within the ranges meets the target. Fresh "
+                    "simulations confirm this for the nearest design, shown here."
                 )
 
     def as_json(self) -> dict[str, Any]:
@@ -218,9 +224,9 @@ class DesignFindings:
             lines.append(
                 (
                     "verified" if designed.status == "verified" else "estimate",
-                    f"P({visible(or_worse(one.outcome, outcomes))}) = {estimate.probability:.3g}, between "
-                    f"{estimate.low:.3g} and {math.ceil(1e4 * estimate.high) / 1e4:g}, each bound with {bound} "
-                    f"confidence; target {one.target:.4g}; classifier {model:.3g}",
+                    f"P({visible(or_worse(one.outcome, outcomes))}) = {percent(estimate.probability, 2)}, "
+                    f"{bounds_percent(estimate.low, estimate.high)}, each bound with {bound} confidence; target "
+                    f"{100.0 * one.target:.4g} %; classifier {percent(model, 2)}",
                 )
             )
             if (rate := task.rate) is not None:
@@ -228,7 +234,7 @@ class DesignFindings:
                 lines.append(
                     (
                         "risk",
-                        f"{percent(middle, 2)} in {rate.years:g} years, {interval_percent(low, high)}; "
+                        f"{percent(middle, 2)} in {rate.years:g} years, {bounds_percent(low, high)}; "
                         f"target {percent(rate.risk(one.target), 2)}; {rate.annual:g} pulses of at least "
                         f"{rate.velocity:g} m/s a year",
                     )
@@ -238,10 +244,10 @@ class DesignFindings:
         lines.append(
             (
                 "from",
-                f"{designed.simulations} fresh simulations in {len(designed.looks)} of at most {len(LOOKS)} looks"
-                + f", {wrong} of which contradict the classifier"
-                + (f" and {failed} are numerical failures" if failed else "")
-                + f"; {100.0 * task.confidence:g} % confidence for the result",
+                f"{designed.simulations} fresh simulations: {wrong} contradict the classifier"
+                + (f", {failed} are numerical failures" if failed else "")
+                + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; "
+                f"{100.0 * task.confidence:g} % confidence for the result",
             )
         )
         if task.cost_text != task.free[0]:
@@ -254,14 +260,20 @@ class DesignFindings:
                 f"{100.0 * confidence:g} % {'out of range' if math.isnan(value) else f'{value:.4g}'}"
                 for confidence, value in designed.costs.items()
             )
-            lines.append(("confidence", f"{first} for a single look at another confidence, about: {shown}"))
+            lines.append(
+                ("confidence", f"{first} that one look would need at another confidence (approximate): {shown}")
+            )
         if (force := self.lateral_force) is not None:
             upper = self.hazard is not None and FRICTION in self.hazard.at_bound("upper").factors
-            at = "at the upper bound of friction" if upper else "at the stated friction, no upper bound is given"
+            at = "at the upper bound of friction" if upper else "at the given friction (the hazard has no upper bound)"
             lines.append(("force", f"lateral force at D_tot over weight: {force:.3g}, {at} (formula, no interval)"))
         for one, share in zip(task.requirements, self.at_upper, strict=False):
             lines.append(
-                ("upper", f"P({visible(one.outcome)}) at the upper bounds: {share:.3g} (classifier, no interval)")
+                (
+                    "upper",
+                    f"P({visible(or_worse(one.outcome, outcomes))}) at the upper property bounds: {percent(share, 2)} "
+                    "(classifier, no interval)",
+                )
             )
         return lines + [("note", sentence) for sentence in self.assumptions]
 

@@ -51,10 +51,11 @@ def at_risk(hazard: Hazard | None, requirements: Sequence[Requirement]) -> tuple
     for one in requirements:
         target = rate.given_pulse(one.target)
         if not LEAST_TARGET <= target <= 0.9:
+            side = "larger" if target < LEAST_TARGET else "smaller"
             raise InputError(
-                f"target: {100.0 * one.target:g} % in {years:g} years is a probability of {target:.3g} given a pulse "
-                f"of at least {rate.velocity:g} m/s, where the [curve] begins; it must be between {LEAST_TARGET:g} and "
-                f"0.9. Begin the curve at a {'larger' if target < LEAST_TARGET else 'smaller'} velocity."
+                f"target: {100.0 * one.target:g} % in {years:g} years is a probability of {100.0 * target:.3g} % given "
+                f"a pulse of at least {rate.velocity:g} m/s, where [curve] begins. This probability must be between "
+                f"{100.0 * LEAST_TARGET:g} and 90 %. Begin the curve at a {side} velocity."
             )
         given.append(one._replace(target=target))
     title = f"pulses of at least {rate.velocity:g} m/s by the curve of {hazard.title}"

@@ -1,7 +1,7 @@
 """The cheapest design whose probabilities of outcomes meet their targets, verified by fresh simulations."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -32,7 +32,7 @@ _FINE = 2e-4
 """Accuracy of the first free variable, in units of its range."""
 
 _CONFIDENCES = (0.5, 0.8, 0.9, 0.95, 0.99)
-"""Confidences for which a result says what they would cost."""
+"""Confidences at which a result states the value of the first free variable."""
 
 _IMAGINED = len(LOOKS) + 1
 """Number of the sample of pulses that predicts the width of an interval and is not simulated."""
@@ -87,9 +87,18 @@ class Look:
         """Fresh simulations that contradict the classifier where it was sure, by four standard deviations."""
         return sum(estimate.surprising for estimate in self.estimates)
 
-    def meets(self, targets: Array) -> bool:
-        """Whether all upper bounds meet the targets."""
-        return all(estimate.high <= target for estimate, target in zip(self.estimates, targets, strict=True))
+
+def verifies(estimates: Sequence[ProbabilityEstimate], targets: Sequence[float]) -> bool:
+    """Whether a look verifies a design: the rule of "verified".
+
+    All upper bounds meet their targets, and no simulation contradicts the classifier where it was sure.
+
+    Args:
+        estimates: (r,) from fresh simulations of one look.
+        targets: (r,) the largest acceptable probabilities.
+    """
+    meets = all(estimate.high <= target for estimate, target in zip(estimates, targets, strict=True))
+    return meets and not any(estimate.surprising for estimate in estimates)
 
 
 Status = Literal["verified", "not verified", "out of reach"]
@@ -208,7 +217,7 @@ def find_design(
         confidence = 2.0 * task.of_bound(0) - 1.0
         return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
 
-    stage("searching a design under the classifier")
+    stage("searching for a design with the classifier")
     candidate = cheapest(task, model, task.targets)
     correction = np.ones(len(task.requirements))
     half = half_widths(candidate)
@@ -216,7 +225,7 @@ def find_design(
     for number, plan in enumerate(LOOKS):
         simulations = task.simulations_of(number)
         aims = np.maximum(task.targets - plan.safety * half, 0.2 * task.targets) / correction
-        stage(f"searching a design for look {number + 1}")
+        stage(f"searching for the design of look {number + 1}")
         candidate = cheapest(task, model, aims)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
         question = asked(candidate, number + 1)
@@ -228,18 +237,18 @@ def find_design(
             half = _half_widths_of_next(task, look, number)
         correction = np.clip(estimates / np.maximum(candidate.model, _LEAST), 0.25, 4.0)
         # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
-        if look.meets(task.targets) or look.surprising:
+        is_verified = verifies(look.estimates, task.targets.tolist())
+        if is_verified or look.surprising:
             break
         # The nearest design: if even its lower bound exceeds a target, another look cannot help.
         if not candidate.is_feasible and any(
             estimate.low > target for estimate, target in zip(look.estimates, task.targets, strict=True)
         ):
             return Designed(task, tuple(looks), "out of reach", {})
-    is_verified = looks[-1].meets(task.targets) and not looks[-1].surprising
     status: Status = "verified" if is_verified else "not verified"
     if not with_costs:
         return Designed(task, tuple(looks), status, {})
-    stage("computing what other confidences would cost")
+    stage("computing the size at other confidences")
     return Designed(task, tuple(looks), status, _costs(task, model, looks[-1]))
 
 

@@ -11,7 +11,7 @@ from activefail.campaign.question import Question
 from activefail.files import read_regular
 from activefail.record.layout import DESIGNS
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.risk.design.search import Designed
+from activefail.risk.design.search import Designed, verifies
 from activefail.risk.design.task import LOOKS, Requirement, confidence_of_bound
 from activefail.verification.probability import Estimator
 
@@ -84,7 +84,7 @@ def stored_designs(
             asked = question.at(entry["free"])
             of_bound = confidence_of_bound(entry["confidence"], entry["look"] - 1)
             estimate = estimator.stored(requirement.outcome, asked.drawn(entry["look"]), 2.0 * of_bound - 1.0)
-            if estimate is not None and estimate.high <= requirement.target and not estimate.surprising:
+            if estimate is not None and verifies([estimate], [requirement.target]):
                 found.append(StoredDesign(requirement, dict(asked.fixed), estimate, entry["confidence"]))
                 break
     return found

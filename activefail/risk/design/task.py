@@ -23,7 +23,7 @@ DEFAULT_FREE = "D_tot"
 """The variable of a bearing that is made as small as possible."""
 
 SIMULATIONS = 500
-"""Most fresh simulations for each target, by default."""
+"""Maximum number of fresh simulations for each target, by default."""
 
 
 class LookPlan(NamedTuple):
@@ -99,8 +99,8 @@ class DesignTask:
 
     Attributes:
         question: the distribution of the variables; free variables get a value.
-        low, high: range of each free variable. The first is the one that is made as small as the requirements allow
-            while the others are held.
+        low, high: range of each free variable. The first is made as small as the requirements allow; the others are
+            searched.
         cost: of the values of the free variables; smaller is better.
         cost_text: the cost in words.
         requirements: one for each outcome that has a target.
@@ -184,7 +184,7 @@ def _requirement(outcome: str, text: str) -> Requirement:
         share, number = math.nan, math.nan
     if not (0.0 < share <= 0.9 and 0.0 < number <= _MOST_YEARS):
         raise InputError(
-            f"target: a risk must be positive and at most 0.9, in at most {_MOST_YEARS:g} years, got {text!r}."
+            f"target: a risk must be above 0 and at most 90 %, in at most {_MOST_YEARS:g} years, got {text!r}."
         )
     return Requirement(outcome, share, number)
 
@@ -251,7 +251,10 @@ def design_task(
     if PGV in {*question.space.names, *question.fixed}:
         for name in (PERIOD, AMPLITUDE):
             if name in names:
-                raise InputError(f"free: {name} is of the pulse, which is uncertain; name variables of the design.")
+                raise InputError(
+                    f"free: {name} belongs to the pulse, which the designer cannot choose. Name variables of the "
+                    "bearing."
+                )
     if not 0.5 <= confidence < 1.0:
         raise InputError(f"confidence: must be at least 0.5 and below 1, got {confidence}.")
     if set(question.space.names) <= set(names):

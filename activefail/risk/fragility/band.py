@@ -168,5 +168,6 @@ def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: floa
     low, high = ends if curve.rises else ends[::-1]
     reason = ""
     if low is None or high is None:
-        reason = f"the band from {verified[0].level:.3g} to {verified[-1].level:.3g} does not bound it there"
+        least, most = sorted((verified[0].level, verified[-1].level))
+        reason = f"the verified levels end at {least:.3g} and {most:.3g}, before the band reaches this probability"
     return Interval(middle, low, high, reason)

@@ -236,13 +236,13 @@ def general_fragility(
         for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
     )
     others = [name for name in question.space.names if name != against]
-    notes = [*question.assumptions, f"Integrated over {', '.join(others)}."]
+    notes = [*question.assumptions, f"The curve is integrated over {', '.join(others)}."]
     pairs = getattr(question.space, "correlation", ())
     tied = sorted({name for pair in pairs if against in pair[:2] for name in pair[:2]} - {against})
     if tied:
         notes.append(
-            f"{', '.join(tied)}: correlated with {against}. At a given {against} its distribution is the one without "
-            "this correlation."
+            f"{', '.join(tied)} {'is' if len(tied) == 1 else 'are'} correlated with {against}. The curve ignores this "
+            f"correlation: the distribution is the same at each {against}."
         )
     why = "a risk needs a hazard with annual rates"
     return FragilityFindings(
@@ -282,12 +282,14 @@ def _notes_of_bearing(
     if others:
         sentences.append(f"Variables without a value keep the campaign's distributions: {', '.join(others)}.")
     if intensity == "a_p":
-        sentences.append("At each amplitude the pulse periods keep their distribution: the same pulses are scaled.")
+        sentences.append(
+            "At each amplitude the pulse periods have the same distribution, because the pulses are scaled."
+        )
     elif hazard.rows is not None:
         sentences.append("At each PGV the periods have the distribution of all the hazard's pulses.")
     if isinstance(campaign.simulator, DfpSimulator):
         sentences.append(
-            "The bearing is loaded by one horizontal pulse: its motion is planar, there is no vertical component, and "
-            "its rims do not yield."
+            "The ground motion is one horizontal pulse without a vertical component. The bearing model is planar. Its "
+            "rims do not yield."
         )
     return sentences

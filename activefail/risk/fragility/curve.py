@@ -118,7 +118,7 @@ class Curve:
             return Capacity(self.ladder.level(found))
         ends = self.ladder.levels[:: 1 if self.rises else -1]
         if values[0] > p:
-            return Capacity(None, f"the curve exceeds {percent(p)} already at its first level, {ends[0]:.3g}")
+            return Capacity(None, f"the curve already exceeds {percent(p)} at its first level, {ends[0]:.3g}")
         return Capacity(None, f"the curve stays below {percent(p)} up to its last level, {ends[-1]:.3g}")
 
     @property

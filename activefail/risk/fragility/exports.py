@@ -52,7 +52,7 @@ def multilinear(ladder: Ladder, probability: Array) -> str:
     """Theta_0 of a capacity: levels and probabilities that increase strictly, from 0 to 1.
 
     A curve that falls keeps its highest value. Beyond the last level the capacity is taken as exhausted one step later.
-    Each probability is raised by a few millionths, so that none equals the one before it.
+    Each probability is raised by up to two millionths for each level, so that none equals the one before it.
     """
     highest, levels = np.maximum.accumulate(probability), ladder.levels
     first = int((highest <= _LEAST).sum())

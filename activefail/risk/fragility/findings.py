@@ -100,13 +100,13 @@ class FragilityFindings:
             surprising = sum(level.estimate.surprising for level in one.verified)
             if surprising:
                 sentences.append(
-                    f"{surprising} of the fresh simulations contradict the classifier where it was sure. It has missed "
-                    "something: continue the campaign before you use these curves."
+                    f"{surprising} of the fresh simulations contradict the classifier where it was sure, so its "
+                    "boundary is wrong there. Continue the campaign before you use these curves."
                 )
         if self.has_verification:
             sentences.append(
-                f"The intervals are pointwise: each has {100.0 * self.confidence:g} % confidence by itself, not all "
-                "together. They assume a limit state that is smooth between simulations."
+                f"The intervals are pointwise: each one alone has {100.0 * self.confidence:g} % confidence; together "
+                "they have less. They assume a limit state that is smooth between simulations."
             )
         curves = np.array([one.curve.probability for one in self.boundaries])
         outside = self.outside[((curves >= 0.01) & (curves <= 0.9)).any(axis=0)]
@@ -170,7 +170,7 @@ class FragilityFindings:
             "at_hazard_median": None
             if one.at_median is None
             else {"probability": dict(one.at_median), "interval": None, "interval_reason": WITHOUT_INTERVAL},
-            "margin": self._of_margin(one),
+            "margin_ratio": self._of_margin_ratio(one),
             "risk": None
             if risk is None
             else {
@@ -199,19 +199,19 @@ class FragilityFindings:
             "interval_reason": interval.reason or None,
         }
 
-    def _of_margin(self, one: BoundaryFragility) -> dict[str, Any] | None:
-        if (margin := self.margin(one)) is None or self.median is None:
+    def _of_margin_ratio(self, one: BoundaryFragility) -> dict[str, Any] | None:
+        if (ratio := self.margin_ratio(one)) is None or self.median is None:
             return None
         _, interval = one.capacity(0.5)
         return {
-            "value": margin,
+            "value": ratio,
             "low": None if interval.low is None else interval.low / self.median,
             "high": None if interval.high is None else interval.high / self.median,
             "confidence": self.confidence if one.verified else None,
             "interval_reason": interval.reason or None,
         }
 
-    def margin(self, one: BoundaryFragility) -> float | None:
+    def margin_ratio(self, one: BoundaryFragility) -> float | None:
         """The 50 % capacity over the hazard's median; None if either is unknown."""
         level = one.curve.capacity(0.5).level
         return None if level is None or self.median is None else level / self.median

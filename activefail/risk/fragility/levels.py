@@ -63,10 +63,7 @@ def check_asked(hazard: object, against: object, bounds: object, intensity: str)
         InputError: naming what is missing, or what cannot be combined.
     """
     if hazard is None and against is None:
-        raise InputError(
-            "hazard, against: one is required: a hazard file for a bearing's curves, or the variable against which a "
-            "probability is shown."
-        )
+        raise InputError("hazard, against: exactly one is required, a hazard file or the variable of the curve.")
     if hazard is not None:
         for name, value in (("against", against), (_BOUNDS, bounds)):
             if value is not None:

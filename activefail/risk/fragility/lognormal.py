@@ -43,9 +43,9 @@ class Lognormal(NamedTuple):
 def why_not_fitted(curve: Curve) -> str:
     """Why no lognormal curve is fitted; empty if one is."""
     if curve.ladder.levels[0] <= 0.0:
-        return "the ladder has levels that are not positive"
+        return "some levels of the curve are not positive"
     if curve.probability.max() < _MOST or curve.probability.min() > _LEAST:
-        return f"the curve does not extend from {_LEAST:g} to {_MOST:g}"
+        return f"the curve does not cover {100.0 * _LEAST:g} % to {100.0 * _MOST:g} %"
     return ""
 
 

@@ -29,7 +29,7 @@ def lines(found: FragilityFindings, outcomes: Sequence[str]) -> list[str]:
     if why := why_no_risk(found):
         said.append(f"risk       none: {why}")
     said.append(
-        "intervals  only those that are shown; every other number is the classifier's, without an interval"
+        "intervals  shown where fresh simulations give one; every other number is the classifier's, without an interval"
         if found.has_verification
         else "intervals  none: every number is the classifier's; --verify N gives intervals from fresh simulations"
     )
@@ -63,18 +63,18 @@ def of_boundary(found: FragilityFindings, one: BoundaryFragility) -> list[tuple[
         said.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve)}"))
     else:
         text = (
-            f"median {fit.median:.3g}{unit}, dispersion {fit.dispersion:.3g}; it misses the curve by up to "
-            f"{fit.misfit:.2g}, at {fit.misfit_at:.3g}{unit}"
+            f"median {fit.median:.3g}{unit}, dispersion {fit.dispersion:.3g}; it differs from the curve by up to "
+            f"{100.0 * fit.misfit:.2g} points, at {fit.misfit_at:.3g}{unit}"
         )
         said.append(("lognormal", text))
     if one.alone is not None:
         levels = [one.alone.capacity(p).level for p in CAPACITIES]
         shown = ", ".join("none" if level is None else f"{level:.3g}" for level in levels)
-        said.append(("alone", f"the pulses without the added uncertainty: {shown}{unit}"))
+        said.append(("not added", f"capacities without the added uncertainty: {shown}{unit}"))
     if (fall := one.curve.fall) is not None:
         text = (
-            f"by {fall.size:.2g} between {fall.start:.3g} and {fall.end:.3g}{unit}; capacities are where "
-            "the curve first exceeds a probability"
+            f"the curve falls by {100.0 * fall.size:.2g} points between {fall.start:.3g} and {fall.end:.3g}{unit}; a "
+            "capacity is the level at which it first exceeds the probability"
         )
         said.append(("falls", text))
     if one.at_median is not None and found.median is not None:
@@ -82,13 +82,14 @@ def of_boundary(found: FragilityFindings, one: BoundaryFragility) -> list[tuple[
             f"{percent(p)} ({bound} bound)" if bound != "nominal" else f"{percent(p)} (nominal)"
             for bound, p in one.at_median.items()
         )
-        margin = found.margin(one)
-        tail = "" if margin is None else f"; the 50 % capacity is {margin:.3g} times this median"
+        ratio = found.margin_ratio(one)
+        tail = "" if ratio is None else f"; the 50 % capacity is {ratio:.3g} times this median (margin ratio)"
         said.append(("hazard", f"at its median of {found.median:.3g}{unit}: {bounds}{tail}"))
     if one.risk is not None:
         text = (
             f"{percent(one.risk.in_50_years, 2)} in {YEARS:g} years ({one.risk.annual_rate:.2g} a year); "
-            f"{percent(one.risk.outside)} of it from velocities outside the hazard's curve, which is extrapolated there"
+            f"{percent(one.risk.outside)} of the rate comes from velocities outside the hazard curve, where the curve "
+            "is extrapolated"
         )
         said.append(("risk", text))
     for level in one.verified:
@@ -113,21 +114,21 @@ def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
     if interval.low is not None and interval.high is not None:
         ends = f"interval {interval.low:.3g} to {interval.high:.3g}"
     elif interval.high is not None:
-        ends = f"interval up to {interval.high:.3g}, its lower end unknown"
+        ends = f"interval up to {interval.high:.3g}, the lower end is unknown"
     else:
-        ends = f"interval from {interval.low:.3g}, its upper end unknown"
+        ends = f"interval from {interval.low:.3g}, the upper end is unknown"
     unknown = f" ({interval.reason})" if interval.reason else ""
-    middle = "" if interval.middle is None else f"; {interval.middle:.3g} with the simulations"
+    middle = "" if interval.middle is None else f"; {interval.middle:.3g} after correction by the simulations"
     return f"{shown}{middle}, {ends}{unknown}"
 
 
 def _of_pulses(parts: Deaggregation) -> list[tuple[str, str]]:
     whole = f"{percent(parts.probability)} under the whole hazard"
     if parts.period_of_failures is None or parts.velocity_of_failures is None:
-        return [("pulses", f"{whole}: too rare to be attributed to pulses")]
+        return [("pulses", f"{whole}: failure is too rare to be attributed to pulses")]
     said = [("pulses", whole)]
     for title, period, velocity in (
-        ("of these", parts.period_of_failures, parts.velocity_of_failures),
+        ("of the failures", parts.period_of_failures, parts.velocity_of_failures),
         ("of all pulses", parts.period_of_pulses, parts.velocity_of_pulses),
     ):
         text = (

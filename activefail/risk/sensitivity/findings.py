@@ -1,4 +1,4 @@
-"""What moves a probability: Sobol' indices of the classifier's probability, and its change with one variable at a time.
+"""Which variables affect a probability: its Sobol' indices by the classifier, and its change with one at a time.
 
 Two functions have indices. Without a hazard, the probability of the outcome given all variables of a question, which is
 almost 0 or 1. With a hazard, the probability given the bearing alone: the pulses are integrated out.
@@ -151,14 +151,15 @@ def question_sensitivity(
     space = question.space
     if isinstance(space, WeightedRows):
         raise InputError(
-            "question: its pulses are rows of a file, whose variables are not independent, so they have no Sobol' "
-            "indices; with `--hazard` the pulses are integrated out."
+            "question: must have independent variables, got a table of pulses. Use `--hazard`, which averages over the "
+            "pulses."
         )
     if correlated := [pair for pair in space.correlation if pair[2] != 0.0]:
         one, other, rho = correlated[0]
         raise InputError(
             f"question: {one} and {other} have the correlation {rho:g}, and the variance cannot be divided among "
-            "correlated variables. Ask a question with `correlation = []`, or give one of them a value with `--fixed`."
+            "correlated variables. Set `correlation = []` in the question file, or give one of the two a value with "
+            "`--fixed`."
         )
     require_salib()
     samples = default_samples(space.dimension) if samples is None else samples
@@ -196,7 +197,7 @@ def hazard_sensitivity(
     confidence: float = 0.95,
     begin: Begin = lambda _: lambda _: None,
 ) -> Sensitivity:
-    """What moves the probability of a design under a hazard.
+    """Which variables affect the probability of a design under a hazard.
 
     Args:
         campaign: of the classifier.
@@ -253,8 +254,8 @@ def hazard_sensitivity(
         )
         outside = _share_outside(campaign.space, question, names, space.sobol(256, np.random.default_rng(0)), X, weight)
         notes.append(
-            f"The indices divide the variance of the classifier's probability of {outcome} given the design: the "
-            f"pulses are integrated out, by {pulses} fixed ones. The variables of the design are independent and have "
+            f"The indices divide the variance of the classifier's probability of {outcome} given the design, "
+            f"averaged over {pulses} fixed pulses. The variables of the design are independent and have "
             "the campaign's distributions."
         )
     else:
@@ -292,18 +293,18 @@ def _notes_on_indices(found: Decomposition, samples: int) -> list[str]:
         return ["The classifier's probability does not change with these variables, so there are no Sobol' indices."]
     notes = [
         "The indices are those of the classifier's function. Their intervals cover the sampling of the indices alone, "
-        "not the classifier's error. The first indices add up to at most 1; a total index counts a variable with all "
-        "its interactions."
+        "not the classifier's error. The first indices add up to at most 1; a total index includes all interactions "
+        "of its variable."
     ]
     estimates = [estimate for index in found.indices for estimate in (index.first, index.total)]
     widest = max(estimate.high - estimate.low for estimate in estimates)
     if widest > WIDE:
         notes.append(
-            f"The widest interval has the width {widest:.2f}: {samples} samples are too few. `--samples "
-            f"{4 * samples}` about halves it."
+            f"The widest interval is {widest:.2f} wide, so {samples} samples are too few. `--samples {4 * samples}` "
+            "would halve the width, roughly."
         )
     if any(not 0.0 <= estimate.value <= 1.0 for estimate in estimates):
-        notes.append("An estimate below 0 or above 1 is shown as it is; it is a sampling error.")
+        notes.append("Estimates below 0 or above 1 are sampling errors. They are not clipped.")
     return notes
 
 
@@ -337,7 +338,7 @@ def with_classifier(
     if p_values and sensitivity.indices:
         notes += (
             "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
-            "finds monotone effects: a large one does not show that a variable does not matter.",
+            "detects monotone effects only. A large p-value does not show that a variable has no effect.",
         )
     return replace(sensitivity, length_scales=length_scales, p_values=p_values, notes=notes)
 
