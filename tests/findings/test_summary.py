@@ -46,9 +46,9 @@ def whole(folder: Path) -> Summary:
 
 def values(summary: Summary | None) -> dict[str, object]:
     assert summary is not None
-    # The names of margins and the digest are for a reader of the files alone.
+    # The names of margins and the digests are for a reader of the files alone.
     fields = asdict(summary).items()
-    return {name: np.asarray(value).tolist() for name, value in fields if name not in ("margins", "digest")}
+    return {name: np.asarray(value).tolist() for name, value in fields if name not in ("margins", "known")}
 
 
 def test_a_summary_says_what_the_whole_record_says(folder: Path) -> None:
