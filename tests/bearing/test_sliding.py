@@ -156,5 +156,5 @@ def test_a_design_that_cannot_be_built_has_no_features():
 
 
 def test_designs_of_another_shape_are_refused():
-    with pytest.raises(InputError, match=r"must be an \(n, 9\) array .* got shape \(9,\)"):
+    with pytest.raises(InputError, match=r"must be an array of shape \(n, 9\) .* got shape \(9,\)"):
         sliding_features(np.zeros(9))
