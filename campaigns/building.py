@@ -115,7 +115,7 @@ def accelerate(building, t, q, v, out):
     The bearing's kernel assumes a plate of rigid mass M. M (a + ü_g) is the force on the plate, whatever it carries.
     """
     bearing = building.bearing
-    ground = ground_acceleration(t, bearing.amplitude, bearing.period)
+    ground = ground_acceleration(t, bearing.motion.amplitude, bearing.motion.period)
     a = dfp_acceleration(bearing, t, (q[0], q[1], q[2], q[3], q[4]), (v[0], v[1], v[2], v[3], v[4]))
     force = bearing.plate_mass * (a[3] + ground)
     for j in range(len(q) - 5):
@@ -247,7 +247,7 @@ def energy_and_events(building, t, q, v):
     place, speed = (q[0], q[1], q[2], q[3], q[4]), (v[0], v[1], v[2], v[3], v[4])
     energy, seen = o.examine(bearing, t, place, speed)
     stored, dissipation, work = energy
-    ground = ground_acceleration(t, bearing.amplitude, bearing.period)
+    ground = ground_acceleration(t, bearing.motion.amplitude, bearing.motion.period)
     for j in range(len(building.mass)):
         # The bearing's kinetic energy has M*_j at the plate's velocity; the oscillator moves relative to that.
         mass, D, rate = building.mass[j], q[5 + j], v[5 + j]
@@ -266,8 +266,8 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
     until it is full.
     """
     bearing, size = building.bearing, len(q)
-    t = -HALF_DURATION * bearing.period
-    pulse_end, end, h = -t, -t + free_time, 1e-3 * bearing.period
+    t = -HALF_DURATION * bearing.motion.period
+    pulse_end, end, h = -t, -t + free_time, 1e-3 * bearing.motion.period
     at_rest, dissipation, power, seen_before = energy_and_events(building, t, q, v)
     displacement, drift, floor, rim = 0.0, 0.0, 0.0, 0.0
     work, lost, peak_work, imbalance = 0.0, 0.0, 0.0, 0.0
@@ -283,7 +283,7 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
         if t >= end or cause != o.NONE:
             break
         # A tenth of the pulse, so that no step from rest skips the pulse.
-        bound = min(longest, 0.1 * bearing.period) if t < pulse_end else longest
+        bound = min(longest, 0.1 * bearing.motion.period) if t < pulse_end else longest
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
         h, rejected = min(h, bound, end - t), False

@@ -187,7 +187,7 @@ def test_a_flexible_building_answers_as_one_on_the_motion_of_its_base(building: 
     history = response.history
     t = np.linspace(history[0, 0], history[-1, 0], 20_001)
     base = np.array([accelerations(building, b, row[0], row[1:9].copy(), row[9:].copy())[3] for row in history])
-    ground = np.array([building.ground_acceleration(s, b.bearing.amplitude, b.bearing.period) for s in history[:, 0]])
+    ground = np.array([building.ground_acceleration(s, *b.bearing.motion) for s in history[:, 0]])
     absolute = np.interp(t, history[:, 0], base + ground)
     for j in range(3):
         system = ([-1.0], [1.0, b.damping[j], b.stiffness[j]])
