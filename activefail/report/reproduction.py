@@ -184,10 +184,7 @@ def _moving(study: Study) -> list[str]:
     sentences = []
     for conclusion, holds in CONCLUSIONS.items():
         against = [variant.name for variant in study.variants if not holds(variant.draws)]
-        sentences.append(
-            f"{conclusion}: "
-            + (f"does not hold under {'; '.join(against)}." if against else "holds under every choice.")
-        )
+        sentences.append(f"{conclusion}: " + (f"not under {'; '.join(against)}." if against else "under every choice."))
     return sentences
 
 

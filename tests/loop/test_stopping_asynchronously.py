@@ -24,8 +24,8 @@ from activefail.surrogate.threads import one_thread
 FLIGHT, BUDGET = 6, 120
 
 
-def plan(**changes: object) -> Campaign:
-    return campaign_on(FourBranch(), seed=2, sampling__batch=FLIGHT, sampling__asynchronous=True, **changes)
+def plan(seed: int = 2, **changes: object) -> Campaign:
+    return campaign_on(FourBranch(), seed=seed, sampling__batch=FLIGHT, sampling__asynchronous=True, **changes)
 
 
 def take(campaign: Campaign, store: Store, observer: Observer | None = None, **options: bool) -> Store:
@@ -50,8 +50,16 @@ def copied(campaign: Campaign, store: Store) -> MemoryStore:
 
 @pytest.fixture(scope="module")
 def ended() -> tuple[Campaign, Store]:
-    campaign = plan()
-    return campaign, take(campaign, MemoryStore(campaign.schema))
+    """A campaign that ended while designs were in flight.
+
+    Rounding, and with it the course of a campaign, differs between processors: the seed is the first with such an end.
+    """
+    for seed in range(2, 12):
+        campaign = plan(seed)
+        store = take(campaign, MemoryStore(campaign.schema))
+        if last_of_check(store) < len(store.batches) and len(History.of(store.batches)) < BUDGET:
+            return campaign, store
+    pytest.fail("no seed from 2 to 11 has designs in flight at its end")
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +96,9 @@ def test_resumed_after_its_end_it_simulates_nothing_more(ended: tuple[Campaign, 
 
 
 def last_of_check(store: Store) -> int:
-    """Number of commits through the last one of a check."""
-    return max(number for number, batch in enumerate(store.batches, start=1) if (batch.origin == CHECK).any())
+    """Number of commits through the last one of a check; 0 without one."""
+    checks = (number for number, batch in enumerate(store.batches, start=1) if (batch.origin == CHECK).any())
+    return max(checks, default=0)
 
 
 @pytest.mark.parametrize("when", ["within the check", "after the check"])
