@@ -176,6 +176,10 @@ def _describe_motion(pulse: Pulse | Accelerogram) -> tuple[str, ...]:
     return rf"$T_p$ {pulse.period:.2f} s", rf"$A_p$ {minus(f'{pulse.amplitude / GRAVITY:.3f}')} g"
 
 
+def _origin(response: Response) -> str:
+    return "after the record's first sample" if isinstance(response.pulse, Accelerogram) else "after the pulse's centre"
+
+
 def response_lines(response: Response) -> list[str]:
     """The outcome of a simulated bearing and its margins, as lines for a terminal."""
     margins, statistics = response.margins, response.statistics
@@ -199,7 +203,7 @@ def response_lines(response: Response) -> list[str]:
         ),
     ]
     if not math.isnan(margins.failure_time):
-        rows.insert(0, ("failure", f"{margins.failure_time:.3f} s", "after the pulse's centre"))
+        rows.insert(0, ("failure", f"{margins.failure_time:.3f} s", _origin(response)))
     if not math.isnan(margins.first_touch_time):
         touch = f"first rim touch, at {margins.first_touch_velocity:.3f} m/s"
         rows.insert(0, ("impact", f"{margins.first_touch_time:.3f} s", touch))
