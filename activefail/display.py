@@ -1,4 +1,4 @@
-"""Progress displays."""
+"""Shows the progress of a campaign and of other long work on the terminal."""
 
 import sys
 import time
@@ -13,8 +13,8 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.loop.probability_rule import Looks
     from activefail.loop.progress import Observer, Progress
-    from activefail.loop.stopping import Looks
     from activefail.verification.error import ErrorEstimate
 
 

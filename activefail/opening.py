@@ -1,4 +1,4 @@
-"""Create and open run folders."""
+"""`create_run` and `open_run`: create a run folder, or open one, as a `Run`."""
 
 import os
 from collections.abc import Mapping

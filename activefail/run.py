@@ -1,8 +1,6 @@
-"""An open run folder, on which the commands are methods."""
+"""`Run`: a run folder, open; the commands on run folders are its methods."""
 
-import io
 import json
-import os
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -11,10 +9,20 @@ from dataclasses import replace
 from html import escape
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, SupportsIndex, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
+from activefail.arguments import (
+    check_confidence,
+    check_whole,
+    names_of,
+    path_of,
+    rows_named,
+    source_of,
+    table_of,
+    target_of,
+)
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
 from activefail.display import campaign_display
@@ -194,8 +202,8 @@ class Run:
     @property
     def stop_rule_warning(self) -> str:
         """Why the stop rule cannot be met, or not at its first look; empty if it can."""
+        from activefail.verification.confidence_bounds import largest_unseen_share
         from activefail.verification.error import confidence_of_look, least_simulations
-        from activefail.verification.stratified import largest_unseen_share
 
         if self.settings.probability_rule is not None and not self.learns_from_margins:
             return (
@@ -331,13 +339,13 @@ class Run:
         """
         from activefail.loop import asking
 
-        given = _table(table)
+        given = table_of(table)
         if not given.rows:
             return 0
         with self._turn:
             told, handed_out = self._told(given)
             warn = self._warner(told)
-            with _rows_named(told):
+            with rows_named(told):
                 record = asking.correct if correct else asking.tell
                 new = record(self.campaign, self.store, told.ids, told.results, handed_out, warn)
             self._learned = None
@@ -357,8 +365,8 @@ class Run:
         """
         from activefail.loop.asking import new_results
 
-        told, handed_out = self._told(_table(table))
-        with _rows_named(told):
+        told, handed_out = self._told(table_of(table))
+        with rows_named(told):
             return not new_results(self.campaign, self.store, told.ids, told.results, handed_out)
 
     def _told(self, table: "Table") -> "tuple[ResultTable, HandedOut]":
@@ -415,13 +423,13 @@ class Run:
         from activefail.campaign.results_table import ResultTable
         from activefail.loop.asking import add
 
-        given = _table(table)
+        given = table_of(table)
         if not given.rows:
             return 0
         added = ResultTable.added(self.campaign, given)
         with self._turn:
             warn = self._warner(added)
-            with _rows_named(added):
+            with rows_named(added):
                 new = add(self.campaign, self.store, added.designs, added.results, warn)
             self._learned = None
         return new
@@ -680,7 +688,7 @@ class Run:
         """
         from activefail.findings.tables import predict_table
 
-        source, target = _source("source", source), _target("target", target)
+        source, target = source_of("source", source), target_of("target", target)
         classifier = self.classifier if after is None else self.classifier_after(after)
         with one_thread():
             return predict_table(self.campaign, classifier, source, target, begin)
@@ -689,13 +697,13 @@ class Run:
         """Write every simulation as a row of a CSV table, a file or a text stream; returns their number."""
         from activefail.findings.tables import export_table
 
-        return export_table(self.campaign, self.store, _target("target", target))
+        return export_table(self.campaign, self.store, target_of("target", target))
 
     def export_parquet(self, target: Path | str) -> int:
         """Write every simulation as a row of a Parquet file; returns their number (needs pyarrow)."""
         from activefail.findings.parquet import export_parquet
 
-        return export_parquet(self.campaign, self.store, _path("target", target))
+        return export_parquet(self.campaign, self.store, path_of("target", target))
 
     def verify(
         self, simulations: int = 200, confidence: float = 0.9, executor: "Executor | None" = None
@@ -745,7 +753,7 @@ class Run:
         from activefail.findings.probability import ProbabilityFindings
 
         check_whole("simulations", simulations, 2)
-        _check_confidence(confidence)
+        check_confidence(confidence)
         outcome = self._boundary_named(outcome)
         asked = self.asked(question, fixed)
         with self._estimator(executor) as estimator:
@@ -791,7 +799,7 @@ class Run:
 
         check_whole("verify", verify, 0)
         outcome = self._boundary_named(outcome)
-        _check_confidence(confidence)
+        check_confidence(confidence)
         site, asked = self._at_site(hazard, question, fixed)
         ladder = checked_ladder(site, asked, self.space, intensity, against, bounds, verify)
         with self._estimator(executor, stage, simulates=bool(verify)) as estimator:
@@ -832,13 +840,13 @@ class Run:
         Raises:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
-        from activefail.risk.design.designing import search_design
+        from activefail.risk.design.calculation import search_design
         from activefail.risk.design.risk_target import at_risk
         from activefail.risk.design.stored import designs_text
         from activefail.risk.design.task import DEFAULT_FREE, design_task, read_targets
 
         check_whole("simulations", simulations, 10)
-        names = _names("free", free)
+        names = names_of("free", free)
         requirements = read_targets(str(target), self.campaign.simulator.outcomes, self.boundary)
         site, asked = self._at_site(hazard, question, fixed, names or (DEFAULT_FREE,))
         rate = None
@@ -892,7 +900,7 @@ class Run:
         if samples is not None:
             check_whole("samples", samples, 1)
         outcome = self._boundary_named(outcome)
-        _check_confidence(confidence)
+        check_confidence(confidence)
         site, asked = self._at_site(hazard, question, fixed, self.space.names)
         latent = self.classifier.latent(outcome)
         standardised = standardised_latent(latent, self.features)
@@ -930,7 +938,7 @@ class Run:
             # Without values a campaign's own design measure stays what it is, with its stored simulations.
             asked = question.at(values) if values else question
         elif question is not None:
-            asked = read_asked(_path("question", question), self.settings, self.space, values)
+            asked = read_asked(path_of("question", question), self.settings, self.space, values)
         else:
             asked = question_of(self.settings, self.space, values) if values else self.campaign.question
         source = next((str(given) for given in (fixed, question) if isinstance(given, str | Path)), "")
@@ -986,7 +994,7 @@ class Run:
             hazard, question = question, None
         if hazard is None:
             return None, self.asked(question, fixed)
-        site = hazard if isinstance(hazard, Hazard) else read_hazard(_path("hazard", hazard))
+        site = hazard if isinstance(hazard, Hazard) else read_hazard(path_of("hazard", hazard))
         values, file = self.fixed_values(fixed), str(hazard) if isinstance(hazard, Path | str) else ""
         # The pulses of a file have no distribution of other variables beside them.
         meanwhile = middles(self.space, [name for name in free if name not in values]) if site.rows is not None else {}
@@ -1132,7 +1140,7 @@ class Run:
         with one_thread():
             evidence = evidence_of(self.folder, self.campaign, self.store, self.classifier, stage)
             page = render(self.findings, evidence, self.store, stage, failure, risk)
-        target = self.folder / REPORT if target is None else _path("target", target)
+        target = self.folder / REPORT if target is None else path_of("target", target)
         with writing_to(target):
             write_report(page, target)
         return evidence
@@ -1168,103 +1176,3 @@ class Run:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-def _file(file: Any) -> Any:
-    """The path that a string or another library's path names; anything else is returned unchanged."""
-    return Path(os.fsdecode(file)) if isinstance(file, str | os.PathLike) else file
-
-
-def _path(name: str, file: Any) -> Path:
-    """A file in an argument.
-
-    Raises:
-        InputError: if it is no path.
-    """
-    if not isinstance(file := _file(file), Path):
-        raise InputError(f"{name}: must be a path, got {type(file).__name__}.")
-    return file
-
-
-def _names(argument: str, names: Any) -> tuple[str, ...]:
-    """Names in an argument; a single one may be a string.
-
-    Raises:
-        InputError: if they are something else.
-    """
-    if isinstance(names, str):
-        return (names,)
-    found = tuple(names) if isinstance(names, Iterable) else (names,)
-    if not all(isinstance(name, str) for name in found):
-        raise InputError(f"{argument}: must be names of variables, got {names!r}.")
-    return found
-
-
-def _source(name: str, source: Any) -> "Source":
-    """A table to read in an argument: a file, or a binary stream.
-
-    Raises:
-        InputError: if it is something else.
-    """
-    source = _file(source)
-    if isinstance(source, io.TextIOBase):
-        raise InputError(f"{name}: must be a file that was opened in binary mode, or its path.")
-    if not isinstance(source, Path) and not hasattr(source, "read"):
-        raise InputError(f"{name}: must be a path or a binary stream, got {type(source).__name__}.")
-    return cast("Source", source)
-
-
-def _target(name: str, target: Any) -> "Target":
-    """A table to write in an argument: a file, or a text stream.
-
-    Raises:
-        InputError: if it is something else.
-    """
-    target = _file(target)
-    is_binary = isinstance(target, io.RawIOBase | io.BufferedIOBase)
-    if not isinstance(target, Path) and (is_binary or not hasattr(target, "write")):
-        raise InputError(f"{name}: must be a path or a text stream, got {type(target).__name__}.")
-    return cast("Target", target)
-
-
-def _table(table: Any) -> "Table":
-    from activefail.campaign.results_table import Table
-
-    is_file = isinstance(table, str | os.PathLike) or hasattr(table, "read")
-    return Table.of_csv(_source("table", table)) if is_file else Table.of_python(table)
-
-
-@contextmanager
-def _rows_named(results: "ResultTable") -> Iterator[None]:
-    """Name the row of the user's table in the error of a result that cannot be recorded.
-
-    Raises:
-        InputError: in place of a RowError.
-    """
-    from activefail.loop.asking import RowError
-
-    try:
-        yield
-    except RowError as error:
-        raise InputError(f"{results.table.places[results.rows[error.row]]}: {error}.") from None
-
-
-def check_whole(name: str, number: SupportsIndex, least: int) -> None:
-    """Check an argument that is a whole number.
-
-    Raises:
-        InputError: naming the argument, the rule and the value.
-    """
-    try:
-        if isinstance(number, bool):
-            raise TypeError
-        whole = index(number)
-    except TypeError:
-        raise InputError(f"{name}: must be a whole number, got {number!r}.") from None
-    if whole < least:
-        raise InputError(f"{name}: must be at least {least}, got {whole}.")
-
-
-def _check_confidence(confidence: float) -> None:
-    if not 0.0 < confidence < 1.0:
-        raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")

@@ -26,8 +26,8 @@ from activefail.loop.progress import standing
 from activefail.record.memory import MemoryStore
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.surrogate.threads import one_thread
+from activefail.verification.confidence_bounds import StratifiedCount
 from activefail.verification.error import allotted, verify
-from activefail.verification.stratified import StratifiedCount
 
 FIRST_SEED, MOST = 4000, 600
 

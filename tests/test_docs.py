@@ -54,8 +54,11 @@ GUIDE = ROOT / "docs" / "guide.md"
 
 def section(page, heading):
     """The text of a page under a heading, to the next one of its rank."""
+    return section_of(page.read_text(encoding="utf-8"), heading)
+
+
+def section_of(text, heading):
     rank = heading.split()[0]
-    text = page.read_text(encoding="utf-8")
     return text[text.index(f"\n{heading}\n") :].split(f"\n{rank} ")[1]
 
 
@@ -266,14 +269,41 @@ def test_every_campaign_says_in_a_comment_what_it_should_show(file):
     assert "What it shows" in file.read_text(encoding="utf-8")
 
 
+# --- the map of the packages ----------------------------------------------------------------------------------------
+
+
+def test_the_list_of_modules_is_what_its_script_writes_and_every_module_says_what_it_is_for():
+    modules = script("modules")
+    assert modules.PAGE.read_text(encoding="utf-8") == modules.page(), "run python docs/modules.py"
+    assert not re.findall(r"^- `.*`:\s*$|^## .*\n\n\n", modules.page(), re.MULTILINE)
+
+
+def test_the_map_has_every_package_in_the_order_in_which_they_may_import_each_other():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    drawn = re.findall(r"^    (\w+)(?:\.py)? {2,}", section_of(text, "## A map of the packages"), re.MULTILINE)
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+    rank = {name.removeprefix("activefail."): k for k, layer in enumerate(layers) for name in layer.split(" | ")}
+    packages = {path.parent.name for path in ROOT.glob("activefail/*/__init__.py")}
+    assert packages <= set(drawn)
+    ranks = [rank[name] for name in drawn]
+    assert ranks == sorted(ranks)
+
+
 # --- citations ---------------------------------------------------------------------------------------------------
+
+
+def script(name):
+    """A script in docs/, as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def references():
     """docs/references.py and the entries of docs/references.bib."""
-    spec = importlib.util.spec_from_file_location("references", ROOT / "docs" / "references.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = script("references")
     text = (ROOT / "docs" / "references.bib").read_text(encoding="utf-8")
     return module, text, module.entries(text)
 

@@ -1,0 +1,1 @@
+"""Which designs to simulate next: the criteria, and the batch that they choose."""

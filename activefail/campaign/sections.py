@@ -349,7 +349,7 @@ class Stop(Section):
 
 
 class ProbabilityStop(Section):
-    """The stop rule: a campaign ends once it knows the probability of an outcome (`activefail.loop.stopping`).
+    """The stop rule: a campaign ends once it knows the probability of an outcome (`activefail.loop.probability_rule`).
 
     Attributes:
         probability: the outcome; the probability is that of it or a more severe one.

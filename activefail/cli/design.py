@@ -1,4 +1,4 @@
-"""The command `design`."""
+"""`activefail design`: the cheapest design that meets a target."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The command `fragility`."""
+"""`activefail fragility`: probabilities against an intensity or a variable."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The command `hazard`."""
+"""`activefail hazard`: what a hazard file says."""
 
 import json
 from pathlib import Path

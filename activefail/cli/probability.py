@@ -1,4 +1,4 @@
-"""The command `probability`."""
+"""`activefail probability`: the probability of an outcome, with an interval from fresh simulations."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The command `sensitivity`."""
+"""`activefail sensitivity`: which variables move a probability."""
 
 import json
 from pathlib import Path

@@ -1,0 +1,1 @@
+"""Active against static sampling, for one campaign and over seeds."""

@@ -1,0 +1,1 @@
+"""Where simulations run: threads, worker processes with time limits, or a Dask cluster."""

@@ -1,0 +1,1 @@
+"""The interactive pages: a server, and the answers that it gives."""

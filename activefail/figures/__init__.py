@@ -1,0 +1,1 @@
+"""Every drawing; the only package that imports matplotlib."""

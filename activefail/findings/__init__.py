@@ -1,0 +1,1 @@
+"""What a campaign shows so far: status, predictions, tables, notable designs, probabilities."""

@@ -13,8 +13,8 @@ from activefail.shares import percent
 from activefail.space import REACH
 from activefail.surrogate.choice import OUTCOMES
 from activefail.surrogate.classifier import Classifier
+from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability import EstimateOfRows
-from activefail.verification.stratified import largest_unseen_share
 
 BOUND_CONFIDENCE = 0.9
 """One-sided confidence of the bounds without a model."""

@@ -1,0 +1,1 @@
+"""The loop itself: propose, simulate, record, learn, and decide whether to end."""

@@ -20,9 +20,7 @@ from activefail.execution.executor import AsynchronousExecutor
 from activefail.loop.history import History
 from activefail.loop.initial import initial_designs, initial_sets
 from activefail.loop.learning import Learned, current, learn, restore
-from activefail.loop.progress import standing
-from activefail.loop.proposing import next_designs
-from activefail.loop.stopping import (
+from activefail.loop.probability_rule import (
     Looks,
     check_designs,
     check_looks,
@@ -34,6 +32,8 @@ from activefail.loop.stopping import (
     looks_state,
     needs_check,
 )
+from activefail.loop.progress import standing
+from activefail.loop.proposing import next_designs
 from activefail.loop.task import Task
 from activefail.record.batch import ACTIVE, CHECK, INITIAL, Batch
 from activefail.record.store import Store

@@ -11,8 +11,8 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import Learned
+from activefail.loop.probability_rule import check_designs, needs_check
 from activefail.loop.proposing import next_designs
-from activefail.loop.stopping import check_designs, needs_check
 from activefail.record.batch import ACTIVE, CHECK
 from activefail.space import Array
 

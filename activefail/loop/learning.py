@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.errors import DamagedError
 from activefail.loop.history import History
-from activefail.loop.stopping import Looks, check_looks, looked, looks_from_state, looks_state
+from activefail.loop.probability_rule import Looks, check_looks, looked, looks_from_state, looks_state
 from activefail.record.batch import Batch
 from activefail.record.store import Store
 from activefail.space import Array

@@ -13,7 +13,7 @@ from activefail.record.batch import GIVEN, Batch
 from activefail.verification.unseen import unseen_outcomes
 
 if TYPE_CHECKING:
-    from activefail.loop.stopping import Looks
+    from activefail.loop.probability_rule import Looks
     from activefail.verification.error import ErrorEstimate
 
 

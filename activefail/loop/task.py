@@ -1,4 +1,4 @@
-"""Parameters and checks that both loops share, with batches and asynchronous."""
+"""What both loops share: parameters, the checks that end a campaign with an error, and whether a stop rule is met."""
 
 from dataclasses import dataclass, replace
 
@@ -9,8 +9,8 @@ from activefail.campaign.assembly import Campaign
 from activefail.errors import SimulationError
 from activefail.execution.executor import AsynchronousExecutor
 from activefail.loop.learning import accuracy
+from activefail.loop.probability_rule import Looks
 from activefail.loop.progress import Observer, Progress
-from activefail.loop.stopping import Looks
 from activefail.record.store import Store
 from activefail.simulators.interface import cause_name
 from activefail.space import Array

@@ -1,0 +1,1 @@
+"""The reproduction of the paper: its statistics, its published numbers, and the verdicts."""

@@ -1,4 +1,4 @@
-"""The record of a campaign in its run folder: batches in a chain of immutable files, with states and sets.
+"""The record of a campaign in its run folder: `commit` makes a batch durable, in a chain of immutable files.
 
     <folder>/campaign.toml              frozen copy of the settings
              segments/<first>-<last>.h5 whole batches, immutable; states can be learned again from them

@@ -1,0 +1,1 @@
+"""HTML and Markdown pages: prose in templates, numbers from findings."""

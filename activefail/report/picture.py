@@ -1,4 +1,4 @@
-"""A figure of a page."""
+"""A figure of a page, as inline SVG with a text for screen readers."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -11,7 +11,7 @@ from activefail.errors import InputError
 from activefail.figures.design import marks_of_stored, plot_required
 from activefail.report.fragility import curves_shown
 from activefail.report.picture import picture
-from activefail.risk.design.designing import chart_of
+from activefail.risk.design.calculation import chart_of
 from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.stored import StoredDesign, stored_designs
 from activefail.risk.design.task import DEFAULT_FREE, RISK_CATEGORIES, Requirement, design_task, read_targets

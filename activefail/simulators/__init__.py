@@ -1,0 +1,1 @@
+"""What turns a design into a result: the bearing, a Python function, a program, or somebody elsewhere."""

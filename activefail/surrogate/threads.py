@@ -1,4 +1,4 @@
-"""Limits the threads of linear algebra."""
+"""One thread for linear algebra, so that results do not depend on the number of cores."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

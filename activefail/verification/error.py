@@ -1,4 +1,4 @@
-"""Estimate a classifier's error, the share of the design space that it gets wrong, from fresh simulations.
+"""The share of the design space that a classifier gets wrong, from fresh simulations, and the stop rule for it.
 
 The design space is stratified by the classifier's own probability of being wrong. Each part gets simulations in
 proportion to its volume times its standard deviation [Neyman1934], and the results are weighted back to the design
@@ -21,6 +21,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
 from activefail.surrogate.margin import MarginLatent
+from activefail.verification.confidence_bounds import StratifiedCount
 from activefail.verification.stored_sets import (
     first_part,
     looks_before,
@@ -30,7 +31,6 @@ from activefail.verification.stored_sets import (
     stored_outcomes,
     verified_sizes,
 )
-from activefail.verification.stratified import StratifiedCount
 
 EDGES = (0.005, 0.02, 0.08, 0.25)
 """Probabilities of being wrong that divide the design space into five parts."""

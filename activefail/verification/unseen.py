@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.shares import percent
-from activefail.verification.stratified import largest_unseen_share
+from activefail.verification.confidence_bounds import largest_unseen_share
 
 CONFIDENCE = 0.9
 """One-sided confidence of the bound on an unseen outcome's probability."""

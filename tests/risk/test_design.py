@@ -23,8 +23,8 @@ from activefail.risk.design.search import Candidate, Designed, Look, cheapest, f
 from activefail.risk.design.task import DesignTask, Requirement, read_targets
 from activefail.run import Run
 from activefail.space import Array, DesignSpace
+from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability import Sampled
-from activefail.verification.stratified import largest_unseen_share
 
 CAMPAIGN = """
 simulator = { python = "tank:run", outcomes = ["safe", "damage", "failure"] }

@@ -1,4 +1,4 @@
-"""The cheapest design whose probabilities of outcomes meet their targets, verified by fresh simulations."""
+"""The algorithm: the cheapest design whose probabilities of outcomes meet their targets, verified by simulation."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,8 +13,8 @@ from activefail.reliability.estimate import ProbabilityEstimate, Standardised
 from activefail.risk.design.task import LOOKS, DesignTask
 from activefail.risk.model import classifier_probability
 from activefail.space import Array
+from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability import Estimator, Sampled
-from activefail.verification.stratified import largest_unseen_share
 
 _GRID = 13
 """Values of the first free variable at which a line is scanned."""

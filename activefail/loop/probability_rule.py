@@ -1,4 +1,4 @@
-"""When a campaign knows a failure probability well enough to end.
+"""The stop rule for a probability: when a campaign knows it well enough to end.
 
 A surrogate cannot know what it has not seen, so its own certainty ends no campaign. After its posterior of the
 probability is narrow at two looks, designs far from all others are simulated, where a failure could still hide and

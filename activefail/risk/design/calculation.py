@@ -1,4 +1,4 @@
-"""Search for a design that meets stated targets under a hazard or a question."""
+"""What `Run.design` does: a search and its verification, with the chart of required values."""
 
 from collections.abc import Callable, Mapping
 

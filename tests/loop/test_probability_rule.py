@@ -14,8 +14,8 @@ from activefail.loop.asking import add, ask, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
+from activefail.loop.probability_rule import Looks, contradictions
 from activefail.loop.progress import Observer
-from activefail.loop.stopping import Looks, contradictions
 from activefail.record.batch import ACTIVE, CHECK, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore

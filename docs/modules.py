@@ -1,0 +1,40 @@
+"""Writes docs/reference/modules.md, the list of all modules, from the first lines of their docstrings.
+
+python docs/modules.py
+"""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "activefail"
+PAGE = ROOT / "docs" / "reference" / "modules.md"
+
+HEAD = """# Modules
+
+What each module is for, in its own words. `python docs/modules.py` writes this page. The map in
+[CONTRIBUTING.md](../../CONTRIBUTING.md) shows the packages and which of them may import which.
+"""
+
+
+def summary(file: Path) -> str:
+    """The first sentence or two of a module: the first paragraph of its docstring, on one line."""
+    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def package(folder: Path) -> str:
+    """A package's section: its summary, and one line for each of its modules."""
+    name = folder.relative_to(ROOT).as_posix()
+    lines = [f"- `{file.name}`: {summary(file)}" for file in sorted(folder.glob("*.py")) if file.name != "__init__.py"]
+    return "\n".join([f"\n## {name}/", "", summary(folder / "__init__.py"), "", *lines]) + "\n"
+
+
+def page() -> str:
+    """modules.md for the modules as they are."""
+    folders = sorted(file.parent for file in PACKAGE.rglob("__init__.py"))
+    return HEAD + "".join(map(package, folders))
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
