@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from numba import njit
-from scipy.interpolate import CubicHermiteSpline
 
 from activefail.bearing import outcome as o
 from activefail.bearing.accelerogram import STILL, Accelerogram
@@ -49,6 +48,9 @@ class Motion:
     """
 
     def __init__(self, response: Response) -> None:
+        # Every simulation imports this module; few draw a motion, and this import takes a fifth of a second.
+        from scipy.interpolate import CubicHermiteSpline
+
         if len(response.t) < 2:
             raise InputError(
                 f"There is no motion to draw: the simulation ended at its start ("
