@@ -26,9 +26,9 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 paper: $(VENV)/.installed
 	@if [ -f $(RUN)/campaign.toml ]; then $(BIN)/activefail resume $(RUN); \
 	else $(BIN)/activefail run campaigns/paper.toml --out $(RUN); fi
-	@$(BIN)/activefail compare $(RUN) --budgets 250,300,350,400,450,500
 	@$(BIN)/activefail status $(RUN)
 	@echo "run folder $(CURDIR)/$(RUN)"
+	@$(BIN)/activefail compare $(RUN) --static 500,1000,2000,4000 --seeds 3 --test 20000
 
 check: $(VENV)/.installed
 	$(BIN)/ruff check .

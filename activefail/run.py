@@ -1061,26 +1061,33 @@ class Run:
         test_designs: int = TEST_DESIGNS,
         stage: Callable[[str], None] = lambda _: None,
         executor: "Executor | None" = None,
+        static: list[int] | None = None,
+        hypercubes: int = 1,
     ) -> "list[Score]":
         """Compare the campaign with static designs on the same fresh designs.
 
-        Writes a table and a figure to the subfolder `compare` of the run folder.
+        Writes a table and a figure to the subfolder `compare` of the run folder. `activefail.comparison.equivalent`
+        says how many static simulations are as often right as the campaign.
 
         Args:
-            budgets: numbers of simulations; six by default.
+            budgets: numbers of simulations of the campaign; six by default.
             test_designs: number of fresh test designs.
             stage: called with each stage of the work.
             executor: as for `take`.
+            static: sizes of the static designs; the budgets by default.
+            hypercubes: number of static designs of each size.
 
         Raises:
-            InputError: if a budget exceeds the recorded simulations, or the table or figure cannot be written.
+            InputError: if a budget exceeds the recorded simulations, a number is too small, or the table or figure
+                cannot be written.
         """
         from activefail.comparison.static import compare, write_scores
         from activefail.figures.curves import plot_learning_curves
         from activefail.figures.style import save_figure
 
+        check_whole("hypercubes", hypercubes, 1)
         with nullcontext(executor) if executor else self._local_executor() as pool:
-            scores = compare(self.campaign, self.store, pool, budgets, test_designs, stage)
+            scores = compare(self.campaign, self.store, pool, budgets, test_designs, stage, static, hypercubes)
         results = self.folder / COMPARISON
         figure = plot_learning_curves(scores, self.boundary, scores[0].test_designs)
         with writing_to(results):

@@ -32,6 +32,14 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("every fault" if every else "same")
 
 
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the simulator once, before processes side by side would each compile it, and say that they do."""
+    if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
+        from activefail.bearing import TABLE_1, simulate
+
+        simulate(TABLE_1.from_unit([[0.5] * 9]))
+
+
 @contextmanager
 def _ended_if_it_hangs(item: pytest.Item) -> Iterator[None]:
     """Fail what hangs, at the place where it does; no claim about speed (see `patience`)."""

@@ -1,6 +1,7 @@
 """The compiled kernels: their compiler options, and the folder that keeps them."""
 
 import hashlib
+import logging
 import os
 import tempfile
 from collections.abc import Iterator
@@ -103,15 +104,24 @@ def _keep(kernel: Any) -> None:
 
     class Cache(FunctionCache):
         def load_overload(self, sig: Any, target_context: Any) -> Any:
+            loaded = None
             with suppress(OSError):
-                return super().load_overload(sig, target_context)
-            return None
+                loaded = super().load_overload(sig, target_context)
+            if loaded is None:
+                _announce(kernel)
+            return loaded
 
         def save_overload(self, sig: Any, data: Any) -> None:
             with suppress(OSError):
                 super().save_overload(sig, data)
 
     kernel._cache = Cache(kernel.py_func)
+
+
+def _announce(kernel: Any) -> None:
+    """Log that a kernel is compiled now, if it is the one that takes long."""
+    if kernel.py_func.__name__ == "integrate":
+        logging.getLogger(__name__).info("compiling the simulator, once; this takes some 20 s")
 
 
 def _do_not_keep(kernel: Any) -> None:

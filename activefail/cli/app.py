@@ -2,12 +2,13 @@
 
 import errno
 import io
+import logging
 import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 from typer.core import TyperCommand
@@ -43,7 +44,16 @@ def main() -> None:
         # The terminal's encoding may lack letters of a description or a folder name.
         sys.stdout.reconfigure(errors="backslashreplace")
     with visible_output():
+        # Standard error is the stream of this block; a handler made before would keep the former one.
+        _show_log(sys.stderr)
         _main()
+
+
+def _show_log(stream: TextIO) -> None:
+    """Show what activefail logs, such as that it compiles, as lines of the error stream."""
+    log = logging.getLogger("activefail")
+    log.handlers = [logging.StreamHandler(stream)]
+    log.setLevel(logging.INFO)
 
 
 def _main() -> None:

@@ -29,7 +29,13 @@ def compare(
         ),
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(help="With a campaign file: number of seeds; 5 by default.", min=1, max=100)
+        int | None,
+        typer.Option(
+            help="Number of seeds of the campaign and the static designs; with a run folder, of the static designs "
+            "alone. By default 5 with a campaign file, 1 with a run folder.",
+            min=1,
+            max=100,
+        ),
     ] = None,
     criteria: Annotated[
         str | None,
@@ -41,7 +47,9 @@ def compare(
     ] = None,
     static: Annotated[
         str | None,
-        typer.Option(help="With a campaign file: sizes of static designs; by default the file's initial and budget."),
+        typer.Option(
+            help="Sizes of static designs; by default the file's initial and budget, or with a run folder the budgets."
+        ),
     ] = None,
     test: Annotated[
         int | None,
@@ -60,13 +68,15 @@ def compare(
 ) -> None:
     """Compare active sampling with static designs on the same fresh designs.
 
-    For a run folder: compares the campaign with static designs of the same sizes. For a campaign file: compares
-    campaigns and static designs over seeds, criteria and features; after an interruption, the same command continues.
+    For a run folder: compares the campaign with static designs, and ends with the static size that is as often right.
+    For a campaign file: compares campaigns and static designs over seeds, criteria and features; after an interruption,
+    the same command continues.
     """
-    of_files = {"seeds": seeds, "criteria": criteria, "features": features, "static": static, "jobs": jobs, "out": out}
+    sizes = _parse_sizes("--static", static, least=2)
     if source.is_dir():
+        of_files = {"criteria": criteria, "features": features, "jobs": jobs, "out": out}
         _check_unset(of_files, f"a campaign file; {source} is a run folder")
-        _compare_run(source, _parse_sizes("--budgets", budgets), test, code)
+        _compare_run(source, _parse_sizes("--budgets", budgets), sizes, seeds or 1, test, code)
         return
     if source.suffix != ".toml":
         raise InputError(f"{source}: is not a run folder or a campaign file (.toml).")
@@ -76,7 +86,6 @@ def compare(
     check_output("--out", out)
     from activefail.comparison.seeds import ComparisonPlan
 
-    sizes = _parse_sizes("--static", static, least=2)
     plan = ComparisonPlan.of(source, seeds, _parse_names(criteria), _parse_names(features), sizes, test)
     _compare_seeds(plan, out, jobs)
 
@@ -101,17 +110,22 @@ def _parse_sizes(option: str, text: str | None, least: int | None = None) -> lis
     return sizes
 
 
-def _compare_run(folder: Path, budgets: list[int], test: int | None, code: Path | None) -> None:
+def _compare_run(
+    folder: Path, budgets: list[int], static: list[int], seeds: int, test: int | None, code: Path | None
+) -> None:
+    from activefail.comparison.equivalent import equivalent
     from activefail.comparison.static import score_lines
     from activefail.run import TEST_DESIGNS
 
     with opened_run(folder, write=True, code=code) as opened:
-        scores = opened.compare(budgets, test or TEST_DESIGNS, show_stage)
+        scores = opened.compare(budgets, test or TEST_DESIGNS, show_stage, static=static, hypercubes=seeds)
         show_unseen(opened.summary)
     print("\n".join(score_lines(scores, opened.boundary)))
     results = visible(str(folder / COMPARISON))
     print(f"table      {results}/{SCORES}")
     print(f"curves     {results}/{CURVES}.png and .svg")
+    if (same := equivalent(scores)) is not None:
+        print(same.in_words(opened.boundary))
 
 
 def _compare_seeds(plan: "ComparisonPlan", out: Path, jobs: int | None) -> None:

@@ -72,6 +72,7 @@ class Score:
         test_designs: size of the test set, without numerical failures.
         recall: by outcome; empty in a table written by an older version.
         given: how many of the simulations the campaign did not ask for.
+        hypercube: number of the static design among those of its size, from 0.
     """
 
     sampling: str
@@ -84,11 +85,12 @@ class Score:
     test_designs: int
     recall: Mapping[str, Recall] = field(default_factory=dict)
     given: int = 0
+    hypercube: int = 0
 
     @classmethod
     def columns(cls) -> list[str]:
-        """Names of the fields for a table, without recall and given simulations."""
-        return [one.name for one in fields(cls) if one.name not in ("recall", "given")]
+        """Names of the fields that every version wrote to its table."""
+        return [one.name for one in fields(cls) if one.name not in ("recall", "given", "hypercube")]
 
     @staticmethod
     def recall_columns(outcomes: Sequence[str]) -> list[str]:
@@ -145,6 +147,12 @@ def _simulated(
     return designs_and_outcomes
 
 
+def _static_stream(seed: int, size: int, number: int) -> np.random.Generator:
+    """The generator of a static design; number 0 has the designs that earlier versions compared with."""
+    rng = stream(seed, "static", size)
+    return rng.spawn(number)[-1] if number else rng
+
+
 def compare(
     campaign: Campaign,
     store: Store,
@@ -152,15 +160,27 @@ def compare(
     budgets: list[int] | None,
     test_size: int,
     stage: Callable[[str], None] = lambda _: None,
+    static: Sequence[int] | None = None,
+    hypercubes: int = 1,
 ) -> list[Score]:
-    """Score the campaign's first n simulations and a static design of size n, for each budget n.
+    """Score the campaign's first n simulations for each budget n, and static designs.
+
+    Args:
+        campaign, store: the campaign and its record.
+        executor: runs the simulations of the test set and the static designs.
+        budgets: numbers of simulations; None for `default_budgets`.
+        test_size: number of test designs.
+        stage: called with each stage of the work.
+        static: sizes of the static designs; None for the budgets.
+        hypercubes: number of static designs of each size.
 
     Simulations that the campaign did not ask for count among its first n: it learned and chose from them, so without
     them it would look better than what it cost. A score says how many they are. Both samplings train the same
     classifier. Test set and static designs are simulated once and kept in the run folder.
 
     Raises:
-        InputError: if a budget is below 2 or above the campaign's simulations, or the campaign has none.
+        InputError: if a budget is below 2 or above the campaign's simulations, the size of a static design is below 2,
+            or the campaign has no simulations.
     """
     seed = campaign.settings.seed
     history = History.of(store.batches)
@@ -172,6 +192,9 @@ def compare(
     for n in budgets:
         if not 2 <= n <= done:
             raise InputError(f"budgets: must be between 2 and the {done} recorded simulations, got {n}.")
+    for n in static or ():
+        if n < 2:
+            raise InputError(f"static: must be at least 2, got {n}.")
     severity = campaign.severity
 
     with one_thread():
@@ -186,36 +209,65 @@ def compare(
             classifier = learn_from(campaign, history[:n])
             given = int((history.origin[:n] == GIVEN).sum())
             scores.append(replace(score("active", classifier, severity, n, X_test, outcome_test), given=given))
-        for n in budgets:
-            stage(f"simulating and learning from {n} static simulations")
-            hypercube = campaign.space.latin_hypercube(n, stream(seed, "static", n))
-            results = simulated_results(campaign, store, executor, name_of_static_set(n), hypercube)
-            assert results is not None  # no stop was requested
-            classifier = learn_from(campaign, History.of_sample(hypercube, results))
-            scores.append(score("static", classifier, severity, n, X_test, outcome_test))
+        for n in static or budgets:
+            for number in range(hypercubes):
+                of_several = f" ({number + 1} of {hypercubes})" if hypercubes > 1 else ""
+                stage(f"simulating and learning from {n} static simulations{of_several}")
+                hypercube = campaign.space.latin_hypercube(n, _static_stream(seed, n, number))
+                name = name_of_static_set(n, number or None)
+                results = simulated_results(campaign, store, executor, name, hypercube)
+                assert results is not None  # no stop was requested
+                classifier = learn_from(campaign, History.of_sample(hypercube, results))
+                scored = score("static", classifier, severity, n, X_test, outcome_test)
+                scores.append(replace(scored, hypercube=number))
     return scores
 
 
+def by_size(scores: Sequence[Score]) -> list[list[Score]]:
+    """Scores of one sampling in groups of equal size, the smallest first."""
+    sizes = sorted({row.simulations for row in scores})
+    return [[row for row in scores if row.simulations == n] for n in sizes]
+
+
 def score_lines(scores: Sequence[Score], boundary: str) -> list[str]:
-    """Scores as a table for a terminal, followed by the recall of each outcome."""
-    rows = sorted(scores, key=lambda score: (score.simulations, score.sampling))
+    """Scores as a table for a terminal, followed by the recall of each outcome.
+
+    Of several static designs of one size, the table has the median and the range of each measure.
+    """
+    groups = [group for name in ("active", "static") for group in by_size([s for s in scores if s.sampling == name])]
+    groups.sort(key=lambda group: (group[0].simulations, group[0].sampling))
     lines = [
         f"{'simulations':>11}  {'sampling':<8}  {f'{boundary} accuracy':>18} {'95 % interval':>16}"
         f"  {'outcome accuracy':>16}  {'log score':>9}"
     ]
-    lines += [
-        f"{row.simulations:>11}  {row.sampling:<8}  {percent(row.accuracy, 2):>18} "
-        f"{interval_percent(row.low, row.high):>16}  {percent(row.outcome_accuracy, 2):>16}  {row.log_score:>9.4f}"
-        for row in rows
-    ]
+    lines += [_score_line(group) for group in groups]
+    if any(len(group) > 1 for group in groups):
+        lines.append("Several static designs of one size: medians; in place of the interval, lowest to highest.")
     lines += [f"given: {given}"] if (given := given_in_words(scores)) else []
     lines.append(
         "recall: share of the test designs with an outcome that are predicted to have it, with a 95 % interval"
     )
-    for row in rows:
+    for group in groups:
+        row = median_score(group)
         recall = ", ".join(f"{name} {one.in_words}" for name, one in row.recall.items())
         lines.append(f"{row.simulations:>11}  {row.sampling:<8}  {recall}")
     return lines
+
+
+def median_score(group: Sequence[Score]) -> Score:
+    """The score of median accuracy among designs of one size; the lower one of two."""
+    return sorted(group, key=lambda row: row.accuracy)[(len(group) - 1) // 2]
+
+
+def _score_line(group: Sequence[Score]) -> str:
+    accuracies = [row.accuracy for row in group]
+    low, high = (group[0].low, group[0].high) if len(group) == 1 else (min(accuracies), max(accuracies))
+    outcome_accuracy = float(np.median([row.outcome_accuracy for row in group]))
+    return (
+        f"{group[0].simulations:>11}  {group[0].sampling:<8}  {percent(float(np.median(accuracies)), 2):>18} "
+        f"{interval_percent(low, high):>16}  {percent(outcome_accuracy, 2):>16}  "
+        f"{float(np.median([row.log_score for row in group])):>9.4f}"
+    )
 
 
 def given_in_words(scores: Sequence[Score]) -> str:
@@ -231,6 +283,6 @@ def given_in_words(scores: Sequence[Score]) -> str:
 
 def write_scores(scores: Sequence[Score], outcomes: Sequence[str], test_designs: int, path: Path) -> None:
     """Write scores to a CSV file, with the number of numerical failures in the test set."""
-    columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered", "given"]
+    columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered", "given", "hypercube"]
     with writing(path, columns) as write:
-        write([[*score.row(), test_designs - score.test_designs, score.given] for score in scores])
+        write([[*one.row(), test_designs - one.test_designs, one.given, one.hypercube] for one in scores])

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from activefail.comparison.equivalent import Equivalent, equivalent
 from activefail.comparison.seeds import STATIC, Point
-from activefail.comparison.static import Score
+from activefail.comparison.static import Score, by_size
 from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, YELLOW, styled
 from activefail.findings.quantities import Quantity
 from activefail.space import Array
@@ -21,20 +23,51 @@ def plot_learning_curves(scores: Sequence[Score], boundary: str, test_size: int)
         looks = {"active": (BLUE, "o", "-"), "static": (VERMILION, "s", "--")}
         names = {"active": "active sampling", "static": "static Latin hypercube"}
         for sampling, (colour, marker, line) in looks.items():
-            rows = [score for score in scores if score.sampling == sampling]
-            if not rows:
+            groups = by_size([score for score in scores if score.sampling == sampling])
+            if not groups:
                 continue
-            n = np.array([row.simulations for row in rows])
-            mean, low, high = (np.array([getattr(row, key) for row in rows]) for key in ("accuracy", "low", "high"))
-            axes.fill_between(n, 100.0 * low, 100.0 * high, color=colour, alpha=0.15, linewidth=0.0)
-            axes.plot(n, 100.0 * mean, color=colour, marker=marker, linestyle=line, label=names[sampling])
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            n = np.array([group[0].simulations for group in groups])
+            middle, low, high = 100.0 * np.array([_accuracy_of(group) for group in groups]).T
+            axes.fill_between(n, low, high, color=colour, alpha=0.15, linewidth=0.0)
+            axes.plot(n, middle, color=colour, marker=marker, linestyle=line, label=names[sampling])
+        sizes = sorted({score.simulations for score in scores})
+        if sizes[-1] >= _LOGARITHMIC * sizes[0]:
+            axes.set_xscale("log")
+            ends = [max((s.simulations for s in scores if s.sampling == name), default=sizes[0]) for name in looks]
+            ticks = sorted({sizes[0], *ends, *(s.simulations for s in scores if s.sampling == "static")})
+            axes.set_xticks(ticks, [str(tick) for tick in ticks], rotation=45)
+            axes.minorticks_off()
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        _mark_equivalent(axes, equivalent(scores))
         axes.set_xlabel("simulations trained on")
         axes.set_ylabel(f"accuracy for {boundary} on fresh designs [%]")
         shared = "one set for both" if len({score.sampling for score in scores}) > 1 else "one set"
-        axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs ({shared})", fontsize=9)
+        several = max((score.hypercube for score in scores), default=0) + 1
+        static = f"\nstatic: lowest to highest of {several} designs of each size" if several > 1 else ""
+        axes.set_title(f"Band: 95 % interval over test sets of {test_size} designs ({shared}){static}", fontsize=9)
         figure.legend(loc="outside lower center", ncols=2)
     return figure
+
+
+_LOGARITHMIC = 5
+"""Ratio of the largest to the smallest number of simulations from which the axis is logarithmic."""
+
+
+def _accuracy_of(group: Sequence[Score]) -> tuple[float, float, float]:
+    """Accuracy of designs of one size with its band: the interval of a single one, or the range of several."""
+    if len(group) == 1:
+        return group[0].accuracy, group[0].low, group[0].high
+    values = [score.accuracy for score in group]
+    return float(np.median(values)), min(values), max(values)
+
+
+def _mark_equivalent(axes: Axes, same: Equivalent | None) -> None:
+    """A line from the campaign's last accuracy to where the static curve reaches it, or past its end."""
+    if same is None or (same.size is not None and same.size <= same.simulations):
+        return
+    end = same.largest if same.size is None else same.size
+    axes.plot([same.simulations, end], [100.0 * same.accuracy] * 2, color=GREY, linestyle=":", zorder=0)
 
 
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK, YELLOW)

@@ -85,14 +85,14 @@ def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
             for number, row in enumerate(csv.DictReader(file), start=1):
                 try:
                     numbers: dict[str, Any] = {name: kind(row[name]) for name, kind in kinds.items()}
-                    # Older versions wrote neither recall nor unanswered designs nor given simulations.
+                    # Older versions wrote neither recall nor the columns after it.
                     has_recall = Score.recall_columns(outcomes)[0] in row
                     recall = {
                         name: Recall(int(row[f"recalled_{name}"]), int(row[f"test_{name}"]))
                         for name in (outcomes if has_recall else ())
                     }
-                    given = int(row.get("given") or 0)
-                    scores.append(_plausible(Score(**numbers, recall=recall, given=given)))
+                    given, hypercube = (int(row.get(name) or 0) for name in ("given", "hypercube"))
+                    scores.append(_plausible(Score(**numbers, recall=recall, given=given, hypercube=hypercube)))
                     unanswered = max(unanswered, int(row.get("test_unanswered") or 0))
                 except (KeyError, TypeError, ValueError) as error:
                     raise InputError(
@@ -130,7 +130,10 @@ def _plausible(score: Score) -> Score:
     if score.sampling not in ("active", "static"):
         raise ValueError(f"sampling: must be active or static, got {visible(score.sampling)!r}")
     recalled = [number for one in score.recall.values() for number in (one.recalled, one.total)]
-    if not all(0 <= n <= _MOST_DESIGNS for n in (score.simulations, score.test_designs, score.given, *recalled)):
+    if not all(
+        0 <= n <= _MOST_DESIGNS
+        for n in (score.simulations, score.test_designs, score.given, score.hypercube, *recalled)
+    ):
         raise ValueError(f"numbers of designs must be between 0 and {_MOST_DESIGNS}")
     if any(one.recalled > one.total for one in score.recall.values()):
         raise ValueError("`recalled <= test` must hold for each outcome")

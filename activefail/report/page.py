@@ -15,6 +15,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import continue_command
 from activefail.campaign.provenance import provenance
 from activefail.campaign.question import has_pulse
+from activefail.comparison.equivalent import equivalent
 from activefail.comparison.static import given_in_words
 from activefail.distributions import in_words
 from activefail.errors import InputError
@@ -102,6 +103,7 @@ def _curve(findings: Findings, evidence: Evidence) -> dict[str, Any]:
         "both": len({score.sampling for score in scores}) > 1,
         "test_size": curve.test_size,
         "given": given_in_words(scores),
+        "equivalent": same.in_words(boundary) if (same := equivalent(scores)) else "",
     }
 
 

@@ -171,6 +171,20 @@ def test_kernels_are_kept_under_another_locator_too(on_a_copy: Callable[..., tup
     assert on_a_copy(NUMBA_CACHE_LOCATOR_CLASSES="InTreeCacheLocator") == (result, 1)
 
 
+def test_the_simulator_says_when_it_is_compiled_and_only_then(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "contact.py").write_text("x")
+    caplog.set_level("INFO", "activefail")
+
+    def integrate(x: float) -> float:
+        return x + 1.0
+
+    for messages in (1, 1):  # the second time it is kept
+        with kept_kernels(tmp_path):
+            kernel = njit(cache=True)(integrate)
+        assert kernel(2.0) == 3.0
+        assert caplog.messages == ["compiling the simulator, once; this takes some 20 s"] * messages
+
+
 @pytest.mark.faults
 def test_a_kernel_that_cannot_be_saved_is_compiled_and_runs(tmp_path: Path) -> None:
     (tmp_path / "contact.py").write_text("x")

@@ -215,7 +215,7 @@ def test_a_score_has_a_column_for_each_of_its_values(first: tuple[list[Score], i
         "recalled_broken": row.recall["broken"].recalled,
         "test_broken": row.recall["broken"].total,
     }
-    assert values | {"recall": row.recall, "given": row.given} == vars(row)
+    assert values | {"recall": row.recall, "given": row.given, "hypercube": row.hypercube} == vars(row)
 
 
 def test_the_recall_of_an_outcome_is_the_share_of_its_designs_that_are_predicted_so() -> None:
@@ -257,3 +257,31 @@ def test_given_simulations_count_among_the_first_of_the_campaign_and_the_scores_
     write_scores(found, ("safe", "broken"), 60, tmp_path / "scores.csv")
     kept, _ = read_scores(tmp_path / "scores.csv", ("safe", "broken"))
     assert [one.given for one in kept] == [one.given for one in found]
+
+
+def test_static_designs_have_their_own_sizes_and_several_of_one_size_differ(
+    campaign: Campaign, store: MemoryStore, counting: Counting, tmp_path: Path
+) -> None:
+    scores(campaign, store, [40])
+    before = counting.rows
+    with ThreadExecutor(2) as executor:
+        found = compare(campaign, store, executor, [40], TEST, static=[40, 60], hypercubes=2)
+    # The first design of size 40 is the one of a comparison without these options.
+    assert counting.rows == before + 40 + 2 * 60
+    static = [one for one in found if one.sampling == "static"]
+    assert [(one.simulations, one.hypercube) for one in static] == [(40, 0), (40, 1), (60, 0), (60, 1)]
+    assert static[0] == scores(campaign, store, [40])[1]
+    assert len({one.log_score for one in static}) == 4
+    with ThreadExecutor(2) as executor:
+        assert compare(campaign, store, executor, [40], TEST, static=[40, 60], hypercubes=2) == found
+    assert counting.rows == before + 40 + 2 * 60
+    write_scores(found, ("safe", "broken"), TEST, tmp_path / "scores.csv")
+    kept, _ = read_scores(tmp_path / "scores.csv", ("safe", "broken"))
+    assert [one.hypercube for one in kept] == [one.hypercube for one in found]
+    (line,) = [
+        line for line in score_lines(found, "broken") if line.split()[:2] == ["60", "static"] and "nan" not in line
+    ][:1]
+    accuracies = sorted(one.accuracy for one in static[2:])
+    assert f"{100 * accuracies[0]:.2f} to {100 * accuracies[1]:.2f} %" in line
+    with ThreadExecutor(2) as executor, pytest.raises(InputError, match="static: must be at least 2, got 1"):
+        compare(campaign, store, executor, [40], TEST, static=[1])

@@ -1,0 +1,96 @@
+"""How many static simulations are as often right as a campaign."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from activefail.comparison.seeds import Point, simulations_to_reach
+from activefail.comparison.static import Score, by_size
+from activefail.shares import percent
+
+
+@dataclass(frozen=True)
+class Equivalent:
+    """The static size that is as often right about the target boundary as a campaign's last score.
+
+    The size is interpolated in the logarithm of the size, on the medians of the static designs' accuracies. It has no
+    confidence interval: `lowest` and `highest` are the sizes along the single series of static designs, and there is
+    one campaign.
+
+    Attributes:
+        simulations: of the campaign.
+        accuracy: its accuracy.
+        test_designs: number of test designs.
+        size: as often right as the campaign; None if the largest static design is less often right.
+        lowest, highest: the same for each series of static designs; None as for `size`.
+        series: number of static designs of each size.
+        smallest, largest: static sizes.
+    """
+
+    simulations: int
+    accuracy: float
+    test_designs: int
+    size: float | None
+    lowest: float | None
+    highest: float | None
+    series: int
+    smallest: int
+    largest: int
+
+    def in_words(self, boundary: str) -> str:
+        """A sentence, for example for the end of `activefail compare`."""
+        right = (
+            f"After {self.simulations} simulations the campaign is right about {boundary} for "
+            f"{percent(self.accuracy, 2)} of {self.test_designs} fresh designs"
+        )
+        if self.size is None:
+            text = f"{right}, more often than static sampling after {self.largest}"
+        elif self.size <= self.smallest:
+            text = f"{right}, not more often than static sampling after {self.smallest}"
+        else:
+            text = f"{right}, as often as static sampling after about {_rounded(self.size)}"
+        if self.series == 1:
+            return f"{text} (one static design of each size; others differ)."
+        low, high = (self._bound(size) for size in (self.lowest, self.highest))
+        along = low if low == high else f"{low} to {high}"
+        return f"{text} ({along} along the {self.series} series of static designs)."
+
+    def _bound(self, size: float | None) -> str:
+        if size is None:
+            return f"more than {self.largest}"
+        return f"at most {self.smallest}" if size <= self.smallest else str(_rounded(size))
+
+
+def equivalent(scores: Sequence[Score]) -> Equivalent | None:
+    """The equivalent static size of the last active score; None without scores of both samplings."""
+    active = max((row for row in scores if row.sampling == "active"), key=lambda row: row.simulations, default=None)
+    groups = by_size([row for row in scores if row.sampling == "static"])
+    if active is None or not groups:
+        return None
+    # A table from elsewhere may lack some designs.
+    series = min(len(group) for group in groups)
+    accuracy = np.array([[row.accuracy for row in group[:series]] for group in groups])
+    sizes = [group[0].simulations for group in groups]
+
+    def reached(columns: slice) -> float | None:
+        points = [Point(n, values[columns]) for n, values in zip(sizes, accuracy, strict=True)]
+        return simulations_to_reach(points, active.accuracy)
+
+    each = sorted((reached(slice(k, k + 1)) for k in range(series)), key=lambda size: np.inf if size is None else size)
+    return Equivalent(
+        active.simulations,
+        active.accuracy,
+        active.test_designs,
+        reached(slice(None)),
+        each[0],
+        each[-1],
+        series,
+        sizes[0],
+        sizes[-1],
+    )
+
+
+def _rounded(size: float) -> int:
+    """A size to two significant digits: interpolation does not give more."""
+    return int(float(f"{size:.2g}"))

@@ -1,0 +1,55 @@
+"""How many static simulations a campaign is worth."""
+
+import pytest
+
+from activefail.comparison.equivalent import equivalent
+from activefail.comparison.static import Score
+
+
+def scored(sampling: str, simulations: int, accuracy: float, hypercube: int = 0) -> Score:
+    return Score(sampling, simulations, accuracy, accuracy, accuracy, accuracy, -0.1, 20_000, hypercube=hypercube)
+
+
+STATIC = [
+    scored("static", size, accuracy, number)
+    for size, accuracies in ((500, (0.955, 0.957, 0.950)), (1000, (0.960, 0.958, 0.955)), (4000, (0.966, 0.962, 0.960)))
+    for number, accuracy in enumerate(accuracies)
+]
+
+
+def test_the_size_is_interpolated_in_its_logarithm_on_the_medians_and_along_each_series() -> None:
+    same = equivalent([scored("active", 250, 0.90), scored("active", 500, 0.960), *STATIC])
+    assert same is not None
+    # Medians 0.955, 0.958, 0.962: 0.960 is half way from 1000 to 4000 in the logarithm.
+    assert same.size == pytest.approx(2000.0)
+    # The series reach 0.960 at 1000, half way from 1000 to 4000, and at 4000.
+    assert (same.lowest, same.highest) == (pytest.approx(1000.0), pytest.approx(4000.0))
+    assert same.in_words("failure") == (
+        "After 500 simulations the campaign is right about failure for 96.00 % of 20000 fresh designs, as often as "
+        "static sampling after about 2000 (1000 to 4000 along the 3 series of static designs)."
+    )
+
+
+def test_a_campaign_that_beats_every_static_design_is_said_to_beat_the_largest() -> None:
+    same = equivalent([scored("active", 500, 0.964), *STATIC])
+    assert same is not None
+    assert same.size is None
+    assert "more often than static sampling after 4000 (2500 to more than 4000 along" in same.in_words("failure")
+
+
+def test_a_campaign_that_no_static_design_is_worse_than_is_said_to_be_no_better_than_the_smallest() -> None:
+    same = equivalent([scored("active", 500, 0.940), *STATIC])
+    assert same is not None
+    text = same.in_words("failure")
+    assert "not more often than static sampling after 500 (at most 500 along the 3 series" in text
+
+
+def test_one_static_design_of_each_size_gives_no_range() -> None:
+    same = equivalent([scored("active", 500, 0.961), *(row for row in STATIC if row.hypercube == 0)])
+    assert same is not None
+    assert same.in_words("failure").endswith("(one static design of each size; others differ).")
+
+
+def test_without_one_of_the_samplings_there_is_nothing_to_compare() -> None:
+    assert equivalent(STATIC) is None
+    assert equivalent([scored("active", 500, 0.96)]) is None
