@@ -10,6 +10,7 @@ from activefail.campaign.continuing import how_to_continue
 from activefail.campaign.known_code import code_for, remember_code
 from activefail.campaign.on_disk import create_folder, opened, read_campaign
 from activefail.campaign.settings import CampaignSettings, checked
+from activefail.campaign.shipped import campaign_file
 from activefail.errors import InputError
 from activefail.record.layout import SETTINGS
 from activefail.run import Run
@@ -28,8 +29,8 @@ def create_run(
 
     Args:
         folder: to create.
-        campaign: the path of a campaign file; or its settings as a dictionary, with the keys of a campaign file; or a
-            campaign.
+        campaign: the path of a campaign file, or the name of a shipped one such as "paper"; or its settings as a
+            dictionary, with the keys of a campaign file; or a campaign.
         code: folder of the user's code, which is executed; the campaign file's folder if None.
         remember: whether later commands and `open_run` may run the same code for this folder without being told its
             folder (see `activefail.campaign.known_code`).
@@ -60,13 +61,14 @@ def campaign_for(
 
     Args:
         folder: the run folder.
-        file: the campaign file.
+        file: the campaign file, or the name of a shipped campaign.
         seed, budget: replace those of the file.
         code: folder of the user's code; that of the file if None.
 
     Raises:
         InputError: if the file is invalid, or the folder already holds a campaign.
     """
+    file = campaign_file(file)
     campaign = read_campaign(file, seed, budget, code=code or file.absolute().parent, run=folder)
     check_unused(folder, campaign)
     return campaign

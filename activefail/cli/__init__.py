@@ -1,7 +1,7 @@
 """The command line: parse, call, print."""
 
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
-from activefail.cli.campaigns import export, predict, resume, run, status, verify
+from activefail.cli.campaigns import campaigns, export, predict, resume, run, status, verify
 from activefail.cli.design import design
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
@@ -16,6 +16,7 @@ from activefail.cli.studies import compare, paper
 # In the order of `activefail --help`.
 for _command in (
     simulate,
+    campaigns,
     run,
     resume,
     status,

@@ -9,6 +9,7 @@ import typer
 
 from activefail.cli.common import (
     STANDARD,
+    CampaignFile,
     Code,
     ExecutorName,
     RunFolder,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file.", metavar="CAMPAIGN.toml", show_default=False)],
+    campaign: CampaignFile,
     out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
     seed: Annotated[int | None, typer.Option(help="Random seed; overrides the file's.", show_default=False)] = None,
     budget: Annotated[
@@ -53,6 +54,23 @@ def run(
     # The executor first: if it fails to start, no folder is left behind.
     with make_executor(assembled, workers, executor, scheduler) as pool, create_run(out, assembled) as created:
         _take(created, pool, executor_options=_executor_options(executor, scheduler))
+
+
+def campaigns(
+    copy: Annotated[
+        Path | None,
+        typer.Option(help="Copy the campaigns, with their code and hazards, into this new folder.", show_default=False),
+    ] = None,
+) -> None:
+    """List the campaigns that come with activefail; `activefail run NAME --out DIR` runs one."""
+    from activefail.campaign.shipped import copy_shipped, description_of, shipped_campaigns
+
+    if copy is not None:
+        for path in copy_shipped(copy):
+            print(visible(str(path)))
+        return
+    for name, file in shipped_campaigns().items():
+        print(f"{name:<10} {visible(description_of(file))}")
 
 
 def resume(

@@ -20,6 +20,15 @@ if TYPE_CHECKING:
     from activefail.findings.summary import Summary
     from activefail.run import Run
 
+CampaignFile = Annotated[
+    Path,
+    typer.Argument(
+        help="Campaign file, or the name of a shipped campaign (`activefail campaigns`).",
+        metavar="CAMPAIGN.toml",
+        show_default=False,
+    ),
+]
+
 RunFolder = Annotated[Path, typer.Argument(help="Run folder of a campaign.", metavar="DIR", show_default=False)]
 
 Code = Annotated[

@@ -11,6 +11,7 @@ import typer
 
 from activefail.cli.common import (
     STANDARD,
+    CampaignFile,
     Code,
     RunFolder,
     name_of,
@@ -33,7 +34,7 @@ Designs = Annotated[int, typer.Option("--n", help="Number of designs.", min=1, m
 
 
 def create(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file.", metavar="CAMPAIGN.toml", show_default=False)],
+    campaign: CampaignFile,
     out: Annotated[Path, typer.Option(help="Run folder to create.", show_default=False)],
     seed: Annotated[int | None, typer.Option(help="Random seed; overrides the file's.", show_default=False)] = None,
     budget: Annotated[

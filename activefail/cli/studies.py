@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 def compare(
     source: Annotated[
-        Path, typer.Argument(help="Run folder, or campaign file.", metavar="DIR|CAMPAIGN.toml", show_default=False)
+        Path,
+        typer.Argument(
+            help="Run folder, campaign file, or the name of a shipped campaign.",
+            metavar="DIR|CAMPAIGN.toml",
+            show_default=False,
+        ),
     ],
     budgets: Annotated[
         str | None,
@@ -72,12 +77,15 @@ def compare(
     For a campaign file: compares campaigns and static designs over seeds, criteria and features; after an interruption,
     the same command continues.
     """
+    from activefail.campaign.shipped import campaign_file
+
     sizes = _parse_sizes("--static", static, least=2)
     if source.is_dir():
         of_files = {"criteria": criteria, "features": features, "jobs": jobs, "out": out}
         _check_unset(of_files, f"a campaign file; {source} is a run folder")
         _compare_run(source, _parse_sizes("--budgets", budgets), sizes, seeds or 1, test, code)
         return
+    source = campaign_file(source)
     if source.suffix != ".toml":
         raise InputError(f"{source}: is not a run folder or a campaign file (.toml).")
     _check_unset({"budgets": budgets, "code": code}, f"a run folder; {source} is a campaign file")
