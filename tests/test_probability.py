@@ -64,6 +64,7 @@ def test_the_command_tells_the_probability_with_its_interval_and_the_bound_witho
     assert "probability of failure: 0.00" in result.out
     assert "with 90 % confidence" in result.out
     assert "bound      0.18 without a model, one-sided at 90 %, from the 12 simulations" in result.out
+    assert "Method of the fresh simulations: importance sampling of the classifier's mistakes." in result.out
     assert "The interval assumes a limit state that is smooth" in result.out
 
 
@@ -77,6 +78,7 @@ def test_its_json_has_the_same_numbers_each_time(ended: Path) -> None:
     assert found["probability"] == pytest.approx(TRUE, rel=0.1)
     assert (found["confidence"], found["simulations"], found["learned_from"]) == (0.95, 20, "g")
     assert found["failures_seen"] >= 1
+    assert found["method"] == "importance sampling of the classifier's mistakes"
     assert found["bound_without_model"]["one_sided"] is True
     assert activefail("export", ended / "run", "--csv", ended / "all.csv").code == 0
     origins = {line.split(",")[2] for line in (ended / "all.csv").read_text().splitlines()[1:]}

@@ -165,6 +165,7 @@ class ProbabilityFindings:
                 f"{estimate.surprising} of the fresh simulations contradict the classifier where it was sure. It has "
                 "missed something: continue the campaign before you use this estimate."
             )
+        sentences.append(f"Method of the fresh simulations: {estimate.method}.")
         sentences.append(
             "The interval assumes a limit state that is smooth between simulations: no failure is hidden where neither "
             "the classifier nor the fresh simulations looked, in one region or scattered. In five or more dimensions, "
@@ -203,7 +204,7 @@ class ProbabilityFindings:
             "failures_seen": self.seen + estimate.beyond,
             "question": self.question or None,
             "outside_design_space": self.extrapolated,
-            "method": "classifier corrected by importance sampling of its mistakes",
+            "method": estimate.method,
             "learned_from": self.learned_from or "outcomes",
             "campaign_simulations": self.learned,
             "classifier_probability": estimate.model,

@@ -165,6 +165,7 @@ class ProbabilityEstimate:
         surprising: how many of these lie where the classifier was sure, by four standard deviations.
         recall: share of the failure probability that the classifier puts beyond the boundary; NaN without failure.
         recall_low: lower end of its one-sided interval, with `confidence`.
+        method: how the fresh simulations were drawn.
     """
 
     probability: float
@@ -179,6 +180,7 @@ class ProbabilityEstimate:
     surprising: int
     recall: float
     recall_low: float
+    method: str = "importance sampling of the classifier's mistakes"
 
 
 Standardised = Callable[[Array], Array]

@@ -112,6 +112,7 @@ class StratifiedPlan:
             surprising=int((wrong & (np.abs(self.standardised) > SURE)).sum()),
             recall=recall,
             recall_low=recall_low,
+            method="strata of the classifier's doubt",
         )
 
     def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:

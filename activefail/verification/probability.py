@@ -110,6 +110,7 @@ class Sampled:
             surprising=0,
             recall=hit / low if low else float("nan"),
             recall_low=hit / (hit + missed) if hit else 0.0,
+            method="all rows of the distribution",
         )
 
     def _counted(self, estimate: ProbabilityEstimate) -> EstimateOfRows:

@@ -45,6 +45,7 @@ def test_intervals_cover_and_the_estimate_has_no_bias(sd: float, m: int) -> None
         plan = plan_of(sd, m, seed)
         estimate = plan.estimate(fails(plan.designs), all_answered(plan), 0.9)
         assert estimate.low <= estimate.probability <= estimate.high
+        assert estimate.method == "strata of the classifier's doubt"
         covered += estimate.low <= TRUE <= estimate.high
         middles.append(estimate.probability)
         recalls += estimate.recall_low <= hit / TRUE
