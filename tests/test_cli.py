@@ -1,6 +1,7 @@
 """The command line: every command does what its help says, and every mistake ends in one message, not a traceback."""
 
 import ctypes
+import json
 import os
 import re
 import shlex
@@ -486,6 +487,38 @@ def test_the_status_of_a_finished_campaign_tells_its_pieces_and_counts(ran: tupl
         counts = ", ".join(f"{outcomes.count(name)} {name}" for name in ("no_impact", "impact", "failure"))
         assert f"{title:<10} {counts}, 0 numerical failures\n" in result.out
     assert "resume" not in result.out
+
+
+def test_the_figures_of_status_verify_and_compare_are_printed_as_json_too(folder: Path) -> None:
+    rows = record(folder)
+    status = json.loads(activefail("status", folder, "--json").out)
+    assert (status["simulations"], status["counts"]["all"]["failure"]) == (
+        len(rows),
+        [row["outcome"] for row in rows].count("failure"),
+    )
+    assert status["counts"]["chosen"].keys() == {"no_impact", "impact", "failure", "numerical_failure"}
+    verify = json.loads(activefail("verify", folder, "--simulations", "10", "--json").out)
+    assert verify["low"] <= verify["error"] <= verify["high"]
+    assert verify["simulations"] + verify["numerical_failures"] == 10
+    options = ("--budgets", "30", "--static", "20,30", "--seeds", "2", "--test", "20")
+    compare = json.loads(activefail("compare", folder, *options, "--json").out)
+    assert [(one["simulations"], one["hypercube"]) for one in compare["scores"]] == [
+        (30, 0),
+        (20, 0),
+        (20, 1),
+        (30, 0),
+        (30, 1),
+    ]
+    assert compare["equivalent"]["series"] == 2
+    # The guide explains every key.
+    guide = (Path(__file__).parents[1] / "docs" / "guide.md").read_text(encoding="utf-8")
+    keys = {*status, *verify, *compare, *compare["scores"][0], "size", "lowest", "highest", "largest"}
+    assert [key for key in sorted(keys) if f"`{key}`" not in guide] == []
+
+
+def test_a_campaign_file_is_not_compared_as_json(tiny: Path, tmp_path: Path) -> None:
+    result = activefail("compare", tiny, "--out", tmp_path / "c", "--json")
+    refused(result, "--json: only for the comparison of a run folder")
 
 
 @pytest.mark.parametrize("batches", [0, 3])

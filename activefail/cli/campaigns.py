@@ -9,6 +9,7 @@ import typer
 
 from activefail.cli.common import (
     STANDARD,
+    AsJson,
     CampaignFile,
     Code,
     ExecutorName,
@@ -18,6 +19,7 @@ from activefail.cli.common import (
     make_executor,
     name_of,
     opened_run,
+    print_json,
     show_unseen,
     show_warnings,
     table_input,
@@ -146,12 +148,16 @@ def _take(
     print(f"results    {visible(str(run.folder))}")
 
 
-def status(folder: RunFolder) -> None:
+def status(folder: RunFolder, as_json: AsJson = False) -> None:
     """Show the progress of a campaign; safe while it runs."""
     from activefail.findings.status import read_status
 
     current = read_status(folder)
     show_warnings(current.warnings)
+    if as_json:
+        print_json(current.as_json())
+        show_unseen(current.summary)
+        return
     for title, text in current.lines:
         print(f"{title:<10} {text}")
     show_unseen(current.summary)
@@ -193,6 +199,7 @@ def verify(
         int, typer.Option(help="Fresh simulations, outside the budget.", min=10, max=1_000_000)
     ] = 200,
     confidence: Annotated[float, typer.Option(help="Confidence of the interval.", min=0.5, max=0.999)] = 0.9,
+    as_json: AsJson = False,
     code: Code = None,
 ) -> None:
     """Estimate how much of the design space a campaign's classifier gets wrong, with an interval."""
@@ -200,6 +207,11 @@ def verify(
         error = opened.verify(simulations, confidence)
         show_warnings(opened.store.new_warnings())
         summary = opened.summary
+    if as_json:
+        of_campaign = {"campaign_simulations": summary.done, "iteration": summary.iteration}
+        print_json({"boundary": opened.boundary, **error.as_json(), **of_campaign})
+        show_unseen(summary)
+        return
     print(f"campaign   {summary.done} simulations, iteration {summary.iteration}")
     print(f"error      {error_text(error)} of the design space on the wrong side of {opened.boundary}")
     print(

@@ -1,5 +1,7 @@
 """Options, executors and warnings shared by the commands."""
 
+import json
+import math
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -47,6 +49,8 @@ Fixed = Annotated[
         "--fixed", "--bearing", help="TOML file with values of variables, such as T_b = 4.0.", show_default=False
     ),
 ]
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 Workers = Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)]
 
@@ -139,6 +143,19 @@ def make_executor(
     from activefail.campaign.provenance import simulation_versions
 
     return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)
+
+
+def print_json(values: object) -> None:
+    """Print values as JSON, with null for a number that is none."""
+    print(json.dumps(_without_nan(values), indent=2, allow_nan=False))
+
+
+def _without_nan(values: object) -> object:
+    if isinstance(values, dict):
+        return {name: _without_nan(value) for name, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_without_nan(value) for value in values]
+    return None if isinstance(values, float) and not math.isfinite(values) else values
 
 
 def show_stage(text: str) -> None:

@@ -2,12 +2,13 @@
 
 import sys
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import Code, opened_run, show_stage, show_unseen
+from activefail.cli.common import AsJson, Code, opened_run, print_json, show_stage, show_unseen
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.interrupts import INTERRUPTED, stop_on_signals
@@ -69,6 +70,7 @@ def compare(
     out: Annotated[
         Path | None, typer.Option(help="With a campaign file: folder of the comparison.", show_default=False)
     ] = None,
+    as_json: AsJson = False,
     code: Code = None,
 ) -> None:
     """Compare active sampling with static designs on the same fresh designs.
@@ -83,12 +85,13 @@ def compare(
     if source.is_dir():
         of_files = {"criteria": criteria, "features": features, "jobs": jobs, "out": out}
         _check_unset(of_files, f"a campaign file; {source} is a run folder")
-        _compare_run(source, _parse_sizes("--budgets", budgets), sizes, seeds or 1, test, code)
+        _compare_run(source, _parse_sizes("--budgets", budgets), sizes, seeds or 1, test, as_json, code)
         return
     source = campaign_file(source)
     if source.suffix != ".toml":
         raise InputError(f"{source}: is not a run folder or a campaign file (.toml).")
-    _check_unset({"budgets": budgets, "code": code}, f"a run folder; {source} is a campaign file")
+    of_folders = {"budgets": budgets, "json": as_json or None, "code": code}
+    _check_unset(of_folders, f"a run folder; {source} is a campaign file")
     if out is None:
         raise InputError("--out: required for the comparison of a campaign file.")
     check_output("--out", out)
@@ -119,7 +122,13 @@ def _parse_sizes(option: str, text: str | None, least: int | None = None) -> lis
 
 
 def _compare_run(
-    folder: Path, budgets: list[int], static: list[int], seeds: int, test: int | None, code: Path | None
+    folder: Path,
+    budgets: list[int],
+    static: list[int],
+    seeds: int,
+    test: int | None,
+    as_json: bool,
+    code: Path | None,
 ) -> None:
     from activefail.comparison.equivalent import equivalent
     from activefail.comparison.static import score_lines
@@ -128,11 +137,16 @@ def _compare_run(
     with opened_run(folder, write=True, code=code) as opened:
         scores = opened.compare(budgets, test or TEST_DESIGNS, show_stage, static=static, hypercubes=seeds)
         show_unseen(opened.summary)
+    same = equivalent(scores)
+    if as_json:
+        rows = [asdict(row) for row in scores]
+        print_json({"boundary": opened.boundary, "scores": rows, "equivalent": None if same is None else asdict(same)})
+        return
     print("\n".join(score_lines(scores, opened.boundary)))
     results = visible(str(folder / COMPARISON))
     print(f"table      {results}/{SCORES}")
     print(f"curves     {results}/{CURVES}.png and .svg")
-    if (same := equivalent(scores)) is not None:
+    if same is not None:
         print(same.in_words(opened.boundary))
 
 

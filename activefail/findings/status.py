@@ -17,7 +17,11 @@ from activefail.record.attachments import decode_state
 from activefail.record.layout import ESTIMATE, state_file
 from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
+from activefail.verification.unseen import unseen_outcomes
 from activefail.visible import or_worse, quoted, visible
+
+NUMERICAL = "numerical_failure"
+"""Name of a simulation without an outcome, in counts."""
 
 _LARGEST_STATE, _LARGEST_ESTIMATE = 100_000_000, 100_000
 """Largest state and estimate that are read [bytes]."""
@@ -43,6 +47,45 @@ class Status:
         title, learned = visible(self.summary.settings.description or self.folder.name), self.learned
         lines = [line for line in self.summary.lines if line[0] != "learner"]
         return [("campaign", title), *self.estimate, lines[0], ("learner", self._learner), *lines[1:], *learned]
+
+    def as_json(self) -> dict[str, Any]:
+        """The state as JSON values; `docs/guide.md` describes the keys."""
+        summary = self.summary
+        names = (*summary.outcomes, NUMERICAL)
+        counts = {
+            title: dict(zip(names, numbers.tolist(), strict=True))
+            for title, numbers in (
+                ("all", summary.counts),
+                ("initial", summary.initial),
+                ("chosen", summary.chosen),
+                ("given", summary.given),
+            )
+        }
+        return {
+            "description": summary.settings.description,
+            "seed": summary.settings.seed,
+            "budget": summary.settings.budget,
+            "simulations": summary.done,
+            "iteration": summary.iteration,
+            "counts": counts,
+            "never_seen": list(unseen_outcomes(summary.outcomes, summary.counts)),
+            "in_flight": list(summary.in_flight),
+            "corrected": summary.corrected,
+            "stop_rule_met": self._rule_is_met,
+            "estimates": self._estimates,
+            "warnings": list(self.warnings),
+            "continue": [text for _, text in self.continuation],
+        }
+
+    @property
+    def _estimates(self) -> dict[str, dict[str, Any]]:
+        """The saved estimates by outcome, without values that `activefail probability` does not write at this level."""
+        saved = read_estimates(self.folder, self.summary.digest, self.summary.outcomes[1:])
+        plain = str | int | float | None
+        return {
+            visible(outcome): {name: value for name, value in numbers.items() if isinstance(value, plain)}
+            for outcome, numbers in saved.items()
+        }
 
     @cached_property
     def _state(self) -> dict[str, Any]:

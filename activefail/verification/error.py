@@ -70,6 +70,19 @@ class ErrorEstimate:
         total = "" if self.simulations == self.requested else f"of {self.requested} "
         return f"{self.simulations} {total}fresh simulations"
 
+    def as_json(self) -> dict[str, float | int]:
+        """The estimate as JSON values; `docs/guide.md` describes the keys."""
+        return {
+            "error": self.error,
+            "low": self.low,
+            "high": self.high,
+            "confidence": self.confidence,
+            "simulations": self.simulations,
+            "numerical_failures": self.requested - self.simulations,
+            "misclassified": self.wrong,
+            "expected": self.expected,
+        }
+
     def is_at_most(self, level: float, confidence: float) -> bool:
         """Whether the error is at most `level`, with one-sided confidence."""
         return self.count.upper(confidence) <= level
