@@ -3,6 +3,7 @@
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
 from activefail.cli.campaigns import campaigns, export, predict, resume, run, status, verify
 from activefail.cli.design import design
+from activefail.cli.doctor import doctor
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
 from activefail.cli.fragility import fragility
@@ -37,6 +38,7 @@ for _command in (
     report,
     explore,
     paper,
+    doctor,
 ):
     app.command(cls=Command)(ends_on_ctrl_c(_command))
 

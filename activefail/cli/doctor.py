@@ -1,0 +1,15 @@
+"""`activefail doctor`: what works in this installation, and what is missing."""
+
+import typer
+
+
+def doctor() -> None:
+    """Check the installation: versions, cores, extras, compiled kernels, and a self-test of a second."""
+    from activefail.diagnosis import diagnosis
+
+    works = True
+    for finding in diagnosis():
+        print(f"{finding.title:<11} {finding.text}", flush=True)
+        works = works and not finding.is_fault
+    if not works:
+        raise typer.Exit(1)

@@ -1,0 +1,50 @@
+"""`activefail doctor`: what it says of a sound installation, and of one that is not."""
+
+import importlib.metadata
+
+import numpy as np
+import pytest
+from commandline import activefail
+
+from activefail import bearing, diagnosis
+
+
+def lines(text: str) -> dict[str, str]:
+    return {line.split()[0]: line.split(maxsplit=1)[1] for line in text.splitlines()}
+
+
+def test_a_sound_installation_passes_and_every_extra_for_users_is_named() -> None:
+    result = activefail("doctor")
+    assert result.code == 0, result.out
+    found = lines(result.out)
+    extras = {name for name in importlib.metadata.metadata("activefail").get_all("Provides-Extra") if name != "dev"}
+    assert extras <= found.keys()
+    assert {"activefail", "libraries", "cores", "kernels"} <= found.keys()
+    assert "the right outcomes" in found["simulator"]
+    assert "learned" in found["campaign"]
+    assert "missing" not in found["libraries"]
+
+
+def test_a_simulator_that_computes_something_else_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulate = bearing.simulate
+    monkeypatch.setattr(bearing, "simulate", lambda X: simulate(np.flip(X, axis=0)))
+    result = activefail("doctor")
+    assert result.code == 1
+    found = lines(result.out)
+    assert found["simulator"] == "fails: SelfTestError: the outcomes of two bearings are [0, 2], not [2, 0]"
+    # What comes after it is tested too.
+    assert "learned" in found["campaign"]
+
+
+def test_a_missing_package_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    version = importlib.metadata.version
+
+    def without_arrow(name: str) -> str:
+        if name == "pyarrow":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", without_arrow)
+    parquet = diagnosis._extra("parquet")
+    assert parquet.text == "missing (`activefail export --parquet`): pip install 'activefail[parquet]'"
+    assert not parquet.is_fault
