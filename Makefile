@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/paper
 
-.PHONY: paper test check faults reproduction benchmark clean help
+.PHONY: paper test test-all check faults reproduction benchmark clean help
 
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
 	@echo "make test         install, run all checks"
+	@echo "make test-all     the same with the exhaustive tests: more cases of the same claims"
 	@echo "make faults       install, try every state of the fault suite (docs/reliability.md)"
 	@echo "make reproduction install, write docs/reproduction.md and its figures anew"
 	@echo "make benchmark    install, measure the simulator against SciPy's solvers"
@@ -36,8 +37,12 @@ check: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Slow files have few tests, and come last if the files with most tests come first.
 test: check
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+test-all: check
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --exhaustive
 
 # Every state, where `make test` tries a few of each kind. With strace (Debian: apt install strace) it also kills.
 faults: $(VENV)/.installed

@@ -403,15 +403,20 @@ def orders_as_the_paper(process: Process) -> bool:
     return bool(process.length_scales[significant].max() < process.length_scales[~significant].min())
 
 
-def typical_process(study: Study) -> PaperProcess:
-    """The Laplace process shown in Figures 3 to 5.
+def typical_draw(study: Study) -> int:
+    """The draw whose first split is shown in Figures 3 to 5.
 
-    It has the median fresh accuracy among the first splits with length scales ordered as in the paper (among all, if
-    there are none).
+    Its Laplace process has the median fresh accuracy among those with length scales ordered as in the paper (among all,
+    if there are none).
     """
     processes = [draw.processes["laplace"] for draw in study.draws]
     similar = [i for i, process in enumerate(processes) if orders_as_the_paper(process)] or list(range(len(processes)))
-    draw = sorted(similar, key=lambda i: processes[i].fresh)[len(similar) // 2]
+    return sorted(similar, key=lambda i: processes[i].fresh)[len(similar) // 2]
+
+
+def typical_process(study: Study) -> PaperProcess:
+    """The Laplace process shown in Figures 3 to 5, of the typical draw."""
+    draw = typical_draw(study)
     X, outcome = _answered(study.data.X[draw], study.data.outcome[draw])
     train, _ = split(np.random.default_rng([study.seed, 2, draw, 0]), len(X))
     F, failed = paper_features(X[train]), outcome[train] == 2

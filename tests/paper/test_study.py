@@ -1,3 +1,5 @@
+import contextlib
+import io
 import json
 import re
 import sys
@@ -236,25 +238,40 @@ def test_the_process_that_is_drawn_is_the_median_one_of_those_that_order_the_fea
     assert paper.orders_as_the_paper(draws([0.9], [ordered])[0].processes["laplace"])
     assert not paper.orders_as_the_paper(draws([0.9], [other])[0].processes["laplace"])
     for lengths, expected in (([ordered, other], 0), ([other, ordered], 1), ([other, other], 0)):
-        drawn = paper.typical_process(replace(study, draws=draws([0.95, 0.94], lengths), seed=3))
-        train, _ = paper.split(np.random.default_rng([3, 2, expected, 0]), 250)
-        assert np.array_equal(drawn.F, paper_features(study.data.X[expected][train]))
-        assert np.array_equal(drawn.failed, study.data.outcome[expected][train] == 2)
+        assert paper.typical_draw(replace(study, draws=draws([0.95, 0.94], lengths), seed=3)) == expected
 
 
-def test_the_command_writes_the_page_and_says_every_verdict(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(paper, "run_study", lambda *_: study)
-    monkeypatch.setattr(sys, "argv", ["activefail", "paper", "--draws", "4", "--out", str(tmp_path / "new")])
-    with pytest.raises(SystemExit) as ended:
-        main()
+def test_the_process_that_is_drawn_learned_from_the_first_split_of_its_draw(study, monkeypatch):
+    monkeypatch.setattr(paper, "laplace", lambda F, failed: None)  # its training has tests of its own
+    draw = paper.typical_draw(study)
+    drawn = paper.typical_process(study)
+    train, _ = paper.split(np.random.default_rng([study.seed, 2, draw, 0]), 250)
+    assert np.array_equal(drawn.F, paper_features(study.data.X[draw][train]))
+    assert np.array_equal(drawn.failed, study.data.outcome[draw][train] == 2)
+
+
+@pytest.fixture(scope="module")
+def by_command(study, tmp_path_factory):
+    """The folder that the command writes, and what it prints."""
+    folder = tmp_path_factory.mktemp("paper") / "new"
+    shown = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(shown):
+        patch.setattr(paper, "run_study", lambda *_: study)
+        patch.setattr(sys, "argv", ["activefail", "paper", "--draws", "4", "--out", str(folder)])
+        with pytest.raises(SystemExit) as ended:
+            main()
     assert ended.value.code == 0
-    shown = capsys.readouterr().out
+    return folder, shown.getvalue()
+
+
+def test_the_command_writes_the_page_and_says_every_verdict(study, by_command):
+    folder, shown = by_command
     assert all(line.item in shown for line in claims(study))
-    assert (tmp_path / "new" / "reproduction.md").exists()
+    assert (folder / "reproduction.md").exists()
 
 
-def test_the_page_is_whole_and_the_same_each_time(study, tmp_path):
-    first = write_reproduction(study, tmp_path / "a")
+def test_the_page_is_whole_and_the_same_each_time(study, by_command, tmp_path):
+    first = by_command[0] / "reproduction.md"
     repeated = write_reproduction(study, tmp_path / "b")
     text = first.read_text()
     assert text == repeated.read_text()
