@@ -8,6 +8,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from markupsafe import Markup
 from patience import PATIENCE
 
 pytest_plugins = ("ran",)
@@ -148,3 +149,13 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         if report.skipped:
             reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
             terminalreporter.write_line(f"skipped: {report.nodeid.split('::')[-1]}: {reason.removeprefix('Skipped: ')}")
+
+
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write pages without their pictures, for a claim about words: drawing takes most of a page's time."""
+
+    def unfilled(figure: object, name: str, alternative: str) -> Markup:
+        return Markup('<svg id="{}-picture" role="img" aria-label="{}"></svg>').format(name, alternative)
+
+    monkeypatch.setattr("activefail.report.picture.inline", unfilled)

@@ -813,6 +813,7 @@ def test_a_port_that_is_none_is_refused(folder: Path) -> None:
     assert activefail("explore", folder, "--port", "70000").code == 2
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, tmp_path: Path) -> None:
     refused(
         activefail("report", folder, "--out", tmp_path / "page.pdf"),

@@ -103,6 +103,7 @@ z = { value = 0.0 }
 """
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_campaign_that_asks_a_question_answers_it_and_shows_the_answer(tmp_path: Path) -> None:
     (tmp_path / "limit.py").write_text(LIMIT)
     (tmp_path / "made.toml").write_text(ASKING)

@@ -181,6 +181,7 @@ def test_without_a_comparison_the_curve_is_of_the_validation_set_and_the_page_sa
     assert {row[1] for row in scores} == {"active"}
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
@@ -204,6 +205,7 @@ def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_p
     assert "scores.csv: row 1: was not written by" in Page(text).text
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
@@ -286,6 +288,7 @@ def test_other_features_of_the_bearing_have_a_page_too(features, tmp_path):
     assert "or a validation set" in parsed.text
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_part_of_the_seed_is_enough_for_a_page_that_says_how_to_go_on(tmp_path):
     ran(tmp_path / "run", settings(description=""), batches=1)
     with open_campaign(tmp_path / "run", write=False) as (campaign, store):
@@ -294,6 +297,7 @@ def test_a_part_of_the_seed_is_enough_for_a_page_that_says_how_to_go_on(tmp_path
     assert f"activefail resume {tmp_path / 'run'} continues" in parsed.text
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_page_says_when_running_it_again_is_not_the_same(tmp_path):
     ran(tmp_path / "run", settings(budget=23))
     with open_campaign(tmp_path / "run", write=True) as (campaign, store), ThreadExecutor(2) as executor:
@@ -304,6 +308,7 @@ def test_the_page_says_when_running_it_again_is_not_the_same(tmp_path):
     assert "earlier end left a batch of fewer than 5" in parsed.text
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_page_of_a_campaign_without_batches_promises_no_second_of_its_kind(tmp_path):
     text = TINY.format(features="paper", budget=30, description="", extra="")
     campaign = Campaign.of(parse_settings(text.replace("batch = 5", "batch = 5, asynchronous = true"), "tiny"))
@@ -411,6 +416,7 @@ def test_powers_in_units_are_raised():
     assert quantities.quantity("cost", "$^").axis == r"cost [\$^]"
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()

@@ -156,6 +156,7 @@ def gentle(tmp_path_factory):
     return folder / "run", activefail("run", file, "--out", folder / "run")
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_run_status_verify_and_report_say_which_outcomes_were_never_seen_and_what_follows(gentle, tmp_path):
     folder, result = gentle
     assert result.code == 0
