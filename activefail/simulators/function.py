@@ -1,5 +1,6 @@
 """Custom simulators that are Python functions."""
 
+import inspect
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from activefail.simulators.interface import Results
 from activefail.simulators.returned import designs_by_name, read_answer
 from activefail.simulators.user_code import SIMULATOR_KEY, load_function
 from activefail.space import Array, DesignSpace
+from activefail.visible import visible
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,11 @@ class PythonSimulator:
         """Import the function's module and return the digest of its source.
 
         Raises:
-            InputError: if the function does not exist or may not be run.
+            InputError: if the function does not exist, may not be run, or does not take a design.
         """
-        return load_function(self.reference, self.code, SIMULATOR_KEY, self.folder)[1]
+        function, digest = load_function(self.reference, self.code, SIMULATOR_KEY, self.folder)
+        _check_takes_a_design(function, self.reference)
+        return digest
 
     def prepare(self) -> None:
         """Import the function's module, so that the import does not count as simulation time.
@@ -83,6 +87,26 @@ class PythonSimulator:
                 raise RuntimeError(description_of(error)).with_traceback(error.__traceback__) from None
             answers.append(read_answer(answer, self.outcomes, self.margins, self.levels, time.perf_counter() - began))
         return Results.concatenate(answers)
+
+
+def _check_takes_a_design(function: Callable[..., object], reference: str) -> None:
+    """Check that a function can be called with one argument, before a whole initial design fails without it.
+
+    Raises:
+        InputError: if it cannot.
+    """
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        # Some functions of compiled modules say nothing of their arguments.
+        return
+    try:
+        signature.bind({})
+    except TypeError:
+        raise InputError(
+            f"{SIMULATOR_KEY}: {reference} must take one argument, a dictionary of the design's variables by name, got "
+            f"the arguments {visible(str(signature))}."
+        ) from None
 
 
 @cache

@@ -976,6 +976,16 @@ def test_a_mistake_in_a_campaign_of_one_s_own_is_named_before_anything_is_made(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(("arguments", "shown"), [("T, drift", "(T, drift)"), ("", "()"), ("*, design", "(*, design)")])
+def test_a_function_that_does_not_take_one_design_is_refused_before_anything_is_made(
+    mine: Path, tmp_path: Path, arguments: str, shown: str
+) -> None:
+    (mine / "model.py").write_text(f"def run({arguments}):\n    return 'safe'\n")
+    result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run")
+    refused(result, "mine.toml: simulator.python: model:run must take one argument", f"got the arguments {shown}.")
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.faults
 def test_a_module_that_ends_the_process_is_told_and_does_not(mine: Path, tmp_path: Path) -> None:
     (mine / "model.py").write_text(f"import sys\n{MODEL}\nsys.exit(0)\n")
