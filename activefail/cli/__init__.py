@@ -8,6 +8,7 @@ from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
 from activefail.cli.fragility import fragility
 from activefail.cli.hazard import hazard
+from activefail.cli.ida import ida
 from activefail.cli.probability import probability
 from activefail.cli.report import report
 from activefail.cli.sensitivity import sensitivity
@@ -17,6 +18,7 @@ from activefail.cli.studies import compare, paper
 # In the order of `activefail --help`.
 for _command in (
     simulate,
+    ida,
     campaigns,
     run,
     resume,

@@ -1,0 +1,113 @@
+"""`activefail ida`: at which intensity of each record of a set a bearing fails."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from activefail.cli.common import AsJson, print_json
+from activefail.display import progress_bar
+from activefail.errors import InputError
+from activefail.files import replacing, writing_to
+from activefail.record.layout import check_output
+from activefail.visible import visible
+
+if TYPE_CHECKING:
+    from activefail.risk.ida.findings import IdaFindings
+    from activefail.space import Array
+
+
+def ida(
+    records: Annotated[Path, typer.Option(help="Folder of records (docs/records.md).", show_default=False)],
+    bearing: Annotated[
+        Path,
+        typer.Option(
+            help="TOML file with the bearing: T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k.", show_default=False
+        ),
+    ],
+    scale_to: Annotated[
+        str, typer.Option(help="Intensity of the levels: factor, pga [g], pgv [m/s], or sa:T [g] at a period [s].")
+    ] = "pgv",
+    to: Annotated[
+        float | None,
+        typer.Option(help="Highest level; by default factor 8, 3 g, 4 m/s or 2 g.", show_default=False),
+    ] = None,
+    outcome: Annotated[str, typer.Option(help="Outcome that is sought: failure or impact.")] = "failure",
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of records without one: g, m/s2 or cm/s2.", show_default=False)
+    ] = None,
+    dt: Annotated[float | None, typer.Option(help="Interval of records without times [s].", show_default=False)] = None,
+    mce: Annotated[
+        float | None,
+        typer.Option(help="Intensity of the maximum considered earthquake; adds the margin of FEMA P695."),
+    ] = None,
+    ssf: Annotated[float, typer.Option(help="Spectral shape factor of FEMA P695, with --mce.")] = 1.0,
+    beta_total: Annotated[float, typer.Option(help="Total uncertainty of FEMA P695, with --mce.")] = 0.5,
+    workers: Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)] = None,
+    as_json: AsJson = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for ida.json, ida.csv, ida.png and ida.svg.", show_default=False)
+    ] = None,
+) -> None:
+    """Find the intensity of each record at which a bearing fails, and the fragility that follows."""
+    from activefail.accelerogram_sets import read_record_set
+    from activefail.risk.ida.findings import BISECTIONS, LEVELS, MarginOptions, analyse
+    from activefail.risk.ida.intensity import Intensity
+
+    check_output("--out", out)
+    intensity, row = Intensity.of(scale_to), _bearing(bearing)
+    options = None if mce is None else MarginOptions(mce, ssf, beta_total)
+    read = read_record_set(records, unit, dt)
+    with progress_bar("simulating") as begin:
+        noted = begin(len(read.records) * (LEVELS + BISECTIONS))
+        found = analyse(row, read, intensity, outcome, to, options, threads=workers, progress=noted)
+    if out is not None:
+        _write(found, out)
+    if as_json:
+        print_json(found.as_json())
+        return
+    for title, text in found.lines:
+        print(f"{title:<11} {visible(text)}")
+    for note in found.notes:
+        print(f"note: {visible(note)}")
+    if out is not None:
+        print(f"written     {visible(str(out))}: ida.json, ida.csv, ida.png, ida.svg")
+
+
+def _bearing(file: Path) -> "Array":
+    """The bearing of a file, (7,), in the units of Table 1.
+
+    Raises:
+        InputError: if a value is missing, is not one of a bearing, or breaks a rule.
+    """
+    import numpy as np
+
+    from activefail.bearing.design import TABLE_1
+    from activefail.campaign.question import read_fixed
+
+    values, names = read_fixed(file, TABLE_1), TABLE_1.names[:7]
+    for name in values:
+        if name not in names:
+            raise InputError(f"{visible(str(file))}: {name}: is the pulse's; a record takes its place.")
+    if missing := [name for name in names if name not in values]:
+        raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
+    return np.array([values[name] for name in names])
+
+
+def _write(found: "IdaFindings", out: Path) -> None:
+    from activefail.csv_table import writing
+    from activefail.figures.ida import plot_ida
+    from activefail.figures.style import save_figure
+
+    numbers = found.as_json()
+    columns = list(numbers["records"][0])
+    with writing_to(out):
+        out.mkdir(parents=True, exist_ok=True)
+        with replacing(out / "ida.json") as file:
+            file.write(json.dumps(numbers, indent=2))
+        with writing(out / "ida.csv", columns) as write:
+            write([["" if row[name] is None else row[name] for name in columns] for row in numbers["records"]])
+        figure = plot_ida(found)
+        save_figure(figure, out / "ida.png")
+        save_figure(figure, out / "ida.svg", metadata={"Date": None})

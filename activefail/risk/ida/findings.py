@@ -1,0 +1,258 @@
+"""Incremental dynamic analysis of one bearing: the findings in numbers and words."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from activefail.accelerogram_sets import RecordSet
+from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.outcome import OUTCOMES
+from activefail.errors import InputError
+from activefail.risk.ida.capacity import Capacities, capacities
+from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin, collapse_margin, fitted
+from activefail.risk.ida.intensity import Intensity
+from activefail.space import Array
+
+LEVELS, BISECTIONS = 10, 5
+"""Levels of the ladder, and of the bisection after it."""
+
+_LARGEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
+"""Highest level of the ladder by default, by the kind of the intensity."""
+
+_LOWEST = 1.0 / 16.0
+"""The lowest level over the highest."""
+
+_SEED = 1
+"""Of the bootstrap; the same capacities give the same intervals."""
+
+
+def ladder(intensity: Intensity, highest: float | None = None) -> Array:
+    """The rising levels of an analysis, with equal ratios between them.
+
+    Raises:
+        InputError: if the highest level is not positive.
+    """
+    top = _LARGEST[intensity.kind] if highest is None else highest
+    if not (np.isfinite(top) and top > 0.0):
+        raise InputError(f"--to: must be positive, got {top:g}.")
+    return np.geomspace(_LOWEST * top, top, LEVELS)
+
+
+@dataclass(frozen=True)
+class MarginOptions:
+    """What FEMA P695 asks for beside the analysis.
+
+    Attributes:
+        mce: intensity of the maximum considered earthquake, in the unit of the analysis.
+        shape_factor: spectral shape factor, from the tables of FEMA P695; 1 changes nothing.
+        total_dispersion: total system uncertainty β.
+
+    Raises:
+        InputError: if one is not positive.
+    """
+
+    mce: float
+    shape_factor: float = 1.0
+    total_dispersion: float = 0.5
+
+    def __post_init__(self) -> None:
+        given = {"--mce": self.mce, "--ssf": self.shape_factor, "--beta-total": self.total_dispersion}
+        for name, value in given.items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{name}: must be positive, got {value:g}.")
+
+
+@dataclass(frozen=True, eq=False)
+class IdaFindings:
+    """What an incremental dynamic analysis found.
+
+    Attributes:
+        records: the set.
+        intensity: of all levels.
+        outcome: the outcome that is sought.
+        found: the capacities.
+        fragility: of the outcome, or a worse one; None if fewer than two records have a capacity.
+        margin: of FEMA P695; None if it was not asked for, or there is no fragility.
+        options: of the margin.
+    """
+
+    records: RecordSet
+    intensity: Intensity
+    outcome: str
+    found: Capacities
+    fragility: Fragility | None
+    margin: Margin | None
+    options: MarginOptions | None
+
+    @property
+    def failed(self) -> int:
+        """Number of records with a capacity."""
+        return int(np.isfinite(self.found.capacity).sum())
+
+    @property
+    def highest(self) -> float:
+        """The highest level."""
+        return float(self.found.levels[0][-1])
+
+    @property
+    def empirical(self) -> tuple[Array, Array]:
+        """Capacities, rising, and the share of all records that have failed there, (m,) each."""
+        capacity = np.sort(self.found.capacity[np.isfinite(self.found.capacity)])
+        return capacity, np.arange(1, len(capacity) + 1) / len(self.found.capacity)
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Titles and texts for a terminal."""
+        unit = f" {self.intensity.unit}" if self.intensity.unit else ""
+        count, records = len(self.found.capacity), self.records
+        lines = [
+            ("records", f"{count} of {records.events} events, scaled to {self.intensity.name}"),
+            ("runs", f"{self.found.runs} simulations up to {self.highest:.3g}{unit}"),
+            (self.outcome, f"{self.failed} of {count} records reach it"),
+        ]
+        if self.fragility is not None:
+            fit, m, d = self.fragility.fit, self.fragility.median, self.fragility.dispersion
+            lines += [
+                ("median", f"{fit.median:.3g}{unit}{_interval(m)}"),
+                ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
+            ]
+        if self.margin is not None and self.options is not None:
+            margin = self.margin
+            lines.append(("CMR", f"{margin.cmr:.3g}, ACMR {margin.acmr:.3g} (no interval)"))
+            for share, least in (("10", margin.acceptable_10), ("20", margin.acceptable_20)):
+                verdict = "met" if margin.acmr >= least else "not met"
+                lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:g}: {verdict}"))
+        return lines
+
+    @property
+    def notes(self) -> list[str]:
+        """What is assumed, and what to know of the runs, as sentences."""
+        found, notes = self.found, []
+        if self.fragility is None:
+            notes.append("Fewer than two records reach the outcome, so there is no curve. Raise the levels with --to.")
+        elif not self.fragility.median:
+            notes.append("The curve has no interval: there are too few events, or too few of them with a capacity.")
+        elif self.fragility.failed_fits:
+            notes.append(
+                f"{self.fragility.failed_fits} of 1000 bootstrap samples have no fit, so the intervals are too short."
+            )
+        if not self.records.has_events:
+            notes.append(
+                "No table names the events, so each record counts as one. Components of one earthquake are not "
+                "independent: the intervals are then too short."
+            )
+        if self.failed < len(found.capacity):
+            notes.append("Records that never fail enter the fit as capacities above the highest level.")
+        at_lowest = int((np.isfinite(found.capacity) & (found.below == 0.0)).sum())
+        if at_lowest:
+            notes.append(f"{at_lowest} of the records fail at the lowest level already; lower it with --to.")
+        if risen := int((found.resurrections > 0).sum()):
+            notes.append(
+                f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
+                "lowest level that fails among those that were simulated."
+            )
+        if failures := int(found.numerical_failures.sum()):
+            notes.append(
+                f"{failures} of the simulations failed numerically. They count as neither survived nor failed, so the "
+                "capacities of their records are less certain than the fit assumes."
+            )
+        notes.append(
+            f"Intervals: {CONFIDENCE:.0%} bootstrap over events, for other records of the same kind. They do not cover "
+            "the model, the scaling of records, or a lognormal curve that does not fit."
+        )
+        if self.margin is not None:
+            notes.append(
+                "The spectral shape factor and β are yours; the acceptable ACMR assumes a lognormal capacity with β."
+            )
+        return notes
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        found, fragility, margin = self.found, self.fragility, self.margin
+        rows = zip(self.records.records, found.below, found.capacity, strict=True)
+        return {
+            "outcome": self.outcome,
+            "intensity": self.intensity.name,
+            "unit": self.intensity.unit,
+            "simulations": found.runs,
+            "events": self.records.events,
+            "highest_level": self.highest,
+            "records": [
+                {
+                    "record": one.motion.name,
+                    "event": one.event,
+                    "intensity": self.intensity.of_record(one.motion),
+                    "below": float(below),
+                    "capacity": float(capacity) if np.isfinite(capacity) else None,
+                    "resurrections": int(found.resurrections[k]),
+                    "numerical_failures": int(found.numerical_failures[k]),
+                }
+                for k, (one, below, capacity) in enumerate(rows)
+            ],
+            "median": None if fragility is None else fragility.fit.median,
+            "median_interval": None if fragility is None else list(fragility.median) or None,
+            "dispersion": None if fragility is None else fragility.fit.dispersion,
+            "dispersion_interval": None if fragility is None else list(fragility.dispersion) or None,
+            "confidence": CONFIDENCE,
+            "cmr": None if margin is None else margin.cmr,
+            "acmr": None if margin is None else margin.acmr,
+            "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
+            "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
+            "notes": self.notes,
+        }
+
+
+def _interval(ends: tuple[float, float] | tuple[()]) -> str:
+    return f" ({CONFIDENCE:.0%} interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
+
+
+def analyse(
+    bearing: Array,
+    records: RecordSet,
+    intensity: Intensity,
+    outcome: str = OUTCOMES[-1],
+    highest: float | None = None,
+    options: MarginOptions | None = None,
+    model: Model | None = None,
+    tolerance: Tolerance | None = None,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> IdaFindings:
+    """The incremental dynamic analysis of a bearing under a set of records.
+
+    Args:
+        bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
+        records: the set.
+        intensity: by which records are scaled.
+        outcome: "impact" or "failure"; worse outcomes count too.
+        highest: level of the ladder; by default 8, 3 g, 4 m/s or 2 g.
+        options: of the collapse margin; None for none.
+        model, tolerance, threads, progress: as for `simulate_records`.
+
+    Raises:
+        InputError: if an argument is invalid.
+    """
+    if outcome not in OUTCOMES[1:]:
+        raise InputError(f"outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
+    motions = [record.motion for record in records.records]
+    severity = OUTCOMES.index(outcome)
+    found = capacities(
+        bearing,
+        motions,
+        intensity,
+        ladder(intensity, highest),
+        BISECTIONS,
+        severity,
+        model,
+        tolerance,
+        threads,
+        progress,
+    )
+    events = [record.event for record in records.records]
+    fragility = fitted(found.below, found.capacity, events, np.random.default_rng(_SEED))
+    margin = None
+    if options is not None and fragility is not None:
+        margin = collapse_margin(fragility.fit.median, options.mce, options.shape_factor, options.total_dispersion)
+    return IdaFindings(records, intensity, outcome, found, fragility, margin, options)

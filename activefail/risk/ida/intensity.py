@@ -1,0 +1,94 @@
+"""Intensities by which records are scaled: factor, peak acceleration or velocity, spectral acceleration."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from scipy.signal import lsim
+
+from activefail.bearing.accelerogram import Accelerogram
+from activefail.bearing.design import GRAVITY
+from activefail.errors import InputError
+
+DAMPING = 0.05
+"""Damping ratio of spectral accelerations."""
+
+Kind = Literal["factor", "pga", "pgv", "sa"]
+
+
+@dataclass(frozen=True)
+class Intensity:
+    """A measure of a record's intensity; scaling a record by a factor multiplies it.
+
+    Attributes:
+        kind: "factor" (of the record as it is), "pga" [g], "pgv" [m/s], or "sa", the pseudo-spectral acceleration [g]
+            at `period`, damped by 5 %.
+        period: of "sa" [s].
+    """
+
+    kind: Kind
+    period: float = math.nan
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """From "factor", "pga", "pgv" or "sa:T".
+
+        Raises:
+            InputError: if it is something else, or T is not positive.
+        """
+        name, _, period = text.partition(":")
+        if name == "sa":
+            try:
+                T = float(period)
+            except ValueError:
+                T = math.nan
+            if not (math.isfinite(T) and T > 0.0):
+                raise InputError(f"--scale-to: sa needs a positive period [s], as in sa:3.5, got {text!r}.")
+            return cls("sa", T)
+        if name not in ("factor", "pga", "pgv") or period:
+            raise InputError(f"--scale-to: must be factor, pga, pgv or sa:T, got {text!r}.")
+        return cls(name)  # type: ignore[arg-type]
+
+    @property
+    def name(self) -> str:
+        """For tables and axes, such as "Sa(3.5 s)"."""
+        return {"factor": "scale factor", "pga": "PGA", "pgv": "PGV", "sa": f"Sa({self.period:g} s)"}[self.kind]
+
+    @property
+    def unit(self) -> str:
+        """Empty for a factor."""
+        return {"factor": "", "pga": "g", "pgv": "m/s", "sa": "g"}[self.kind]
+
+    def of_record(self, motion: Accelerogram) -> float:
+        """The intensity of a record as it is.
+
+        Raises:
+            InputError: if the record does not move.
+        """
+        value = {
+            "factor": lambda: 1.0,
+            "pga": lambda: motion.peak / GRAVITY,
+            "pgv": lambda: motion.peak_velocity,
+            "sa": lambda: spectral_acceleration(motion, self.period) / GRAVITY,
+        }[self.kind]()
+        if not (math.isfinite(value) and value > 0.0) or motion.peak == 0.0:
+            raise InputError(f"{motion.name}: its {self.name} must be positive, got {value:g}.")
+        return value
+
+
+def spectral_acceleration(motion: Accelerogram, period: float) -> float:
+    """Pseudo-spectral acceleration ω² max|x| [m/s2] of the oscillator x'' + 2 ζ ω x' + ω² x = −a(t), ζ = 5 %.
+
+    The response to an acceleration that is linear between samples is exact at the samples. The record is followed by
+    one period of rest, in which the largest displacement may come.
+
+    Args:
+        motion: the record.
+        period: of the oscillator [s].
+    """
+    omega = 2.0 * math.pi / period
+    rest = math.ceil(period / motion.dt) + 1
+    a = np.append(motion.acceleration, np.zeros(rest))
+    _, x, _ = lsim(([-1.0], [1.0, 2.0 * DAMPING * omega, omega**2]), a, motion.dt * np.arange(len(a)))
+    return float(omega**2 * np.abs(x).max())
