@@ -1,4 +1,4 @@
-"""`make` installs with the CPU build of torch where the index has one, and with the default build elsewhere."""
+"""`make` installs from any index; `.ci/run` installs what some tests need, and what it found may not be skipped."""
 
 import os
 import shutil
@@ -11,18 +11,19 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
+WHEEL = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+METADATA = "Metadata-Version: 2.1\nName: activefail\nVersion: 0\nRequires-Dist: torch\nProvides-Extra: dev\n"
+
 # A build backend inside the project, so that nothing is fetched but what the index of the test has.
-BACKEND = """
+BACKEND = f"""
 from zipfile import ZipFile
 
 def build_editable(folder, config_settings=None, metadata_directory=None):
-    name, info = "activefail-0-py3-none-any.whl", "activefail-0.dist-info"
-    with ZipFile(f"{folder}/{name}", "w") as wheel:
-        metadata = "Metadata-Version: 2.1\\nName: activefail\\nVersion: 0\\nRequires-Dist: torch\\nProvides-Extra: dev\\n"
-        wheel.writestr(f"{info}/METADATA", metadata)
-        wheel.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\\nGenerator: test\\nRoot-Is-Purelib: true\\nTag: py3-none-any\\n")
-        wheel.writestr(f"{info}/RECORD", "")
-    return name
+    with ZipFile(folder + "/activefail-0-py3-none-any.whl", "w") as wheel:
+        wheel.writestr("activefail-0.dist-info/METADATA", {METADATA!r})
+        wheel.writestr("activefail-0.dist-info/WHEEL", {WHEEL!r})
+        wheel.writestr("activefail-0.dist-info/RECORD", "")
+    return "activefail-0-py3-none-any.whl"
 """
 PROJECT = """
 [build-system]
@@ -37,9 +38,7 @@ def stub(folder: Path, version: str) -> str:
     name, info = f"torch-{version}-py3-none-any.whl", f"torch-{version}.dist-info"
     with ZipFile(folder / name, "w") as wheel:
         wheel.writestr(f"{info}/METADATA", f"Metadata-Version: 2.1\nName: torch\nVersion: {version}\n")
-        wheel.writestr(
-            f"{info}/WHEEL", "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-        )
+        wheel.writestr(f"{info}/WHEEL", WHEEL)
         wheel.writestr(f"{info}/RECORD", "")
     return name
 
@@ -69,3 +68,39 @@ def test_make_installs_from_any_index_and_announces_the_large_build(
     assert [path.name for path in (tmp_path / ".venv").rglob("torch-*")] == [f"torch-{taken}.dist-info"]
     said = [line for line in done.stdout.splitlines() if "the default build is coming, several GB" in line]
     assert len(said) == large
+
+
+def test_ci_goes_on_to_the_tests_where_nothing_can_be_installed(tmp_path: Path) -> None:
+    (tmp_path / ".ci").mkdir()
+    shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
+    commands = tmp_path / "bin"
+    commands.mkdir()
+    for name, script in {"make": 'echo "make $*, required:$ACTIVEFAIL_REQUIRE."', "python3": "exit 1"}.items():
+        (commands / name).write_text(f"#!/bin/sh\n{script}\n")
+    for name in ("apt-get", "dpkg-query", "which"):
+        (commands / name).write_text("#!/bin/sh\nexit 1\n")
+    for path in commands.iterdir():
+        path.chmod(0o755)
+    unset = {"PYTHON", "ACTIVEFAIL_REQUIRE", "ACTIVEFAIL_OPENSEES_PYTHON"}
+    environment = {name: value for name, value in os.environ.items() if name not in unset}
+    environment["PATH"] = f"{commands}{os.pathsep}{environment['PATH']}"
+    done = subprocess.run(
+        [tmp_path / ".ci" / "run"], env=environment, capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert "install" in lines[0]
+    assert "chromium" in lines[0]
+    assert "ci: pip could not install openseespy" in lines
+    assert "ci: browser is not to be had here: its tests are skipped" in lines
+    assert lines[-1] == "make test, required:."
+
+
+@pytest.mark.parametrize(("required", "counts"), [("browser openseespy", "1 error"), ("browser", "1 skipped")])
+def test_a_test_that_is_skipped_for_want_of_a_required_tool_fails(required: str, counts: str, tmp_path: Path) -> None:
+    claim = "test_opensees.py::test_the_answer_is_written_to_the_file_and_nothing_else_to_stdout"
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"tests/simulators/{claim}"]
+    environment = os.environ | {"ACTIVEFAIL_REQUIRE": required, "ACTIVEFAIL_OPENSEES_PYTHON": str(tmp_path / "none")}
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert counts in done.stdout.splitlines()[-1], done.stdout
+    assert "has no openseespy: No such file or directory" in done.stdout
