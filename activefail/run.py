@@ -344,7 +344,8 @@ class Run:
             return 0
         with self._turn:
             told, handed_out = self._told(given)
-            warn = self._warner(told)
+            former = (self.campaign, self.store, told.ids, told.results, handed_out)
+            warn = self._warner(told, asking.lost_margins(*former) if correct else ())
             with rows_named(told):
                 record = asking.correct if correct else asking.tell
                 new = record(self.campaign, self.store, told.ids, told.results, handed_out, warn)
@@ -434,11 +435,11 @@ class Run:
             self._learned = None
         return new
 
-    def _warner(self, results: "ResultTable") -> Callable[[], None]:
+    def _warner(self, results: "ResultTable", others: "Sequence[str]" = ()) -> Callable[[], None]:
         """Warns of likely mistakes in a table; called before the commit, because warnings may be raised as errors."""
 
         def warn() -> None:
-            for text in results.warnings(self.campaign):
+            for text in (*results.warnings(self.campaign), *others):
                 # Attributed to the caller of `Run.tell` or `Run.add`, which call a function that calls this.
                 warnings.warn(text, stacklevel=4)
 

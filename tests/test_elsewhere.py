@@ -370,7 +370,7 @@ def test_a_wrong_result_is_corrected_and_the_former_one_stays_in_the_history(fol
         assert {kept["former_outcome"], kept["outcome"]} == {"safe", "failure"}
         counts = run.counts
     status = activefail("status", folder).out
-    assert "corrected  1 result\n" in status
+    assert "corrected  1 correction\n" in status
     assert f"all        {counts['safe']} safe, {counts['failure']} failure, 0 numerical failures" in status
     table = written(tmp_path / "fixes.csv", [{"id": wrong["id"], "g": float(row["g"])}])
     said = activefail("tell", folder, "--csv", table, "--correct").out
@@ -380,6 +380,24 @@ def test_a_wrong_result_is_corrected_and_the_former_one_stays_in_the_history(fol
         assert run.simulations.equals(before)
         np.testing.assert_array_equal(run.predict(before)["p_failure"], p)
         assert len(run.corrections) == 2
+
+
+def test_a_correction_that_would_lose_a_margin_is_warned_of(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        row = run.simulations.iloc[2]
+        number, g = int(row["id"]), float(row["g"])
+        with pytest.warns(UserWarning, match=f"id {number}: the correction leaves g empty, which was {g!r}"):
+            assert run.tell({"id": number, "outcome": "failure"}, correct=True) == 1
+        # A numerical failure has no margins to lose, and a margin that comes back is none that is lost.
+        assert run.tell({"id": number, "outcome": "numerical_failure"}, correct=True) == 1
+        assert run.tell({"id": number, "g": g}, correct=True) == 1
+
+
+def test_an_infinite_margin_is_warned_of(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        number = int(run.ask(1, beyond=True)["id"].iloc[0])
+        with pytest.warns(UserWarning, match="row 0: g is inf; no boundary can be learned from it"):
+            run.tell({"id": number, "g": np.inf})
 
 
 def test_a_correction_of_a_design_in_flight_or_changed_is_refused(folder: Path) -> None:

@@ -230,6 +230,10 @@ class ResultTable:
             return texts
         name, worst = simulator.margins[0], len(simulator.outcomes) - 1
         outcome, margin = self.results.outcome, self.results.margins[:, 0]
+        infinite = np.isinf(margin) & (outcome >= 0)
+        if infinite.any():
+            value = float(margin[int(np.argmax(infinite))])
+            texts.append(f"{self._place(infinite)}: {name} is {value}; no boundary can be learned from it.")
         lacking = np.isnan(margin) & (outcome >= 0) & (outcome < worst)
         if lacking.any():
             texts.append(

@@ -147,7 +147,7 @@ def _is_boundary(boundary: str | dict[str, Any]) -> bool:
 
 
 def _corrections_in_words(number: int) -> str:
-    return f"{number} result{'' if number == 1 else 's'}"
+    return f"{number} correction{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True)

@@ -223,12 +223,16 @@ def correct(
     check_batches(campaign)
     handed = handed_out or HandedOut.of(store)
     before, flight = _rows(store), set(handed.in_flight.id.tolist())
+    handed_out_ids = set(handed.asked.id.tolist())
     recorded = {number: row for row, number in enumerate(handed.ids.tolist())}
     rows: dict[int, int] = {}
     for row, number in enumerate(ids.tolist()):
         answer = results[row : row + 1]
         if number not in recorded:
-            way = "it is in flight: `tell` it without `correct`" if number in flight else "it is unknown or was dropped"
+            if number in flight:
+                way = "it is in flight: `tell` it without `correct`"
+            else:
+                way = "it was dropped" if number in handed_out_ids else "no design was handed out with this id"
             raise RowError(row, f"id {number} has no result to correct ({way})", campaign, answer)
         first = rows.setdefault(number, row)
         if not _is_same(results[first : first + 1], answer):
@@ -240,6 +244,23 @@ def correct(
         places = np.array([recorded[number] for number in wrong], dtype=np.int64)
         store.correct(places, results[np.array([rows[number] for number in wrong])])
     return len(wrong)
+
+
+def lost_margins(
+    campaign: Campaign, store: Store, ids: NDArray[np.int64], results: Results, handed: HandedOut
+) -> list[str]:
+    """Margins that corrections would leave empty, as sentences; the arguments are those of `correct`."""
+    before = _rows(store)
+    recorded = {number: row for row, number in enumerate(handed.ids.tolist())}
+    texts = []
+    for row, number in enumerate(ids.tolist()):
+        if number not in recorded or results.outcome[row] == NUMERICAL_FAILURE:
+            continue
+        former = before(recorded[number]).margins[0]
+        for name, was, now in zip(campaign.simulator.margins, former, results.margins[row], strict=True):
+            if np.isnan(now) and not np.isnan(was):
+                texts.append(f"id {number}: the correction leaves {name} empty, which was {float(was)!r}.")
+    return texts
 
 
 class RowError(InputError):

@@ -94,9 +94,11 @@ _NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
 def _link_error(path: Path) -> StoreError:
+    # Without these files a record says something else.
+    removing = "" if path.name in (ASKED, CORRECTIONS) else ", or remove it"
     return StoreError(
         f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it with "
-        f"the file it points to, or remove it."
+        f"the file it points to{removing}."
     )
 
 

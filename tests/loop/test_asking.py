@@ -726,7 +726,7 @@ def test_only_recorded_results_are_corrected_and_all_of_a_table_or_none() -> Non
     drop(store, np.array([5]))
     ids, results = right(campaign, store, [0])
     other = Results((1 - results.outcome).astype(np.int8), results.cause, results.margins, results.seconds)
-    for number, way in ((4, "it is in flight: `tell` it without `correct`"), (5, "it is unknown or was dropped")):
+    for number, way in ((4, "it is in flight: `tell` it without `correct`"), (5, "it was dropped"), (9, "no design was handed out with this id")):
         with pytest.raises(RowError, match=f"id {number} has no result to correct \\({way}") as caught:
             correct(campaign, store, np.array([0, number]), Results.concatenate([other, results]))
         assert caught.value.row == 1
