@@ -27,7 +27,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave the exhaustive tests out, unless they are wanted or named by their path."""
-    if config.getoption("--exhaustive") or any("::" in argument for argument in config.args):
+    wanted = config.getoption("--exhaustive") or config.getoption("--every-fault")
+    if wanted or any("::" in argument for argument in config.args):
         return
     left_out = [item for item in items if item.get_closest_marker("exhaustive")]
     if left_out:
