@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/paper
+PIP = $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: paper test test-all check faults reproduction benchmark clean help
 
@@ -19,8 +20,8 @@ help:
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "activefail needs Python 3.11 or newer; name one with make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]' \
-	|| { echo "Installing failed. If pip found no torch 2.13.0+cpu, see README.md, Installation."; exit 1; }
+	@if [ "$$(uname)" = Linux ] && $(PIP) --dry-run --no-deps torch 2>/dev/null | grep -q 'torch-[0-9.]*$$'; then echo "pip found no CPU build of torch: the default build is coming, several GB with CUDA. To avoid it, press Ctrl-C and see README.md, Installation."; fi
+	$(PIP) --quiet --editable '.[dev]' || { echo "Installing failed; see README.md, Installation."; exit 1; }
 	@touch $@
 
 # An interrupted campaign goes on where it stopped.

@@ -1,8 +1,9 @@
 """What all tests share: the fault suite's option, and its account at the end."""
 
+import os
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -26,7 +27,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave the exhaustive tests out, unless they are wanted or named by their path."""
-    if config.getoption("--exhaustive") or any("::" in argument for argument in config.args):
+    wanted = config.getoption("--exhaustive") or config.getoption("--every-fault")
+    if wanted or any("::" in argument for argument in config.args):
         return
     left_out = [item for item in items if item.get_closest_marker("exhaustive")]
     if left_out:
@@ -50,6 +52,19 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         from activefail.bearing import TABLE_1, simulate
 
         simulate(TABLE_1.from_unit([[0.5] * 9]))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Fail what is skipped for want of a tool that ACTIVEFAIL_REQUIRE names: a word of the reason, as in `.ci/run`."""
+    report = yield
+    if report.skipped and isinstance(report.longrepr, tuple):
+        reason = report.longrepr[2].removeprefix("Skipped: ")
+        for tool in os.environ.get("ACTIVEFAIL_REQUIRE", "").split():
+            if tool in reason.partition(":")[0].split():
+                report.outcome = "failed"
+                report.longrepr = f"{reason} (ACTIVEFAIL_REQUIRE names {tool})"
+    return report
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from cases import some
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
@@ -59,7 +60,9 @@ def test_no_state_has_less_potential_energy_than_its_kind_is_said_to_need(design
     assert min(touching, failing) > 1000
 
 
-@pytest.mark.parametrize("kind", ["least", "touch", "bottom lost", "top lost", "escape", "overturning"])
+@pytest.mark.parametrize(
+    "kind", some(["least", "touch", "bottom lost", "top lost", "escape", "overturning"], "least", "overturning")
+)
 def test_the_lowest_state_of_a_kind_that_a_search_finds_is_no_lower(designs, kind):
     # A penalty holds the search to the kind; the found state's shortfall from it is made up by lifting the plate.
     for row in designs[:5]:

@@ -16,6 +16,7 @@ from threading import Thread, Timer
 import numpy as np
 import pytest
 from campaign.stub import Disc, disc
+from cases import some
 from commandline import activefail, record, refused, started, wait_for
 from faults.simulators import Meddling, Remembering
 from patience import PATIENCE
@@ -206,7 +207,7 @@ class Ambush(Disc):
         return super().run(X)
 
 
-@pytest.mark.parametrize("batch", [1, 5])  # of the initial design, and of chosen ones
+@pytest.mark.parametrize("batch", some([1, 5], 5))  # of the initial design, and of chosen ones
 def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_batches(
     cluster: Cluster, tmp_path: Path, batch: int
 ) -> None:
@@ -513,7 +514,7 @@ def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) ->
     assert len(messages) == 1
 
 
-@pytest.mark.parametrize("asynchronous", [True, False])
+@pytest.mark.parametrize("asynchronous", some([True, False], True))
 def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_path: Path, asynchronous: bool) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     (tmp_path / "mine.toml").write_text(TOML.replace("true", str(asynchronous).lower()))

@@ -16,6 +16,7 @@ import hypothesis
 import numpy as np
 import pytest
 import tomli_w
+from cases import some, some_of
 from commandline import CommandResult, activefail, record, refused, table
 from faults.harness import Course, Victims, finished, traced
 from hypothesis import HealthCheck, given
@@ -404,23 +405,26 @@ def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
 
 @pytest.mark.parametrize(
     ("key", "array"),
-    [
-        ("log_lengthscale", np.zeros(7)),
-        ("log_lengthscale", np.full(2, 1e300)),
-        ("log_lengthscale", np.full(2, -1e300)),
-        ("log_outputscale", np.float64(1e6)),
-        ("log_outputscale", np.float64(np.inf)),
-        ("site_precision", np.full(12, np.nan)),
-        ("site_precision", np.full(12, -1.0)),
-        ("site_precision", np.full(12, 1e308)),
-        ("site_linear", np.zeros((3, 99))),
-        ("site_linear", np.zeros(0)),
-        ("mean", np.zeros((0, 3))),
-        ("mean", np.int64(3)),
-        ("learned_on", np.float64(3)),
-        ("inducing", np.zeros((3, 99))),
-        ("inducing", np.array([99], dtype=np.int64)),
-    ],
+    some_of(
+        [
+            ("log_lengthscale", np.zeros(7)),
+            ("log_lengthscale", np.full(2, 1e300)),
+            ("log_lengthscale", np.full(2, -1e300)),
+            ("log_outputscale", np.float64(1e6)),
+            ("log_outputscale", np.float64(np.inf)),
+            ("site_precision", np.full(12, np.nan)),
+            ("site_precision", np.full(12, -1.0)),
+            ("site_precision", np.full(12, 1e308)),
+            ("site_linear", np.zeros((3, 99))),
+            ("site_linear", np.zeros(0)),
+            ("mean", np.zeros((0, 3))),
+            ("mean", np.int64(3)),
+            ("learned_on", np.float64(3)),
+            ("inducing", np.zeros((3, 99))),
+            ("inducing", np.array([99], dtype=np.int64)),
+        ],
+        {1, 3, 5, 9, 14},
+    ),
     ids=lambda value: value if isinstance(value, str) else f"{value.dtype}{value.shape}",
 )
 def test_a_state_that_no_training_gives_is_skipped_and_learned_again_by_every_command(
@@ -589,7 +593,7 @@ def test_a_file_of_the_longest_name_that_there_is_is_written(received: Path, tmp
     assert not list(tmp_path.glob(".tmp-*"))
 
 
-@pytest.mark.parametrize("most", [6, 8, 10, 12])
+@pytest.mark.parametrize("most", some([6, 8, 10, 12], 6, 12))
 def test_a_process_that_may_open_few_files_is_told_what_it_could_not_do(received: Path, most: int) -> None:
     # The limit comes once the libraries are loaded, which need descriptors of their own.
     program = "import resource, sys; from activefail.cli import program; import activefail.report.page; "

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import some
 from commandline import activefail, record, started
 from patience import until
 
@@ -52,7 +53,7 @@ def wait_for_more(process: subprocess.Popen[str], folder: Path, before: int) -> 
     until(lambda: process.poll() is not None or recorded(folder) > before, "a batch, or the campaign's end")
 
 
-@pytest.mark.parametrize(("name", "batch"), [("bent", 1), ("truncated", 4)])
+@pytest.mark.parametrize(("name", "batch"), some([("bent", 1), ("truncated", 4)], ("truncated", 4)))
 def test_killed_at_random_it_is_resumed_to_the_same_bits(
     tmp_path: Path, name: str, batch: int, every_fault: bool, survived: Callable[[], None]
 ) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaign.stub import Disc
+from cases import some
 from commandline import activefail, record, table
 from contracts.test_executor import Acting, Exhausted, Hanging, Killed, bits, designs, given_up, wait_until, within
 from contracts.test_executor import Leaving as Exiting
@@ -71,7 +72,9 @@ class Panic(BaseException):
     """As Rust code raises it in Python."""
 
 
-@pytest.mark.parametrize("error", [asyncio.CancelledError, GeneratorExit, KeyboardInterrupt, Panic])
+@pytest.mark.parametrize(
+    "error", some([asyncio.CancelledError, GeneratorExit, KeyboardInterrupt, Panic], KeyboardInterrupt, Panic)
+)
 @pytest.mark.parametrize("make", [lambda: ProcessExecutor(2), lambda: ThreadExecutor(2)], ids=["processes", "threads"])
 def test_an_error_that_is_no_exception_is_a_simulation_that_raised(
     make: Callable[[], Executor],

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from loop.test_asynchronous import Arbitrary, kept
-from loop.test_stopping import PROBABILITY, FourBranch, campaign_on
+from loop.test_probability_rule import PROBABILITY, FourBranch, campaign_on
 
 from activefail.campaign.assembly import Campaign
 from activefail.loop.asynchronous import Course, learned_so_far, resumed

@@ -117,6 +117,7 @@ def test_no_design_is_drawn_less_often_than_the_bound_without_a_model_assumes() 
         assert plan.ratio.max() > 0.5 * LARGEST_RATIO
 
 
+@pytest.mark.exhaustive
 def test_the_lower_end_of_the_recall_is_seldom_above_the_true_recall() -> None:
     latents = [trained(four_branch, 30, seed) for seed in range(3)]
     drawn = SPACE.from_unit(np.random.default_rng(9).random((2_000_000, 2)))

@@ -14,7 +14,7 @@ from patience import PATIENCE
 
 NO_BROWSER = next(
     (
-        f"needs {what}"
+        f"a browser needs {what}"
         for what, there in (
             ("selenium (pip install 'activefail[dev]')", importlib.util.find_spec("selenium")),
             ("Chromium (apt-get install chromium)", shutil.which("chromium")),

@@ -30,7 +30,10 @@ DESIGN = {"--t-b": 4.0, "--mu": 0.06, "--d-tot": 0.6, "--t-p": 1.0, "--a-p": 0.3
 def _missing() -> str:
     """Why OpenSees cannot be run here; nothing if it can."""
     command = [INTERPRETER, "-c", "import numpy, openseespy.opensees"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        return f"{INTERPRETER} has no openseespy: {error.strerror}"
     last = done.stderr.strip().splitlines()
     return f"{INTERPRETER} has no openseespy: {last[-1] if last else done.returncode}" if done.returncode else ""
 
