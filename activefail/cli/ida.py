@@ -19,7 +19,14 @@ if TYPE_CHECKING:
 
 
 def ida(
-    records: Annotated[Path, typer.Option(help="Folder of records (docs/records.md).", show_default=False)],
+    records: Annotated[
+        Path,
+        typer.Option(
+            help="Folder of records (docs/records.md); or farfield, nearfield, nearfield-pulse or nearfield-no-pulse "
+            "of FEMA P695.",
+            show_default=False,
+        ),
+    ],
     bearing: Annotated[
         Path,
         typer.Option(

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import log_ndtr, ndtri
+from scipy.special import log_ndtr, ndtri, stdtrit
 
 from activefail.space import Array
 
 CONFIDENCE = 0.95
-_BOOTSTRAPS = 1000
 
 _BOUNDS = (math.log(0.02), math.log(3.0))
 """Of the logarithm of the dispersion, beyond which data of a few records say nothing."""
@@ -59,48 +58,51 @@ def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:
 
 @dataclass(frozen=True)
 class Fragility:
-    """A fitted curve with 95 % intervals by a bootstrap over events.
+    """A fitted curve with 95 % intervals.
 
     Attributes:
         fit: the curve of all records.
-        median, dispersion: their intervals, low and high; empty without two failing events.
-        failed_fits: bootstrap samples without a fit; if there are many, the intervals are too short.
+        median, dispersion: their intervals, low and high; empty if they cannot be had.
     """
 
     fit: Lognormal
     median: tuple[float, float] | tuple[()]
     dispersion: tuple[float, float] | tuple[()]
-    failed_fits: int
 
 
-def fitted(below: Array, capacity: Array, events: Sequence[str], rng: np.random.Generator) -> Fragility | None:
+def fitted(below: Array, capacity: Array, events: Sequence[str]) -> Fragility | None:
     """The fit with its intervals; None without a fit.
 
-    Records of one event are drawn together, since they are not independent: the bootstrap draws events with
-    replacement, as many as there are.
+    Records of one event are not independent. The intervals therefore come from fits that leave one event out at a time
+    (jackknife), on the logarithms of median and dispersion, with Student's t of one degree of freedom less than events.
+    `experiments/ida_intervals.py` measures how often they hold, also beside a bootstrap over events. They need at least
+    three events, and a fit without any of them.
 
     Args:
         below, capacity: (n,) see `fit_lognormal`.
         events: (n,) of the records.
-        rng: draws the events.
     """
     fit = fit_lognormal(below, capacity)
     if fit is None:
         return None
-    rows = [np.flatnonzero(np.array(events) == event) for event in dict.fromkeys(events)]
-    if len(rows) < 3:
-        return Fragility(fit, (), (), 0)
-    found = []
-    for _ in range(_BOOTSTRAPS):
-        drawn = np.concatenate([rows[k] for k in rng.integers(len(rows), size=len(rows))])
-        one = fit_lognormal(below[drawn], capacity[drawn])
-        if one is not None:
-            found.append((one.median, one.dispersion))
-    if len(found) < _BOOTSTRAPS // 2:
-        return Fragility(fit, (), (), _BOOTSTRAPS - len(found))
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    (m_low, d_low), (m_high, d_high) = np.quantile(np.array(found), [tail, 1.0 - tail], axis=0).tolist()
-    return Fragility(fit, (m_low, m_high), (d_low, d_high), _BOOTSTRAPS - len(found))
+    names, without = np.array(events), []
+    for event in dict.fromkeys(events):
+        one = fit_lognormal(below[names != event], capacity[names != event])
+        if one is None:
+            return Fragility(fit, (), ())
+        without.append((math.log(one.median), math.log(one.dispersion)))
+    count = len(without)
+    if count < 3:
+        return Fragility(fit, (), ())
+    left_out = np.array(without)
+    error = np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    median_half, dispersion_half = (float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * error).tolist()
+    return Fragility(fit, _around(fit.median, median_half), _around(fit.dispersion, dispersion_half))
+
+
+def _around(value: float, half: float) -> tuple[float, float]:
+    """The interval of a half width in the logarithm."""
+    return value * math.exp(-half), value * math.exp(half)
 
 
 @dataclass(frozen=True)

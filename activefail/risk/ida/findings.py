@@ -24,9 +24,6 @@ _LARGEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
 _LOWEST = 1.0 / 16.0
 """The lowest level over the highest."""
 
-_SEED = 1
-"""Of the bootstrap; the same capacities give the same intervals."""
-
 
 def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     """The rising levels of an analysis, with equal ratios between them.
@@ -103,6 +100,13 @@ class IdaFindings:
         return capacity, np.arange(1, len(capacity) + 1) / len(self.found.capacity)
 
     @property
+    def cmr_interval(self) -> tuple[float, ...]:
+        """The interval of the collapse margin ratio, from that of the median; empty without one."""
+        if self.fragility is None or self.options is None:
+            return ()
+        return tuple(end / self.options.mce for end in self.fragility.median)
+
+    @property
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts for a terminal."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
@@ -119,8 +123,11 @@ class IdaFindings:
                 ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
             ]
         if self.margin is not None and self.options is not None:
-            margin = self.margin
-            lines.append(("CMR", f"{margin.cmr:.3g}, ACMR {margin.acmr:.3g} (no interval)"))
+            margin, factor = self.margin, self.options.shape_factor
+            lines += [
+                ("CMR", f"{margin.cmr:.3g}{_interval(self.cmr_interval)}"),
+                ("ACMR", f"{margin.acmr:.3g}{_interval(tuple(factor * end for end in self.cmr_interval))}"),
+            ]
             for share, least in (("10", margin.acceptable_10), ("20", margin.acceptable_20)):
                 verdict = "met" if margin.acmr >= least else "not met"
                 lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:g}: {verdict}"))
@@ -134,10 +141,6 @@ class IdaFindings:
             notes.append("Fewer than two records reach the outcome, so there is no curve. Raise the levels with --to.")
         elif not self.fragility.median:
             notes.append("The curve has no interval: there are too few events, or too few of them with a capacity.")
-        elif self.fragility.failed_fits:
-            notes.append(
-                f"{self.fragility.failed_fits} of 1000 bootstrap samples have no fit, so the intervals are too short."
-            )
         if not self.records.has_events:
             notes.append(
                 "No table names the events, so each record counts as one. Components of one earthquake are not "
@@ -153,14 +156,19 @@ class IdaFindings:
                 f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
                 "lowest level that fails among those that were simulated."
             )
+        if lifted := int(found.lifted.sum()):
+            notes.append(
+                f"In {lifted} of the simulations the slider rocks until a plate is above the rim, before it touches "
+                "one. They count as failures."
+            )
         if failures := int(found.numerical_failures.sum()):
             notes.append(
                 f"{failures} of the simulations failed numerically. They count as neither survived nor failed, so the "
                 "capacities of their records are less certain than the fit assumes."
             )
         notes.append(
-            f"Intervals: {CONFIDENCE:.0%} bootstrap over events, for other records of the same kind. They do not cover "
-            "the model, the scaling of records, or a lognormal curve that does not fit."
+            f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
+            "model, the scaling of records, or a lognormal curve that does not fit."
         )
         if self.margin is not None:
             notes.append(
@@ -188,6 +196,7 @@ class IdaFindings:
                     "capacity": float(capacity) if np.isfinite(capacity) else None,
                     "resurrections": int(found.resurrections[k]),
                     "numerical_failures": int(found.numerical_failures[k]),
+                    "lifted": int(found.lifted[k]),
                 }
                 for k, (one, below, capacity) in enumerate(rows)
             ],
@@ -197,6 +206,7 @@ class IdaFindings:
             "dispersion_interval": None if fragility is None else list(fragility.dispersion) or None,
             "confidence": CONFIDENCE,
             "cmr": None if margin is None else margin.cmr,
+            "cmr_interval": list(self.cmr_interval) or None,
             "acmr": None if margin is None else margin.acmr,
             "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
             "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
@@ -204,8 +214,8 @@ class IdaFindings:
         }
 
 
-def _interval(ends: tuple[float, float] | tuple[()]) -> str:
-    return f" ({CONFIDENCE:.0%} interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
+def _interval(ends: tuple[float, ...]) -> str:
+    return f" ({100 * CONFIDENCE:g} % interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
 
 
 def analyse(
@@ -251,7 +261,7 @@ def analyse(
         progress,
     )
     events = [record.event for record in records.records]
-    fragility = fitted(found.below, found.capacity, events, np.random.default_rng(_SEED))
+    fragility = fitted(found.below, found.capacity, events)
     margin = None
     if options is not None and fragility is not None:
         margin = collapse_margin(fragility.fit.median, options.mce, options.shape_factor, options.total_dispersion)

@@ -1,0 +1,72 @@
+"""Capacities of three bearings under the records of FEMA P695: fragility, time, and outcomes at a tighter tolerance.
+
+    python benchmarks/ida.py [--workers 1]
+
+Needs `activefail[records]`. Each analysis is one thread's processor time. "labels" compares the outcomes of the ladder
+at the tolerance 1e-4 with those at 1e-6, and of runs that may end early with runs that go on to the end.
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from activefail.accelerogram_sets import read_record_set
+from activefail.bearing import simulate_records
+from activefail.bearing.design import Tolerance
+from activefail.risk.ida.findings import analyse, ladder
+from activefail.risk.ida.intensity import Intensity
+
+BEARINGS = {
+    "T_b 3 s, mu 0.06, D_tot 0.55 m": [3.0, 0.06, 0.55, 0.6, 0.10, 45.0, 2e9],
+    "T_b 3.5 s, mu 0.06, D_tot 0.60 m": [3.5, 0.06, 0.60, 0.6, 0.10, 45.0, 2e9],
+    "T_b 4.5 s, mu 0.10, D_tot 0.75 m": [4.5, 0.10, 0.75, 0.5, 0.15, 40.0, 3e9],
+}
+SETS = ("farfield", "nearfield-pulse", "nearfield-no-pulse")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sets", default=",".join(SETS))
+    options = parser.parse_args()
+    intensity = Intensity.of("pgv")
+    print("| bearing | set | records, events | median PGV [m/s] | dispersion | resurrections | lifted | simulations | s |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name in options.sets.split(","):
+        records = read_record_set_of(name)
+        for title, row in BEARINGS.items():
+            bearing = np.array(row)
+            began = time.process_time()
+            found = analyse(bearing, records, intensity, threads=1)
+            seconds = time.process_time() - began
+            fit = found.fragility
+            print(
+                f"| {title} | {name} | {len(records.records)}, {records.events} "
+                f"| {fit.fit.median:.2f} ({fit.median[0]:.2f} to {fit.median[1]:.2f}) "
+                f"| {fit.fit.dispersion:.2f} ({fit.dispersion[0]:.2f} to {fit.dispersion[1]:.2f}) "
+                f"| {int((found.found.resurrections > 0).sum())} | {int(found.found.lifted.sum())} "
+                f"| {found.found.runs} | {seconds:.1f} |",
+                flush=True,
+            )
+    runs, other, early = 0, 0, 0
+    for name in options.sets.split(","):
+        records = read_record_set_of(name)
+        for row in BEARINGS.values():
+            levels = ladder(intensity)
+            moved = [r.motion.scaled(x / intensity.of_record(r.motion)) for r in records.records for x in levels]
+            X = np.tile(row, (len(moved), 1))
+            usual = simulate_records(X, moved)
+            runs += len(moved)
+            other += int((usual.outcome != simulate_records(X, moved, tolerance=Tolerance(1e-6)).outcome).sum())
+            early += int((usual.outcome != simulate_records(X, moved, to_the_end=True).outcome).sum())
+    print(f"labels: {runs} runs; {other} differ from a tolerance of 1e-6; {early} differ from runs to the end")
+
+
+def read_record_set_of(name):
+    from pathlib import Path
+
+    return read_record_set(Path(name))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,291 @@
+"""Incremental dynamic analysis: capacities under records, the fragility that follows, and its figures."""
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+from scipy.integrate import solve_ivp
+from scipy.stats import norm
+
+from activefail.bearing import Accelerogram, simulate_records
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.outcome import CAUSES
+from activefail.errors import InputError
+from activefail.risk.ida import capacity as module
+from activefail.risk.ida.capacity import capacities
+from activefail.risk.ida.collapse import collapse_margin, fit_lognormal, fitted
+from activefail.risk.ida.findings import MarginOptions, ladder
+from activefail.risk.ida.intensity import Intensity, spectral_acceleration
+
+BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
+TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
+
+
+def pulse(period: float, dt: float = 0.02) -> Accelerogram:
+    """An antisymmetric pulse of 0.1 g."""
+    t = np.arange(0.0, 6.0 * period, dt)
+    x = (t - 3.0 * period) * 2.0 * np.pi / period
+    return Accelerogram(0.1 * GRAVITY * x * np.exp(0.5 - 0.5 * x**2), dt, f"pulse {period:g}")
+
+
+# --- intensities -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("period", [0.5, 3.0])
+def test_the_spectral_acceleration_is_that_of_an_integrated_oscillator(period: float) -> None:
+    motion, omega = pulse(1.5), 2.0 * np.pi / period
+    end = motion.duration + 2.0 * period
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        return [y[1], -2.0 * 0.05 * omega * y[1] - omega**2 * y[0] - float(motion.at(np.array([t]))[0])]
+
+    times = np.arange(0.0, end, 0.005)
+    found = solve_ivp(rate, (0.0, end), [0.0, 0.0], t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.02)
+    assert spectral_acceleration(motion, period) == pytest.approx(omega**2 * np.abs(found.y[0]).max(), rel=1e-3)
+
+
+def test_a_stiff_oscillator_moves_with_the_ground() -> None:
+    motion = pulse(2.0, dt=0.002)
+    assert spectral_acceleration(motion, 0.05) == pytest.approx(motion.peak, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["factor", "pga", "pgv", "sa:2.5"])
+def test_scaling_a_record_scales_its_intensity(kind: str) -> None:
+    intensity, motion = Intensity.of(kind), pulse(1.5)
+    factor = 3.0 if kind != "factor" else 1.0
+    assert intensity.of_record(motion.scaled(3.0)) == pytest.approx(factor * intensity.of_record(motion))
+
+
+@pytest.mark.parametrize("text", ["pgd", "sa", "sa:-1", "sa:x", "pgv:2", "sa:inf"])
+def test_an_intensity_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--scale-to: "):
+        Intensity.of(text)
+
+
+def test_a_record_without_motion_has_no_intensity() -> None:
+    with pytest.raises(InputError, match="still: its PGV must be positive, got 0"):
+        Intensity.of("pgv").of_record(Accelerogram(np.zeros(5), 0.01, "still"))
+    with pytest.raises(InputError, match="still: its scale factor must be positive"):
+        Intensity.of("factor").of_record(Accelerogram(np.zeros(5), 0.01, "still"))
+
+
+# --- capacities --------------------------------------------------------------------------------------------------
+
+
+def answers(outcome_at, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Have a made-up simulator answer by the factor on a record; the factors that it was asked."""
+    asked: list[float] = []
+
+    def simulated(X, records, *_):
+        factors = [float(record.acceleration[1]) for record in records]
+        asked.extend(factors)
+        given = np.array([outcome_at(x) for x in factors], dtype=np.int8)
+        return SimpleNamespace(outcome=np.where(given == LIFTED, -1, given), cause=np.where(given == LIFTED, 7, 0))
+
+    monkeypatch.setattr(module, "simulate_records", simulated)
+    return asked
+
+
+LIFTED = 99
+UNIT = Accelerogram(np.array([0.0, 1.0, 0.0]), 0.01, "unit")
+LEVELS = np.array([1.0, 2.0, 4.0, 8.0])
+
+
+def found(severity: int = 2, bisections: int = 6):
+    return capacities(BEARING, [UNIT], Intensity.of("factor"), LEVELS, bisections, severity)
+
+
+def test_the_capacity_is_bracketed_by_the_ladder_and_halved_by_each_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = answers(lambda x: 2 if x >= 2.7 else 0, monkeypatch)
+    one = found()
+    assert one.below[0] < 2.7 <= one.capacity[0]
+    assert one.capacity[0] - one.below[0] == pytest.approx(2.0 / 2**6)
+    assert one.runs == len(asked) == len(set(asked)) == 10
+    assert (one.resurrections[0], one.numerical_failures[0]) == (0, 0)
+
+
+def test_an_outcome_that_is_worse_counts_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers(lambda x: 0 if x < 1.5 else 2, monkeypatch)
+    assert 1.0 < found(severity=1).capacity[0] <= 1.6
+
+
+def test_a_bearing_that_survives_a_higher_level_is_counted_and_has_the_lowest_failing_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    answers(lambda x: 2 if 1.7 <= x < 3.0 else 1, monkeypatch)
+    one = found()
+    assert one.below[0] < 1.7 <= one.capacity[0]
+    assert one.resurrections[0] == 2  # the levels 4 and 8
+
+
+def test_records_that_never_fail_and_that_always_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers(lambda _: 0, monkeypatch)
+    never = found()
+    assert (never.below[0], never.capacity[0], never.runs) == (8.0, math.inf, 4)
+    answers(lambda _: 2, monkeypatch)
+    always = found(bisections=3)
+    assert (always.below[0], always.capacity[0], always.runs) == (0.0, 0.125, 7)
+
+
+def test_a_numerical_failure_is_neither_survived_nor_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers(lambda x: -1 if x in (2.0, 3.0) else 2 if x >= 2.5 else 0, monkeypatch)
+    one = found(bisections=2)
+    # The ladder gives 1 and 4; the first bisection, 2.5, fails, the second, 1.75, is survived.
+    assert (one.below[0], one.capacity[0], one.numerical_failures[0]) == (1.75, 2.5, 1)
+
+
+def test_a_plate_that_lifts_above_its_rim_before_a_touch_is_a_failure_and_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    answers(lambda x: LIFTED if x >= 2.7 else 0, monkeypatch)
+    one = found()
+    assert one.below[0] < 2.7 <= one.capacity[0]
+    assert (one.lifted[0], one.numerical_failures[0]) == (5, 0)
+    assert CAUSES[7] == "failure_without_rim_touch"
+
+
+def test_capacities_of_a_bearing_lie_where_its_simulations_say() -> None:
+    motions, intensity = [pulse(1.5), pulse(2.5)], Intensity.of("pgv")
+    one = capacities(BEARING, motions, intensity, ladder(intensity), 4, 2)
+    assert np.isfinite(one.capacity).all()
+    for motion, below, above in zip(motions, one.below, one.capacity, strict=True):
+        scaled = [motion.scaled(level / intensity.of_record(motion)) for level in (below, above)]
+        assert simulate_records(np.tile(BEARING, (2, 1)), scaled).outcome.tolist()[1] == 2
+        assert simulate_records(BEARING[None], scaled[:1]).outcome[0] < 2
+
+
+# --- the fragility -----------------------------------------------------------------------------------------------
+
+
+def test_the_fit_of_finely_known_capacities_is_that_of_their_logarithms() -> None:
+    capacity = np.random.default_rng(4).lognormal(0.3, 0.5, 400)
+    fit = fit_lognormal(0.999 * capacity, 1.001 * capacity)
+    assert fit is not None
+    assert math.log(fit.median) == pytest.approx(np.log(capacity).mean(), abs=1e-3)
+    assert fit.dispersion == pytest.approx(np.log(capacity).std(), abs=1e-3)
+    assert fit.quantile(0.1) == pytest.approx(fit.median * math.exp(-1.2815516 * fit.dispersion))
+
+
+def test_records_that_never_fail_enter_as_capacities_above_the_highest_level() -> None:
+    capacity = np.random.default_rng(5).lognormal(0.0, 0.4, 4000)
+    limit = 1.2
+    low, high = np.where(capacity < limit, 0.98 * capacity, limit), np.where(capacity < limit, capacity, np.inf)
+    fit = fit_lognormal(low, high)
+    assert fit is not None
+    assert fit.median == pytest.approx(1.0, rel=0.03)
+    assert fit.dispersion == pytest.approx(0.4, rel=0.05)
+
+
+def test_too_few_failing_records_have_no_curve_and_too_few_events_no_interval() -> None:
+    high = np.array([1.0, np.inf, np.inf])
+    assert fit_lognormal(np.array([0.9, 4.0, 4.0]), high) is None
+    assert fitted(np.array([0.9, 4.0, 4.0]), high, ["a", "b", "c"]) is None
+    capacity = np.array([1.0, 1.5, 2.0, 2.5])
+    two = fitted(0.95 * capacity, capacity, ["a", "a", "b", "b"])
+    assert two is not None
+    assert two.median == two.dispersion == ()
+
+
+def test_intervals_cover_medians_of_records_that_share_events() -> None:
+    rng, covered = np.random.default_rng(6), 0
+    for _ in range(40):
+        z = np.sqrt(0.7) * rng.normal(size=(10, 1)) + np.sqrt(0.3) * rng.normal(size=(10, 2))
+        capacity = 1.5 * np.exp(0.4 * z.ravel())
+        one = fitted(0.98 * capacity, capacity, np.repeat(np.arange(10), 2).tolist())
+        assert one is not None
+        covered += one.median[0] <= 1.5 <= one.median[1]
+    # 95 % of 40 are 38; fewer than 34 would have a probability of 0.003.
+    assert covered >= 34
+
+
+def test_the_acceptable_margins_are_those_of_the_standard() -> None:
+    margin = collapse_margin(1.8, 0.9, 1.2, 0.5)
+    assert (margin.cmr, margin.acmr) == (pytest.approx(2.0), pytest.approx(2.4))
+    # Φ of the logarithm of the margin over β is the share that does not collapse.
+    assert norm.cdf(math.log(margin.acceptable_10) / 0.5) == pytest.approx(0.90)
+    assert norm.cdf(math.log(margin.acceptable_20) / 0.5) == pytest.approx(0.80)
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set of eight pulses of four events, and a bearing."""
+    folder = tmp_path_factory.mktemp("ida")
+    (folder / "set").mkdir()
+    rows = ["file,unit,event,dt"]
+    for event in range(4):
+        for component, size in (("a", 1.0), ("b", 0.7)):
+            motion = pulse(1.3 + 0.4 * event).scaled(size)
+            name = f"{event}{component}.txt"
+            np.savetxt(folder / "set" / name, motion.acceleration)
+            rows.append(f"{name},m/s2,{event},{motion.dt}")
+    (folder / "set" / "records.csv").write_text("\n".join(rows) + "\n")
+    (folder / "bearing.toml").write_text(TOML)
+    return folder
+
+
+def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path, tmp_path: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--mce", "0.8", "--ssf", "1.1")
+    result = activefail(*words, "--out", tmp_path / "out")
+    assert result.code == 0, result.err
+    assert "8 of 4 events, scaled to PGV" in result.out
+    assert "95 % interval" in result.out
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"ida.json", "ida.csv", "ida.png", "ida.svg"}
+    numbers = json.loads(activefail(*words, "--json").out)
+    assert json.loads((tmp_path / "out" / "ida.json").read_text()) == numbers
+    low, high = numbers["median_interval"]
+    assert low < numbers["median"] < high
+    assert numbers["acmr"] == pytest.approx(1.1 * numbers["median"] / 0.8)
+    assert numbers["cmr_interval"] == pytest.approx([low / 0.8, high / 0.8])
+    capacity = [one["capacity"] for one in numbers["records"]]
+    # Two components of one event differ by a factor alone, so they fail at one velocity.
+    assert capacity[::2] == pytest.approx(capacity[1::2])
+    header = (tmp_path / "out" / "ida.csv").read_text().splitlines()[0]
+    assert header == "record,event,intensity,below,capacity,resurrections,numerical_failures,lifted"
+
+
+def test_a_set_that_the_bearing_survives_has_no_curve_and_says_so(case: Path) -> None:
+    result = activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "0.05")
+    assert result.code == 0
+    assert "0 of 8 records reach it" in result.out
+    assert "Fewer than two records reach the outcome, so there is no curve" in result.out
+    assert "median" not in result.out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--outcome", "collapse"), "outcome: must be one of impact, failure, got 'collapse'"),
+        (("--to", "0"), "--to: must be positive, got 0"),
+        (("--mce", "-1"), "--mce: must be positive, got -1"),
+        (("--mce", "1", "--beta-total", "nan"), "--beta-total: must be positive, got nan"),
+        (("--scale-to", "sv"), "--scale-to: must be factor, pga, pgv or sa:T, got 'sv'"),
+    ],
+)
+def test_options_that_break_a_rule_are_refused(case: Path, options: tuple[str, ...], message: str) -> None:
+    refused(activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", *options), message)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (TOML.replace("p = 45\n", ""), "bearing.toml: needs p."),
+        (TOML + "T_p = 2.0\n", "bearing.toml: T_p: is the pulse's; a record takes its place."),
+        (TOML.replace("p = 45", "p = true"), "p: must be a number"),
+        (TOML.replace("mu = 0.06", "mu = -0.1"), "mu"),
+    ],
+)
+def test_a_bearing_that_breaks_a_rule_is_refused(case: Path, tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "bearing.toml").write_text(text)
+    refused(activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml"), message)
+
+
+def test_options_of_the_margin_must_be_positive() -> None:
+    with pytest.raises(InputError, match="--ssf: must be positive, got 0"):
+        MarginOptions(1.0, 0.0)

