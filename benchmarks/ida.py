@@ -1,6 +1,6 @@
 """Capacities of three bearings under the records of FEMA P695: fragility, time, and outcomes at a tighter tolerance.
 
-    python benchmarks/ida.py [--workers 1]
+    python benchmarks/ida.py
 
 Needs `activefail[records]`. Each analysis is one thread's processor time. "labels" compares the outcomes of the ladder
 at the tolerance 1e-4 with those at 1e-6, and of runs that may end early with runs that go on to the end.
@@ -8,6 +8,7 @@ at the tolerance 1e-4 with those at 1e-6, and of runs that may end early with ru
 
 import argparse
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -30,10 +31,21 @@ def main():
     parser.add_argument("--sets", default=",".join(SETS))
     options = parser.parse_args()
     intensity = Intensity.of("pgv")
-    print("| bearing | set | records, events | median PGV [m/s] | dispersion | resurrections | lifted | simulations | s |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    titles = (
+        "bearing",
+        "set",
+        "records, events",
+        "median PGV [m/s]",
+        "dispersion",
+        "resurrections",
+        "lifted",
+        "runs",
+        "s",
+    )
+    print(f"| {' | '.join(titles)} |")
+    print("|---" * len(titles) + "|")
     for name in options.sets.split(","):
-        records = read_record_set_of(name)
+        records = read_record_set(Path(name))
         for title, row in BEARINGS.items():
             bearing = np.array(row)
             began = time.process_time()
@@ -50,7 +62,7 @@ def main():
             )
     runs, other, early = 0, 0, 0
     for name in options.sets.split(","):
-        records = read_record_set_of(name)
+        records = read_record_set(Path(name))
         for row in BEARINGS.values():
             levels = ladder(intensity)
             moved = [r.motion.scaled(x / intensity.of_record(r.motion)) for r in records.records for x in levels]
@@ -60,12 +72,6 @@ def main():
             other += int((usual.outcome != simulate_records(X, moved, tolerance=Tolerance(1e-6)).outcome).sum())
             early += int((usual.outcome != simulate_records(X, moved, to_the_end=True).outcome).sum())
     print(f"labels: {runs} runs; {other} differ from a tolerance of 1e-6; {early} differ from runs to the end")
-
-
-def read_record_set_of(name):
-    from pathlib import Path
-
-    return read_record_set(Path(name))
 
 
 if __name__ == "__main__":
