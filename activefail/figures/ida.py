@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import ndtr
 
+from activefail.bearing.outcome import OUTCOMES
 from activefail.figures.style import BLACK, BLUE, GREY, VERMILION, styled
 from activefail.risk.ida.findings import IdaFindings
 
@@ -36,9 +37,10 @@ def plot_ida(findings: IdaFindings) -> Figure:
         if findings.options is not None:
             axes.axvline(findings.options.mce, color=GREY, linestyle="-.", label="maximum considered earthquake")
         unit = f" [{findings.intensity.unit}]" if findings.intensity.unit else ""
+        worse = "" if findings.outcome == OUTCOMES[-1] else " or worse"
         axes.set(
             xlabel=f"{findings.intensity.name}{unit}",
-            ylabel=f"probability of {findings.outcome} or worse [–]",
+            ylabel=f"probability of {findings.outcome}{worse} [–]",
             xlim=(0.0, findings.highest),
             ylim=(-0.02, 1.02),
         )

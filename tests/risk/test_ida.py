@@ -158,6 +158,13 @@ def test_capacities_of_a_bearing_lie_where_its_simulations_say() -> None:
         assert simulate_records(BEARING[None], scaled[:1]).outcome[0] < 2
 
 
+def test_a_numerical_failure_in_the_middle_is_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = answers(lambda x: -1 if x == 3.0 else 2 if x >= 3.0 else 0, monkeypatch)
+    one = found(bisections=6)
+    assert (one.below[0], one.capacity[0], one.numerical_failures[0]) == (2.0, 4.0, 1)
+    assert sorted(asked) == [1.0, 2.0, 3.0, 4.0, 8.0]
+
+
 # --- the fragility -----------------------------------------------------------------------------------------------
 
 
@@ -239,6 +246,10 @@ def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path,
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"ida.json", "ida.csv", "ida.png", "ida.svg"}
     numbers = json.loads(activefail(*words, "--json").out)
     assert json.loads((tmp_path / "out" / "ida.json").read_text()) == numbers
+    levels = np.sort([one["capacity"] for one in numbers["records"]])
+    curve = norm.cdf(np.log(levels / numbers["median"]) / numbers["dispersion"])
+    after, before = np.arange(1, 9) / 8, np.arange(8) / 8
+    assert numbers["misfit"] == pytest.approx(max(abs(curve - after).max(), abs(curve - before).max()))
     low, high = numbers["median_interval"]
     assert low < numbers["median"] < high
     assert numbers["acmr"] == pytest.approx(1.1 * numbers["median"] / 0.8)

@@ -95,11 +95,9 @@ def capacities(
     outcomes = list(first.reshape(len(records), -1))
     for _ in range(bisections):
         brackets = [_bracket(*one, severity) for one in zip(levels, outcomes, strict=True)]
-        asked = [
-            (k, 0.5 * (below + above))
-            for k, (below, above) in enumerate(brackets)
-            if np.isfinite(above) and above > 0.0
-        ]
+        middles = [(k, 0.5 * (below + above)) for k, (below, above) in enumerate(brackets) if np.isfinite(above)]
+        # A numerical failure in the middle leaves the bracket as it is: another run would be the same.
+        asked = [(k, middle) for k, middle in middles if middle not in levels[k]]
         if not asked:
             break
         for (k, middle), outcome_there in zip(asked, outcomes_at(asked), strict=True):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.design import Model, Tolerance
@@ -100,6 +101,16 @@ class IdaFindings:
         return capacity, np.arange(1, len(capacity) + 1) / len(self.found.capacity)
 
     @property
+    def misfit(self) -> float:
+        """Largest distance between the lognormal curve and the share of records that have failed; NaN without a curve."""
+        levels, share = self.empirical
+        if self.fragility is None:
+            return float("nan")
+        curve = ndtr(np.log(levels / self.fragility.fit.median) / self.fragility.fit.dispersion)
+        before = share - 1.0 / len(self.found.capacity)
+        return float(np.max(np.maximum(np.abs(curve - share), np.abs(curve - before))))
+
+    @property
     def cmr_interval(self) -> tuple[float, ...]:
         """The interval of the collapse margin ratio, from that of the median; empty without one."""
         if self.fragility is None or self.options is None:
@@ -121,6 +132,7 @@ class IdaFindings:
             lines += [
                 ("median", f"{fit.median:.3g}{unit}{_interval(m)}"),
                 ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
+                ("misfit", f"the lognormal curve is within {self.misfit:.2f} of the records' shares"),
             ]
         if self.margin is not None and self.options is not None:
             margin, factor = self.margin, self.options.shape_factor
@@ -205,6 +217,7 @@ class IdaFindings:
             "dispersion": None if fragility is None else fragility.fit.dispersion,
             "dispersion_interval": None if fragility is None else list(fragility.dispersion) or None,
             "confidence": CONFIDENCE,
+            "misfit": None if fragility is None else self.misfit,
             "cmr": None if margin is None else margin.cmr,
             "cmr_interval": list(self.cmr_interval) or None,
             "acmr": None if margin is None else margin.acmr,
