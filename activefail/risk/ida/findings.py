@@ -102,7 +102,7 @@ class IdaFindings:
 
     @property
     def misfit(self) -> float:
-        """Largest distance between the lognormal curve and the share of records that have failed; NaN without a curve."""
+        """Largest distance between the lognormal curve and the share of failed records; NaN without a curve."""
         levels, share = self.empirical
         if self.fragility is None:
             return float("nan")
