@@ -1,4 +1,4 @@
-"""Capacities of three bearings under the records of FEMA P695: fragility, time, and outcomes at a tighter tolerance.
+"""Capacities of three bearings under the records of FEMA P695, beside those under equivalent pulses.
 
     python benchmarks/ida.py
 
@@ -58,6 +58,22 @@ def main():
                 f"| {fit.fit.dispersion:.2f} ({fit.dispersion[0]:.2f} to {fit.dispersion[1]:.2f}) "
                 f"| {int((found.found.resurrections > 0).sum())} | {int(found.found.lifted.sum())} "
                 f"| {found.found.runs} | {seconds:.1f} |",
+                flush=True,
+            )
+    titles = "bearing", "set", "explained (10, 50, 90 %)", "pulse over record", "sd of ln", "same", "missed", "false"
+    print(f"\n| {' | '.join(titles)} |")
+    print("|---" * len(titles) + "|")
+    for name in options.sets.split(","):
+        records = read_record_set(Path(name))
+        for title, row in BEARINGS.items():
+            one = analyse(np.array(row), records, intensity, pulses=True, threads=1).pulses
+            explained = np.quantile([pulse.explained for pulse in one.pulses], [0.1, 0.5, 0.9])
+            shares = ", ".join(f"{x:.2f}" for x in explained)
+            low, middle, high = np.exp([one.interval[0], one.mean, one.interval[1]])
+            total = one.both_fail + one.both_survive + one.missed + one.false
+            print(
+                f"| {title} | {name} | {shares} | {middle:.2f} ({low:.2f} to {high:.2f}) "
+                f"| {one.spread:.2f} | {one.both_fail + one.both_survive} of {total} | {one.missed} | {one.false} |",
                 flush=True,
             )
     runs, other, early = 0, 0, 0

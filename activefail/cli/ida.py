@@ -51,6 +51,7 @@ def ida(
     ] = None,
     ssf: Annotated[float, typer.Option(help="Spectral shape factor of FEMA P695, with --mce.")] = 1.0,
     beta_total: Annotated[float, typer.Option(help="Total uncertainty of FEMA P695, with --mce.")] = 0.5,
+    pulses: Annotated[bool, typer.Option("--pulses", help="Compare each record with the pulse nearest to it.")] = False,
     workers: Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)] = None,
     as_json: AsJson = False,
     out: Annotated[
@@ -67,8 +68,8 @@ def ida(
     options = None if mce is None else MarginOptions(mce, ssf, beta_total)
     read = read_record_set(records, unit, dt)
     with progress_bar("simulating") as begin:
-        noted = begin(len(read.records) * (LEVELS + BISECTIONS))
-        found = analyse(row, read, intensity, outcome, to, options, threads=workers, progress=noted)
+        noted = begin(len(read.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
+        found = analyse(row, read, intensity, outcome, to, options, pulses, threads=workers, progress=noted)
     if out is not None:
         _write(found, out)
     if as_json:

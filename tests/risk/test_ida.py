@@ -14,10 +14,12 @@ from scipy.stats import norm
 from activefail.bearing import Accelerogram, simulate_records
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.outcome import CAUSES
+from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
 from activefail.risk.ida import capacity as module
-from activefail.risk.ida.capacity import capacities
+from activefail.risk.ida.capacity import Capacities, capacities
 from activefail.risk.ida.collapse import collapse_margin, fit_lognormal, fitted
+from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
 from activefail.risk.ida.findings import MarginOptions, ladder
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 
@@ -26,10 +28,10 @@ TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\n
 
 
 def pulse(period: float, dt: float = 0.02) -> Accelerogram:
-    """An antisymmetric pulse of 0.1 g."""
-    t = np.arange(0.0, 6.0 * period, dt)
-    x = (t - 3.0 * period) * 2.0 * np.pi / period
-    return Accelerogram(0.1 * GRAVITY * x * np.exp(0.5 - 0.5 * x**2), dt, f"pulse {period:g}")
+    """A sampled pulse of 0.1 g."""
+    t = np.arange(0.0, 4.0 * period, dt)
+    a = [ground_acceleration(x - 2.0 * period, 0.1 * GRAVITY, period) for x in t]
+    return Accelerogram(np.array(a), dt, f"pulse {period:g}")
 
 
 # --- intensities -------------------------------------------------------------------------------------------------
@@ -96,7 +98,7 @@ LEVELS = np.array([1.0, 2.0, 4.0, 8.0])
 
 
 def found(severity: int = 2, bisections: int = 6):
-    return capacities(BEARING, [UNIT], Intensity.of("factor"), LEVELS, bisections, severity)
+    return capacities(BEARING, [UNIT], np.ones(1), LEVELS, bisections, severity)
 
 
 def test_the_capacity_is_bracketed_by_the_ladder_and_halved_by_each_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,7 +152,8 @@ def test_a_plate_that_lifts_above_its_rim_before_a_touch_is_a_failure_and_counte
 
 def test_capacities_of_a_bearing_lie_where_its_simulations_say() -> None:
     motions, intensity = [pulse(1.5), pulse(2.5)], Intensity.of("pgv")
-    one = capacities(BEARING, motions, intensity, ladder(intensity), 4, 2)
+    own = np.array([intensity.of_record(motion) for motion in motions])
+    one = capacities(BEARING, motions, own, ladder(intensity), 4, 2)
     assert np.isfinite(one.capacity).all()
     for motion, below, above in zip(motions, one.below, one.capacity, strict=True):
         scaled = [motion.scaled(level / intensity.of_record(motion)) for level in (below, above)]
@@ -217,6 +220,64 @@ def test_the_acceptable_margins_are_those_of_the_standard() -> None:
     assert norm.cdf(math.log(margin.acceptable_20) / 0.5) == pytest.approx(0.80)
 
 
+# --- equivalent pulses -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("period", "amplitude", "late"), [(0.8, 2.0, 1.0), (2.7, -0.5, 9.0)])
+def test_the_equivalent_pulse_of_a_pulse_is_itself(period: float, amplitude: float, late: float) -> None:
+    t = np.arange(0.0, 5.0 * period + late, 0.005)
+    a = np.array([ground_acceleration(x - 2.0 * period - late, amplitude, period) for x in t])
+    found = equivalent_pulse(Accelerogram(a, 0.005, "pulse"))
+    assert found.period == pytest.approx(period, rel=2e-3)
+    assert found.amplitude == pytest.approx(amplitude, rel=5e-3)
+    assert found.explained == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(found.motion.acceleration).max() == pytest.approx(abs(amplitude), rel=5e-3)
+
+
+def test_the_explained_share_is_what_least_squares_leaves() -> None:
+    t = np.arange(0.0, 12.0, 0.01)
+    a = np.array([ground_acceleration(x - 6.0, 1.0, 2.0) for x in t])
+    noise = 0.6 * np.sin(17.0 * t) * np.exp(-((t - 5.0) ** 2) / 4.0)
+    record = Accelerogram(a + noise, 0.01, "noisy")
+    found = equivalent_pulse(record)
+    v = np.cumsum(record.acceleration) * 0.01
+    w = np.zeros(len(v))
+    pulse_velocity = np.cumsum(np.interp(np.arange(0, 3.0 * found.period, 0.01), *_times(found))) * 0.01
+    best = min(
+        float(((v - np.roll(np.append(pulse_velocity, w)[: len(v)], k)) ** 2).sum()) for k in range(0, len(v) - 300, 2)
+    )
+    assert 0.3 < found.explained < 0.999
+    assert 1.0 - best / float(v @ v) == pytest.approx(found.explained, abs=0.02)
+
+
+def _times(found):
+    motion = found.motion
+    return motion.dt * np.arange(len(motion.acceleration)), motion.acceleration
+
+
+def test_levels_are_counted_by_the_outcomes_of_record_and_pulse() -> None:
+    none = np.zeros(2, dtype=np.int64)
+    levels = (LEVELS, LEVELS)
+    records = Capacities(
+        np.array([1.0, 4.0]),
+        np.array([2.0, 8.0]),
+        *(none, none, none),
+        levels,
+        (np.array([0, 2, 2, 2], dtype=np.int8), np.array([0, 0, 0, 2], dtype=np.int8)),
+    )
+    of_pulses = Capacities(
+        np.array([2.0, 2.0]),
+        np.array([4.0, 4.0]),
+        *(none, none, none),
+        levels,
+        (np.array([0, 0, 2, 2], dtype=np.int8), np.array([0, -1, 2, 2], dtype=np.int8)),
+    )
+    found = compare_pulses([], of_pulses, records, ["a", "b"], LEVELS, 2)
+    assert (found.both_fail, found.both_survive, found.missed, found.false) == (3, 2, 1, 1)
+    assert found.mean == pytest.approx(0.5 * (math.log(2.0) + math.log(0.5)))
+    assert (found.interval, found.compared) == ((), 2)
+
+
 # --- the command -------------------------------------------------------------------------------------------------
 
 
@@ -259,6 +320,16 @@ def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path,
     assert capacity[::2] == pytest.approx(capacity[1::2])
     header = (tmp_path / "out" / "ida.csv").read_text().splitlines()[0]
     assert header == "record,event,intensity,below,capacity,resurrections,numerical_failures,lifted"
+
+
+def test_records_that_are_pulses_have_the_capacities_of_their_equivalent_pulses(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--pulses")
+    numbers = json.loads(activefail(*words, "--json").out)["pulses"]
+    assert all(one["explained"] > 0.98 for one in numbers["pulses"])
+    assert abs(numbers["mean_log_ratio"]) < 0.05
+    shown = activefail(*words).out
+    assert "a pulse alone fails at" in shown
+    assert "failures missed by the pulse" in shown
 
 
 def test_a_set_that_the_bearing_survives_has_no_curve_and_says_so(case: Path) -> None:

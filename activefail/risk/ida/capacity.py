@@ -10,7 +10,6 @@ from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import Model, Tolerance
 from activefail.bearing.outcome import CAUSES, OUTCOMES
 from activefail.bearing.simulation import simulate_records
-from activefail.risk.ida.intensity import Intensity
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 
@@ -48,7 +47,7 @@ class Capacities:
 def capacities(
     bearing: Array,
     records: Sequence[Accelerogram],
-    intensity: Intensity,
+    own: Array,
     ladder: Array,
     bisections: int,
     severity: int,
@@ -69,8 +68,8 @@ def capacities(
     Args:
         bearing: (7,) a row of `simulate_records`.
         records: n records.
-        intensity: of the levels.
-        ladder: (k,) rising levels.
+        own: (n,) intensity of the records as they are.
+        ladder: (k,) rising levels of the intensity.
         bisections: levels between the last survived and the first failed one of the ladder.
         severity: of the outcome that is sought, or a worse one.
         model, tolerance, threads: as for `simulate_records`.
@@ -79,9 +78,7 @@ def capacities(
     Raises:
         InputError: as `simulate_records` does.
     """
-    own = np.array([intensity.of_record(motion) for motion in records])
     levels = [ladder.copy() for _ in records]
-
     lifted = np.zeros(len(records), dtype=np.int64)
 
     def outcomes_at(asked: Sequence[tuple[int, float]]) -> NDArray[np.int8]:

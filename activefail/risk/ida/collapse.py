@@ -1,10 +1,11 @@
 """The fragility that follows from the capacities under records: a lognormal fit, its interval over events, P695."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtri, stdtrit
 
@@ -85,19 +86,40 @@ def fitted(below: Array, capacity: Array, events: Sequence[str]) -> Fragility | 
     fit = fit_lognormal(below, capacity)
     if fit is None:
         return None
-    names, without = np.array(events), []
-    for event in dict.fromkeys(events):
-        one = fit_lognormal(below[names != event], capacity[names != event])
-        if one is None:
-            return Fragility(fit, (), ())
-        without.append((math.log(one.median), math.log(one.dispersion)))
-    count = len(without)
-    if count < 3:
-        return Fragility(fit, (), ())
-    left_out = np.array(without)
-    error = np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
-    median_half, dispersion_half = (float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * error).tolist()
-    return Fragility(fit, _around(fit.median, median_half), _around(fit.dispersion, dispersion_half))
+
+    def logarithm(quantity: Callable[[Lognormal], float]) -> Callable[[NDArray[np.bool_]], float]:
+        def of_rows(rows: NDArray[np.bool_]) -> float:
+            one = fit_lognormal(below[rows], capacity[rows])
+            return math.nan if one is None else math.log(quantity(one))
+
+        return of_rows
+
+    median = jackknife(logarithm(lambda one: one.median), events)
+    dispersion = jackknife(logarithm(lambda one: one.dispersion), events)
+    return Fragility(
+        fit,
+        () if median is None else _around(fit.median, median),
+        () if dispersion is None else _around(fit.dispersion, dispersion),
+    )
+
+
+def jackknife(statistic: Callable[[NDArray[np.bool_]], float], events: Sequence[str]) -> float | None:
+    """Half width of the interval of a statistic, from its values with one event left out at a time.
+
+    Args:
+        statistic: of the rows that a mask, (n,), keeps; NaN if it does not exist for them.
+        events: (n,) of the rows.
+
+    Returns:
+        None with fewer than three events, or where the statistic does not exist without one of them.
+    """
+    names = np.array(events)
+    left_out = np.array([statistic(names != event) for event in dict.fromkeys(events)])
+    count = len(left_out)
+    if count < 3 or np.isnan(left_out).any():
+        return None
+    error = math.sqrt((count - 1) / count * float(((left_out - left_out.mean()) ** 2).sum()))
+    return float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * error
 
 
 def _around(value: float, half: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Incremental dynamic analysis of one bearing: the findings in numbers and words."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,11 +9,13 @@ import numpy as np
 from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
+from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import Model, Tolerance
 from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
 from activefail.risk.ida.capacity import Capacities, capacities
 from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin, collapse_margin, fitted
+from activefail.risk.ida.equivalent_pulse import PulseComparison, compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity
 from activefail.space import Array
 
@@ -72,6 +75,7 @@ class IdaFindings:
         outcome: the outcome that is sought.
         found: the capacities.
         fragility: of the outcome, or a worse one; None if fewer than two records have a capacity.
+        pulses: the comparison with equivalent pulses; None if it was not asked for.
         margin: of FEMA P695; None if it was not asked for, or there is no fragility.
         options: of the margin.
     """
@@ -83,6 +87,7 @@ class IdaFindings:
     fragility: Fragility | None
     margin: Margin | None
     options: MarginOptions | None
+    pulses: PulseComparison | None = None
 
     @property
     def failed(self) -> int:
@@ -134,6 +139,8 @@ class IdaFindings:
                 ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
                 ("misfit", f"the lognormal curve is within {self.misfit:.2f} of the records' shares"),
             ]
+        if self.pulses is not None:
+            lines += _pulse_lines(self.pulses)
         if self.margin is not None and self.options is not None:
             margin, factor = self.margin, self.options.shape_factor
             lines += [
@@ -141,7 +148,7 @@ class IdaFindings:
                 ("ACMR", f"{margin.acmr:.3g}{_interval(tuple(factor * end for end in self.cmr_interval))}"),
             ]
             for share, least in (("10", margin.acceptable_10), ("20", margin.acceptable_20)):
-                verdict = "met" if margin.acmr >= least else "not met"
+                verdict = _verdict(margin.acmr, [factor * end for end in self.cmr_interval], least)
                 lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:g}: {verdict}"))
         return lines
 
@@ -178,13 +185,21 @@ class IdaFindings:
                 f"{failures} of the simulations failed numerically. They count as neither survived nor failed, so the "
                 "capacities of their records are less certain than the fit assumes."
             )
+        if self.pulses is not None and self.pulses.compared < len(found.capacity):
+            left_out = len(found.capacity) - self.pulses.compared
+            notes.append(
+                f"{left_out} of the records, or their pulses, never fail and are not in the ratio; it is rather too small "
+                "if the pulses are what never fails."
+            )
+        notes.append("Capacities, shares of records and the misfit have no interval.")
         notes.append(
             f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
         if self.margin is not None:
             notes.append(
-                "The spectral shape factor and β are yours; the acceptable ACMR assumes a lognormal capacity with β."
+                "The spectral shape factor and β are not computed: they are those of --ssf, 1 by default, and "
+                "--beta-total, 0.5 by default. The acceptable ACMR assumes a lognormal capacity with β."
             )
         return notes
 
@@ -223,8 +238,61 @@ class IdaFindings:
             "acmr": None if margin is None else margin.acmr,
             "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
             "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
+            "pulses": None if self.pulses is None else _pulses_as_json(self.pulses),
             "notes": self.notes,
         }
+
+
+def _verdict(acmr: float, interval: Sequence[float], least: float) -> str:
+    """Whether a margin is acceptable; undecided if its interval contains the least acceptable value."""
+    if interval and interval[0] < least <= interval[1]:
+        return f"{'met' if acmr >= least else 'not met'}, but the interval contains it"
+    return "met" if acmr >= least else "not met"
+
+
+def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
+    low, middle, high = np.quantile([one.explained for one in compared.pulses], [0.1, 0.5, 0.9])
+    lines = [("pulses", f"explain {low:.2f}, {middle:.2f}, {high:.2f} of the velocity's energy (10, 50, 90 %)")]
+    if compared.compared:
+        ends = tuple(math.exp(end) for end in compared.interval)
+        lines.append(
+            (
+                "ratio",
+                f"a pulse alone fails at {math.exp(compared.mean):.3g} times its record's intensity{_interval(ends)}; "
+                f"sd of the logarithm {compared.spread:.2g}; {compared.compared} records",
+            )
+        )
+    total = compared.both_fail + compared.both_survive + compared.missed + compared.false
+    lines.append(
+        (
+            "levels",
+            f"{compared.both_fail + compared.both_survive} of {total} outcomes are the same; {compared.missed} "
+            f"failures missed by the pulse, {compared.false} only under the pulse",
+        )
+    )
+    return lines
+
+
+def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
+    return {
+        "pulses": [
+            {
+                "period": one.period,
+                "amplitude": one.amplitude,
+                "explained": one.explained,
+                "capacity": float(capacity) if np.isfinite(capacity) else None,
+            }
+            for one, capacity in zip(compared.pulses, compared.found.capacity, strict=True)
+        ],
+        "mean_log_ratio": compared.mean,
+        "mean_log_ratio_interval": list(compared.interval) or None,
+        "sd_log_ratio": compared.spread,
+        "compared": compared.compared,
+        "both_fail": compared.both_fail,
+        "both_survive": compared.both_survive,
+        "missed": compared.missed,
+        "false": compared.false,
+    }
 
 
 def _interval(ends: tuple[float, ...]) -> str:
@@ -238,6 +306,7 @@ def analyse(
     outcome: str = OUTCOMES[-1],
     highest: float | None = None,
     options: MarginOptions | None = None,
+    pulses: bool = False,
     model: Model | None = None,
     tolerance: Tolerance | None = None,
     threads: int | None = None,
@@ -252,6 +321,7 @@ def analyse(
         outcome: "impact" or "failure"; worse outcomes count too.
         highest: level of the ladder; by default 8, 3 g, 4 m/s or 2 g.
         options: of the collapse margin; None for none.
+        pulses: whether to compare the records with their equivalent pulses.
         model, tolerance, threads, progress: as for `simulate_records`.
 
     Raises:
@@ -259,23 +329,21 @@ def analyse(
     """
     if outcome not in OUTCOMES[1:]:
         raise InputError(f"outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
-    motions = [record.motion for record in records.records]
-    severity = OUTCOMES.index(outcome)
-    found = capacities(
-        bearing,
-        motions,
-        intensity,
-        ladder(intensity, highest),
-        BISECTIONS,
-        severity,
-        model,
-        tolerance,
-        threads,
-        progress,
-    )
+    motions, severity = [record.motion for record in records.records], OUTCOMES.index(outcome)
+    levels = ladder(intensity, highest)
+    own = np.array([intensity.of_record(motion) for motion in motions])
+
+    def capacities_under(ground: Sequence[Accelerogram]) -> Capacities:
+        return capacities(bearing, ground, own, levels, BISECTIONS, severity, model, tolerance, threads, progress)
+
+    found = capacities_under(motions)
     events = [record.event for record in records.records]
     fragility = fitted(found.below, found.capacity, events)
-    margin = None
+    margin = compared = None
     if options is not None and fragility is not None:
         margin = collapse_margin(fragility.fit.median, options.mce, options.shape_factor, options.total_dispersion)
-    return IdaFindings(records, intensity, outcome, found, fragility, margin, options)
+    if pulses:
+        nearest = [equivalent_pulse(motion) for motion in motions]
+        of_pulses = capacities_under([one.motion for one in nearest])
+        compared = compare_pulses(nearest, of_pulses, found, events, levels, severity)
+    return IdaFindings(records, intensity, outcome, found, fragility, margin, options, compared)

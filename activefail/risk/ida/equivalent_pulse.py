@@ -1,0 +1,137 @@
+"""The pulse nearest to a record, and how well it stands for the record: the capacities of both."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.optimize import minimize_scalar
+from scipy.signal import correlate
+
+from activefail.bearing.accelerogram import Accelerogram
+from activefail.bearing.pulse import HALF_DURATION, VELOCITY_PER_ACCELERATION, ground_acceleration
+from activefail.risk.ida.capacity import Capacities
+from activefail.risk.ida.collapse import jackknife
+from activefail.space import Array
+
+_PERIODS = np.geomspace(0.25, 12.0, 60)
+"""Periods that are tried first [s]."""
+
+_SAMPLES = 400
+"""Samples of a pulse as a record, over its three periods."""
+
+
+@dataclass(frozen=True, eq=False)
+class EquivalentPulse:
+    """The pulse of the paper's eq. 1 that is nearest to a record in velocity, by least squares.
+
+    Attributes:
+        period: T_p [s].
+        amplitude: A_p [m/s2], with its sign.
+        explained: share of the velocity's energy ∫v² dt that it explains.
+        motion: the pulse as a record.
+    """
+
+    period: float
+    amplitude: float
+    explained: float
+    motion: Accelerogram
+
+
+def equivalent_pulse(record: Accelerogram) -> EquivalentPulse:
+    """Fit period, amplitude, sign and time of a pulse to the velocity of a record.
+
+    For each period the best time is the largest correlation of the record's velocity with that of the pulse (a matched
+    filter), and the best amplitude follows.
+    """
+    v = cumulative_trapezoid(record.acceleration, dx=record.dt, initial=0.0)
+    energy = float(v @ v)
+
+    def fitted(period: float) -> tuple[float, float]:
+        """The explained share, and the amplitude."""
+        half = math.ceil(HALF_DURATION * period / record.dt)
+        s = 2.0 * math.pi / math.sqrt(3.0) * record.dt * np.arange(-half, half + 1) / period
+        # The velocity of the pulse: the integral of `ground_acceleration`, for the amplitude 1 m/s2.
+        w = VELOCITY_PER_ACCELERATION * period * (1.0 - s**2) * np.exp(-0.5 * s**2)
+        products = correlate(v, w, mode="full", method="fft")
+        best = float(products[int(np.argmax(np.abs(products)))])
+        return best**2 / (float(w @ w) * energy), best / float(w @ w)
+
+    k = int(np.argmax([fitted(period)[0] for period in _PERIODS]))
+    ends = math.log(_PERIODS[max(k - 1, 0)]), math.log(_PERIODS[min(k + 1, len(_PERIODS) - 1)])
+    found = minimize_scalar(lambda x: -fitted(math.exp(x))[0], bounds=ends, method="bounded")
+    period = math.exp(float(found.x))
+    explained, amplitude = fitted(period)
+    t = np.linspace(-HALF_DURATION * period, HALF_DURATION * period, _SAMPLES)
+    sampled = np.array([ground_acceleration(one, amplitude, period) for one in t])
+    name = f"pulse of {record.name}"
+    return EquivalentPulse(period, amplitude, explained, Accelerogram(sampled, float(t[1] - t[0]), name))
+
+
+@dataclass(frozen=True, eq=False)
+class PulseComparison:
+    """Records beside their equivalent pulses, scaled together.
+
+    Attributes:
+        pulses: of the n records.
+        found: capacities under the pulses, at the intensities of the records.
+        mean: of ln(capacity under the pulse / capacity under the record); positive where the pulse is unconservative.
+        interval: of the mean, over events; empty if it cannot be had.
+        spread: standard deviation of the logarithm.
+        compared: records with both capacities.
+        both_fail, both_survive, missed, false: levels of the ladder by the outcomes of record and pulse; `missed` are
+            failures under the record that the pulse survives.
+    """
+
+    pulses: tuple[EquivalentPulse, ...]
+    found: Capacities
+    mean: float
+    interval: tuple[float, float] | tuple[()]
+    spread: float
+    compared: int
+    both_fail: int
+    both_survive: int
+    missed: int
+    false: int
+
+
+def compare_pulses(
+    pulses: Sequence[EquivalentPulse],
+    of_pulses: Capacities,
+    of_records: Capacities,
+    events: Sequence[str],
+    ladder: Array,
+    severity: int,
+) -> PulseComparison:
+    """Compare the capacities and the outcomes at the ladder's levels.
+
+    Args:
+        pulses: of the n records.
+        of_pulses, of_records: their capacities.
+        events: (n,) of the records.
+        ladder: (k,) the levels that both were simulated at.
+        severity: of the outcome.
+    """
+    both = np.isfinite(of_pulses.capacity) & np.isfinite(of_records.capacity)
+    ratio = np.log(of_pulses.capacity[both] / of_records.capacity[both])
+    names = [event for event, kept in zip(events, both, strict=True) if kept]
+    counts = np.zeros((2, 2), dtype=np.int64)
+    for k in range(len(events)):
+        record, pulse = (one.outcomes[k][np.isin(one.levels[k], ladder)] for one in (of_records, of_pulses))
+        answered = (record >= 0) & (pulse >= 0)
+        np.add.at(counts, ((record[answered] >= severity).astype(int), (pulse[answered] >= severity).astype(int)), 1)
+    half = jackknife(lambda rows: float(ratio[rows].mean()), names) if len(ratio) else None
+    mean = float(ratio.mean()) if len(ratio) else math.nan
+    return PulseComparison(
+        tuple(pulses),
+        of_pulses,
+        mean,
+        () if half is None else (mean - half, mean + half),
+        float(ratio.std(ddof=1)) if len(ratio) > 1 else math.nan,
+        len(ratio),
+        int(counts[1, 1]),
+        int(counts[0, 0]),
+        int(counts[1, 0]),
+        int(counts[0, 1]),
+    )
