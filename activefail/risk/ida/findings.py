@@ -188,8 +188,8 @@ class IdaFindings:
         if self.pulses is not None and self.pulses.compared < len(found.capacity):
             left_out = len(found.capacity) - self.pulses.compared
             notes.append(
-                f"{left_out} of the records, or their pulses, never fail and are not in the ratio; it is rather too small "
-                "if the pulses are what never fails."
+                f"{left_out} of the records, or their pulses, never fail and are not in the ratio. It is rather too "
+                "small where the pulses are what never fails."
             )
         notes.append("Capacities, shares of records and the misfit have no interval.")
         notes.append(
