@@ -73,7 +73,8 @@ export function sliders(quantities, values, moved) {
 
   quantities.forEach((v, i) => {
     find(`v${i}`).addEventListener("input", (event) => {
-      set(i, v.low + (Number(event.target.value) / STEPS) * (v.high - v.low));
+      // Without the last digits, which are the sum's rounding: 0.07, not 0.06999999999999999.
+      set(i, Number((v.low + (Number(event.target.value) / STEPS) * (v.high - v.low)).toPrecision(12)));
       moved([i]);
     });
     find(`t${i}`).addEventListener("change", (event) => typed(i, event.target.value));

@@ -85,6 +85,22 @@ def test_a_slider_moved_by_the_keyboard_changes_the_prediction_and_the_value_sho
     assert set(weakest) == {"no_impact", "impact", "failure"}
 
 
+def test_the_command_has_a_slider_s_value_without_the_rounding_of_its_sum(visitor, answers):
+    variable = next(one for one in answers.about()["variables"] if one["text"] == "μ")
+    place = answers.about()["variables"].index(variable)
+    low, high = variable["low"], variable["high"]
+    # A step whose value is one of a few digits, and whose sum is not.
+    step = next(k for k in range(1000) if len(str(low + k / 1000 * (high - low))) > 15)
+    visitor.driver.execute_script(
+        "const s = document.getElementById(arguments[0]); s.value = arguments[1]; s.dispatchEvent(new Event('input'));",
+        f"v{place}",
+        step,
+    )
+    visitor.one("#simulate").click()
+    expected = f"--mu {round(low + step / 1000 * (high - low), 9):g}"
+    until(lambda: f"{expected} " in visitor.one("#command").text, f"the command with {expected}")
+
+
 def test_a_number_that_is_typed_is_the_design_s_and_one_outside_the_space_is_refused(visitor, answers):
     from selenium.webdriver.common.keys import Keys
 
