@@ -10,7 +10,7 @@ PIP = $(BIN)/python -m pip install --disable-pip-version-check --constraint cons
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
 	@echo "make test         install, run all checks"
-	@echo "make test-all     the same with the exhaustive tests: more cases of the same claims"
+	@echo "make test-all     the same with the exhaustive tests: more cases, and claims that take long to test"
 	@echo "make faults       install, try every state of the fault suite (docs/reliability.md)"
 	@echo "make reproduction install, write docs/reproduction.md and its figures anew"
 	@echo "make benchmark    install, measure the simulator against SciPy's solvers"
