@@ -34,7 +34,7 @@ def hazard(
     fixed: Fixed = None,
     code: Code = None,
 ) -> None:
-    """Check a hazard file and show its pulses, and which of them lie outside a campaign's design space."""
+    """Check a hazard file and show its pulses, and which share of them lies outside a campaign's design space."""
     from activefail.campaign.hazard import read_hazard
     from activefail.risk.hazard import HazardSummary, Outside
 

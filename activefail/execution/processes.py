@@ -1,4 +1,4 @@
-"""Worker processes that may die, hang or run out of memory without affecting the rest of the batch."""
+"""Worker processes with a time limit: one that dies, hangs or runs out of memory costs only its own simulation."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""The process between the main program and a worker: it ends the worker and all processes that the worker started.
+"""The process between the main program and a worker: it kills the worker and all processes that the worker started.
 
 The worker runs the user's code, which may hold the interpreter for hours, start programs in new sessions, or die. The
 supervisor only waits, so that it can always act. On Linux it adopts every orphaned descendant of the worker

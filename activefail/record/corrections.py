@@ -1,4 +1,4 @@
-"""Corrections: results of a record that were wrong, and what replaces them.
+"""Corrections: results of a record that were wrong, and what replaces them; `run_folder` writes them.
 
 The batches of a record never change. The file `corrections.h5` lists, in the order of their making, the results that
 replace others, beside those that they replace. A reader applies them in this order to the batches that it has read, so

@@ -1,4 +1,4 @@
-"""The files and folders reserved in a run folder, and checks of paths against them."""
+"""The files and folders reserved in a run folder, and the refusal of symbolic links among them."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""A probability that is not rare, from fresh simulations in strata of the classifier's doubt.
+"""A probability that is not rare, and its interval, from fresh simulations in strata of the classifier's doubt.
 
 A stratum has similar probabilities of a wrong prediction, and lies on one side of the boundary. Its share of wrong
 predictions has a Beta posterior. These shares correct the classifier's probability. A part of the simulations is drawn

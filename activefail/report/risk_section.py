@@ -1,4 +1,4 @@
-"""The report's section on fragility: what a site's hazard means for a bearing of the campaign. It simulates nothing."""
+"""Values for the report's section on fragility: what a site's hazard means for a bearing. It simulates nothing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
