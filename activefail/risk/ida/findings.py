@@ -169,7 +169,7 @@ class IdaFindings:
             notes.append("Records that never fail enter the fit as capacities above the highest level.")
         at_lowest = int((np.isfinite(found.capacity) & (found.below == 0.0)).sum())
         if at_lowest:
-            notes.append(f"{at_lowest} of the records fail at the lowest level already; lower it with --to.")
+            notes.append(f"{at_lowest} of the records fail at every simulated level. Lower the levels with --to.")
         if risen := int((found.resurrections > 0).sum()):
             notes.append(
                 f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
