@@ -88,7 +88,9 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
             continue
         rows.append((k, _numbers(line, k)))
         if len(rows[-1][1]) != len(rows[0][1]) or len(rows[0][1]) > 2:
-            raise InputError(f"line {k}: must have one or two numbers, like every line, got {visible(line)!r}.")
+            raise InputError(
+                f"line {k}: must have one or two numbers, as many as the first line, got {visible(line)!r}."
+            )
     if not rows:
         raise InputError("must have accelerations, got none.")
     values = np.array([numbers for _, numbers in rows])
@@ -108,8 +110,7 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
     if len(bad) or not mean > 0.0:
         k = int(bad[0]) + 1 if len(bad) else 1
         raise InputError(
-            f"line {rows[k][0]}: times must rise by equal intervals, {mean:.6g} s in the mean, got "
-            f"{steps[k - 1]:.6g} s."
+            f"line {rows[k][0]}: times must rise by equal intervals (mean: {mean:.6g} s), got {steps[k - 1]:.6g} s."
         )
     return values[:, 1], mean
 

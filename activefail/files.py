@@ -1,4 +1,4 @@
-"""Writing files that get their names only once complete, durably or not, and reading files from untrusted folders."""
+"""Writes files that get their names only once complete, and reads regular files without following links."""
 
 import errno
 import os

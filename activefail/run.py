@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
     from activefail.verification.error import ErrorEstimate
-    from activefail.verification.probability import Estimator
+    from activefail.verification.probability_estimator import Estimator
 
 
 _LARGEST_ID = 2**53
@@ -931,15 +931,15 @@ class Run:
         Raises:
             InputError: naming the file, the key, the rule and the value.
         """
-        from activefail.campaign.asked import check_designs_of, read_asked
         from activefail.campaign.question import Question, question_of
+        from activefail.campaign.question_files import check_designs_of, read_question
 
         values = self.fixed_values(fixed)
         if isinstance(question, Question):
             # Without values a campaign's own design measure stays what it is, with its stored simulations.
             asked = question.at(values) if values else question
         elif question is not None:
-            asked = read_asked(path_of("question", question), self.settings, self.space, values)
+            asked = read_question(path_of("question", question), self.settings, self.space, values)
         else:
             asked = question_of(self.settings, self.space, values) if values else self.campaign.question
         source = next((str(given) for given in (fixed, question) if isinstance(given, str | Path)), "")
@@ -986,8 +986,8 @@ class Run:
         Raises:
             InputError: if both are given, or a file is invalid.
         """
-        from activefail.campaign.asked import check_designs_of, middles
         from activefail.campaign.hazard import Hazard, hazard_question, is_hazard, read_hazard
+        from activefail.campaign.question_files import check_designs_of, middles
 
         if hazard is not None and question is not None:
             raise InputError("question: cannot be combined with hazard.")
@@ -1019,7 +1019,7 @@ class Run:
         Raises:
             InputError: if the initial design is not finished.
         """
-        from activefail.verification.probability import Estimator
+        from activefail.verification.probability_estimator import Estimator
 
         self._check_initial_design("estimate")
         learned, last = self.learn(stage), self.history.last_iteration
@@ -1132,8 +1132,8 @@ class Run:
                 design is finished.
         """
         from activefail.report.evidence import evidence_of
+        from activefail.report.fragility_section import risk_findings, risk_options
         from activefail.report.page import render, write_report
-        from activefail.report.risk_section import risk_findings, risk_options
 
         if hazard is None and (fixed is not None or design_target is not None):
             raise InputError(f"{'fixed' if fixed is not None else 'design_target'}: requires hazard.")

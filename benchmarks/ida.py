@@ -3,7 +3,7 @@
     python benchmarks/ida.py
 
 Needs `activefail[records]`. Each analysis is one thread's processor time. "labels" compares the outcomes of the ladder
-at the tolerance 1e-4 with those at 1e-6, and of runs that may end early with runs that go on to the end.
+at the tolerance 1e-4 with those at 1e-6, and of runs that may end early with runs that continue to the end.
 """
 
 import argparse

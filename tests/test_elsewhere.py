@@ -386,7 +386,7 @@ def test_a_correction_that_would_lose_a_margin_is_warned_of(folder: Path) -> Non
     with af.open_run(folder, write=True) as run:
         row = run.simulations.iloc[2]
         number, g = int(row["id"]), float(row["g"])
-        with pytest.warns(UserWarning, match=f"id {number}: the correction leaves g empty, which was {g!r}"):
+        with pytest.warns(UserWarning, match=f"id {number}: the correction has no value for g, which was {g!r}"):
             assert run.tell({"id": number, "outcome": "failure"}, correct=True) == 1
         # A numerical failure has no margins to lose, and a margin that comes back is none that is lost.
         assert run.tell({"id": number, "outcome": "numerical_failure"}, correct=True) == 1

@@ -1,4 +1,4 @@
-"""Simulation of bearings under pulses: a single response, or a batch of designs on all cores."""
+"""Simulation of bearings under ground motions: a single response, or a batch of designs on all cores."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""The versions, options, threads and processor that a campaign's bits depend on besides its settings."""
+"""The versions, options, threads and processor that a campaign's exact results depend on, besides its settings."""
 
 import os
 import platform

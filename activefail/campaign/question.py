@@ -125,29 +125,13 @@ class Question:
         return float(1.0 - (weight * space.contains(self.designs(X))).mean())
 
 
-def read_question(
-    path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float] | None = None
-) -> Question:
-    """Read the question of a question file.
-
-    Args:
-        path: the file.
-        settings, space: of the campaign.
-        fixed: further values of variables (see `read_fixed`).
-
-    Raises:
-        InputError: naming the file, the key, the rule and the value.
-    """
-    return question_with(parse_toml(read_text(path), str(path)), path, settings, space, fixed or {})
-
-
 def question_with(
     values: dict[str, Any], path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float]
 ) -> Question:
     """The question with these values of a question file.
 
     Raises:
-        InputError: as `read_question` does.
+        InputError: naming the file, the key, the rule and the value.
     """
     asked = checked(QuestionSettings, values, str(path))
     try:

@@ -18,7 +18,6 @@ from activefail.cli.studies import compare, paper
 # In the order of `activefail --help`.
 for _command in (
     simulate,
-    ida,
     campaigns,
     run,
     resume,
@@ -35,6 +34,7 @@ for _command in (
     design,
     sensitivity,
     fragility,
+    ida,
     export,
     compare,
     report,

@@ -64,7 +64,10 @@ def campaigns(
         typer.Option(help="Copy the campaigns, with their code and hazards, into this new folder.", show_default=False),
     ] = None,
 ) -> None:
-    """List the campaigns that come with activefail; `activefail run NAME --out DIR` runs one."""
+    """List the campaigns that come with activefail, or copy them.
+
+    `activefail run NAME --out DIR` runs one.
+    """
     from activefail.campaign.shipped import copy_shipped, description_of, shipped_campaigns
 
     if copy is not None:
@@ -97,7 +100,7 @@ def resume(
     ] = False,
     code: Code = None,
 ) -> None:
-    """Continue a campaign after an interruption or beyond its budget."""
+    """Continue a campaign after an interruption, or extend it."""
     with opened_run(folder, write=True, code=code) as opened:
         opened.check_budget(budget)
         with make_executor(opened.campaign, workers, executor, scheduler) as pool:
@@ -177,7 +180,7 @@ def predict(
     ] = None,
     code: Code = None,
 ) -> None:
-    """Predict the outcomes of designs with a campaign's classifier."""
+    """Predict the outcomes of designs by the classifier."""
     with table_output("--out", out) as target:
         with opened_run(folder, code=code) as opened:
             summary = opened.summary if after is None else opened.summary_after(after)
@@ -202,7 +205,10 @@ def verify(
     as_json: AsJson = False,
     code: Code = None,
 ) -> None:
-    """Estimate how much of the design space a campaign's classifier gets wrong, with an interval."""
+    """Estimate the classifier's error over the design space.
+
+    Fresh simulations give the estimate and its interval.
+    """
     with opened_run(folder, write=True, code=code) as opened:
         error = opened.verify(simulations, confidence)
         show_warnings(opened.store.new_warnings())
@@ -213,7 +219,7 @@ def verify(
         show_unseen(summary)
         return
     print(f"campaign   {summary.done} simulations, iteration {summary.iteration}")
-    print(f"error      {error_text(error)} of the design space on the wrong side of {opened.boundary}")
+    print(f"error      {error_text(error)} of the design space on the wrong side of the boundary of {opened.boundary}")
     print(
         f"           {100 * confidence:g} % interval from {error.in_words}, {error.wrong} of them misclassified; "
         "the error is their weighted share"

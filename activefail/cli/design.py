@@ -62,7 +62,10 @@ def design(
     ] = None,
     code: Code = None,
 ) -> None:
-    """Find the smallest design whose probability of failure meets a target, and verify it."""
+    """Find and verify the smallest design that meets a target.
+
+    The target is a probability of an outcome, such as failure.
+    """
     check_output("--out", out)
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"--out: {out} must be a folder, but is a file.")

@@ -4,7 +4,11 @@ import typer
 
 
 def doctor() -> None:
-    """Check the installation: versions, cores, extras, compiled kernels, and a self-test of a second."""
+    """Check the installation.
+
+    Shows versions, cores, extras and compiled kernels, and runs a self-test. It takes a second once the simulator is
+    compiled.
+    """
     from activefail.diagnosis import diagnosis
 
     works = True

@@ -211,7 +211,7 @@ def add(
     ],
     code: Code = None,
 ) -> None:
-    """Record simulations that were not asked for, such as last year's."""
+    """Record simulations that `ask` did not hand out."""
     with opened_run(folder, write=True, code=code, simulates=False) as opened:
         with _shown_warnings():
             new = opened.add(table_input(csv))

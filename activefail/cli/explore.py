@@ -16,7 +16,10 @@ def explore(
     port: Annotated[int, typer.Option(help="Port; 0 for a free one.", min=0, max=65535)] = 8050,
     code: Code = None,
 ) -> None:
-    """Serve an interactive page of a campaign; by default only to this machine."""
+    """Serve an interactive page of a campaign.
+
+    By default only this machine can connect.
+    """
     from activefail.explorer.answers import Answers
     from activefail.explorer.server import ExplorerServer
     from activefail.surrogate.threads import one_thread

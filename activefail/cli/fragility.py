@@ -62,7 +62,7 @@ def fragility(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     csv: Annotated[
-        Path | None, typer.Option(help='File for the curves; "-" for standard output.', show_default=False)
+        Path | None, typer.Option(help="Table of the curves to write; - is standard output.", show_default=False)
     ] = None,
     out: Annotated[
         Path | None,
@@ -74,7 +74,10 @@ def fragility(
     ] = None,
     code: Code = None,
 ) -> None:
-    """Show fragility curves: the probability of each outcome, or worse, against pulse intensity or another variable."""
+    """Show the probability of each outcome against intensity.
+
+    The curves are for the outcome or a more severe one, against the intensity of the pulse or another variable.
+    """
     check_output("--out", out)
     if csv is not None and csv != STANDARD:
         check_output("--csv", csv)

@@ -34,7 +34,10 @@ def hazard(
     fixed: Fixed = None,
     code: Code = None,
 ) -> None:
-    """Check a hazard file and show its pulses, and which share of them lies outside a campaign's design space."""
+    """Check a hazard file and show its pulses.
+
+    With a run folder, also shows which share of the pulses lies outside the campaign's design space.
+    """
     from activefail.campaign.hazard import read_hazard
     from activefail.risk.hazard import HazardSummary, Outside
 

@@ -38,7 +38,7 @@ def ida(
     ] = "pgv",
     to: Annotated[
         float | None,
-        typer.Option(help="Highest level; by default factor 8, 3 g, 4 m/s or 2 g.", show_default=False),
+        typer.Option(help="Highest level. Default: 8 (factor), 3 g (pga), 4 m/s (pgv), 2 g (sa).", show_default=False),
     ] = None,
     outcome: Annotated[str, typer.Option(help="Outcome that is sought: failure or impact.")] = "failure",
     unit: Annotated[
@@ -47,10 +47,12 @@ def ida(
     dt: Annotated[float | None, typer.Option(help="Interval of records without times [s].", show_default=False)] = None,
     mce: Annotated[
         float | None,
-        typer.Option(help="Intensity of the maximum considered earthquake; adds the margin of FEMA P695."),
+        typer.Option(
+            help="Intensity of the maximum considered earthquake; adds the collapse margin ratio of FEMA P695."
+        ),
     ] = None,
     ssf: Annotated[float, typer.Option(help="Spectral shape factor of FEMA P695, with --mce.")] = 1.0,
-    beta_total: Annotated[float, typer.Option(help="Total uncertainty of FEMA P695, with --mce.")] = 0.5,
+    beta_total: Annotated[float, typer.Option(help="Total dispersion β of FEMA P695, with --mce.")] = 0.5,
     pulses: Annotated[bool, typer.Option("--pulses", help="Compare each record with the pulse nearest to it.")] = False,
     workers: Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)] = None,
     as_json: AsJson = False,
@@ -58,7 +60,10 @@ def ida(
         Path | None, typer.Option(help="Folder for ida.json, ida.csv, ida.png and ida.svg.", show_default=False)
     ] = None,
 ) -> None:
-    """Find the intensity of each record at which a bearing fails, and the fragility that follows."""
+    """Find the intensity at which a bearing fails, for each record.
+
+    The intensities give a fragility curve.
+    """
     from activefail.accelerogram_sets import read_record_set
     from activefail.risk.ida.findings import BISECTIONS, LEVELS, MarginOptions, analyse
     from activefail.risk.ida.intensity import Intensity
@@ -97,7 +102,10 @@ def _bearing(file: Path) -> "Array":
     values, names = read_fixed(file, TABLE_1), TABLE_1.names[:7]
     for name in values:
         if name not in names:
-            raise InputError(f"{visible(str(file))}: {name}: is the pulse's; a record takes its place.")
+            raise InputError(
+                f"{visible(str(file))}: {name}: belongs to a pulse; leave it out, because the records are the "
+                "ground motion."
+            )
     if missing := [name for name in names if name not in values]:
         raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
     return np.array([values[name] for name in names])

@@ -32,7 +32,10 @@ def probability(
     fixed: Fixed = None,
     code: Code = None,
 ) -> None:
-    """Estimate the probability of an outcome from a campaign and fresh simulations, with an interval."""
+    """Estimate the probability of an outcome, with an interval.
+
+    The estimate combines the campaign's classifier with fresh simulations.
+    """
     from activefail.findings.probability import rounded_up
 
     with opened_run(folder, write=True, code=code) as opened:

@@ -19,7 +19,10 @@ def report(
     ] = None,
     hazard: Annotated[
         Path | None,
-        typer.Option(help="Hazard file (docs/hazard.md): adds fragility and what targets require.", show_default=False),
+        typer.Option(
+            help="Hazard file (docs/hazard.md): adds fragility curves and the bearing that each target requires.",
+            show_default=False,
+        ),
     ] = None,
     fixed: Fixed = None,
     target: Annotated[
@@ -32,7 +35,10 @@ def report(
     ] = None,
     code: Code = None,
 ) -> None:
-    """Write a campaign's results to one self-contained HTML file."""
+    """Write a campaign's results to one HTML file.
+
+    The file needs no other file and no network.
+    """
     from activefail.record.layout import REPORT
 
     check_output("--out", out)

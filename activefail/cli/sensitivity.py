@@ -59,7 +59,10 @@ def sensitivity(
     out: Annotated[Path | None, typer.Option(help="Folder for a page with pictures.", show_default=False)] = None,
     code: Code = None,
 ) -> None:
-    """Show which variables affect a probability most, by the classifier: Sobol' indices, and one at a time."""
+    """Show which variables affect a probability most.
+
+    The classifier gives Sobol' indices, and the effect of one variable at a time.
+    """
     check_output("--out", out)
     if as_json and csv == STANDARD:
         raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")

@@ -70,7 +70,10 @@ def simulate(
     friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
     tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
 ) -> None:
-    """Simulate one bearing under one pulse or record, or a table of designs."""
+    """Simulate one bearing, or a table of designs.
+
+    The ground motion is a pulse or a record.
+    """
     from activefail.bearing.design import TABLE_1, Model, Tolerance
 
     for option, path in {"--plot": plot, "--animate": animate}.items():
@@ -121,9 +124,9 @@ def _check_single(design: Mapping[str, float | None], out: Path | None) -> None:
     missing = [option for option, value in design.items() if value is None]
     if missing:
         number = {7: "seven", 9: "nine"}[len(design)]
-        raise InputError(
-            f"A design needs all {number} variables; missing: {', '.join(missing)}. (Or use --csv and --out.)"
-        )
+        # Records and tables exclude each other.
+        advice = " (Or use --csv and --out.)" if len(design) == 9 else ""
+        raise InputError(f"A design needs all {number} variables; missing: {', '.join(missing)}.{advice}")
     if out is not None:
         raise InputError("--out requires --csv; for one design use --plot or --animate.")
 

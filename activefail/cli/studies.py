@@ -73,11 +73,11 @@ def compare(
     as_json: AsJson = False,
     code: Code = None,
 ) -> None:
-    """Compare active sampling with static designs on the same fresh designs.
+    """Compare active sampling with static designs.
 
-    For a run folder: compares the campaign with static designs, and ends with the static size that is as often right.
-    For a campaign file: compares campaigns and static designs over seeds, criteria and features; after an interruption,
-    the same command continues.
+    Both are scored on the same fresh designs. For a run folder: compares the campaign with static designs, and ends
+    with the static size that is as often right. For a campaign file: compares campaigns and static designs over seeds,
+    criteria and features; after an interruption, the same command continues.
     """
     from activefail.campaign.shipped import campaign_file
 

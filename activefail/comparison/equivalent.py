@@ -42,24 +42,24 @@ class Equivalent:
         """A sentence, for example for the end of `activefail compare`."""
         right = (
             f"After {self.simulations} simulations the campaign is right about {boundary} for "
-            f"{percent(self.accuracy, 2)} of {self.test_designs} fresh designs"
+            f"{percent(self.accuracy, 2)} of {self.test_designs:,} fresh designs"
         )
         if self.size is None:
-            text = f"{right}, more often than static sampling after {self.largest}"
+            text = f"{right}, more often than static sampling after {self.largest:,}"
         elif self.size <= self.smallest:
-            text = f"{right}, not more often than static sampling after {self.smallest}"
+            text = f"{right}, not more often than static sampling after {self.smallest:,}"
         else:
-            text = f"{right}, as often as static sampling after about {_rounded(self.size)}"
+            text = f"{right}, as often as static sampling after about {_rounded(self.size):,}"
         if self.series == 1:
             return f"{text} (one static design of each size; others differ)."
         low, high = (self._bound(size) for size in (self.lowest, self.highest))
         along = low if low == high else f"{low} to {high}"
-        return f"{text} ({along} along the {self.series} series of static designs)."
+        return f"{text} ({along} over the {self.series} series of static designs)."
 
     def _bound(self, size: float | None) -> str:
         if size is None:
-            return f"more than {self.largest}"
-        return f"at most {self.smallest}" if size <= self.smallest else str(_rounded(size))
+            return f"more than {self.largest:,}"
+        return f"at most {self.smallest:,}" if size <= self.smallest else f"{_rounded(size):,}"
 
 
 def equivalent(scores: Sequence[Score]) -> Equivalent | None:

@@ -27,7 +27,7 @@ from activefail.risk.design.task import RISK_CATEGORIES, SIMULATIONS, Requiremen
 from activefail.risk.model import classifier_probability
 from activefail.shares import percent
 from activefail.space import Array
-from activefail.verification.probability import Estimator
+from activefail.verification.probability_estimator import Estimator
 from activefail.visible import visible
 
 _ALONG = 9
@@ -291,7 +291,7 @@ class DesignAnswers:
             return ""
         return (
             "The explorer simulates only activefail's own bearing model, so it cannot verify this design. "
-            "`activefail design` does, where its simulations run on this machine."
+            "`activefail design` can, if the campaign's simulator runs on this machine."
         )
 
     @property
@@ -317,8 +317,9 @@ class DesignAnswers:
         if not is_met:
             low, high = (significant(end) for end in self._range)
             return (
-                f"No {self._quantity.text} from {low} to {self._quantity_text(high)} meets the target and stays below "
-                f"it from there on. {event} = {percent(probability)} at {here}."
+                f"At no {self._quantity.text} from {low} to {self._quantity_text(high)} does the probability meet the "
+                f"target and stay below it for every larger {self._quantity.text}. {event} = {percent(probability)} at "
+                f"{here}."
             )
         if at in self._range:
             return f"Already {here}, an end of its range, meets the target: {event} = {percent(probability)} there."

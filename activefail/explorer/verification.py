@@ -26,7 +26,7 @@ class StoppedError(Exception):
 
 
 class Watch:
-    """What a verification tells of itself, and how it learns that it must stop.
+    """The progress of a verification, and whether it must stop.
 
     Attributes:
         text: the present stage, in words.
@@ -43,7 +43,7 @@ class Watch:
         self._stop.set()
 
     def check(self) -> None:
-        """Go on, unless it must stop.
+        """Return, unless the verification must stop.
 
         Raises:
             StoppedError: if it must.

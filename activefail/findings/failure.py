@@ -15,12 +15,12 @@ from activefail.loop.learning import Learned, learn_from
 from activefail.record.store import Store
 from activefail.reliability.design_point import DesignPoint, design_point
 from activefail.reliability.estimate import ProbabilityEstimate, integrated, standardised_latent
-from activefail.reliability.probability import model_probability
+from activefail.reliability.model_probability import model_probability
 from activefail.shares import lognormal_interval
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
-from activefail.verification.probability import stored_estimate
+from activefail.verification.probability_estimator import stored_estimate
 
 RARE = 0.05
 """Probability below which accuracy says little: a classifier without any failure would be right in 95 %."""

@@ -14,7 +14,7 @@ from activefail.space import REACH
 from activefail.surrogate.choice import OUTCOMES
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.confidence_bounds import largest_unseen_share
-from activefail.verification.probability import EstimateOfRows
+from activefail.verification.probability_estimator import EstimateOfRows
 
 BOUND_CONFIDENCE = 0.9
 """One-sided confidence of the bounds without a model."""

@@ -192,7 +192,7 @@ def new_results(
     return new
 
 
-_CORRECTING = "`tell` the id with `correct` to replace it"
+_CORRECTING = "to replace it: `tell --correct`, or `correct=True` in Python"
 
 
 def correct(
@@ -259,7 +259,7 @@ def lost_margins(
         former = before(recorded[number]).margins[0]
         for name, was, now in zip(campaign.simulator.margins, former, results.margins[row], strict=True):
             if np.isnan(now) and not np.isnan(was):
-                texts.append(f"id {number}: the correction leaves {name} empty, which was {float(was)!r}.")
+                texts.append(f"id {number}: the correction has no value for {name}, which was {float(was)!r}.")
     return texts
 
 

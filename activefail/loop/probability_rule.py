@@ -19,7 +19,7 @@ from activefail.errors import DamagedError
 from activefail.loop.history import History
 from activefail.record.batch import CHECK
 from activefail.reliability.hidden import hidden_places
-from activefail.reliability.probability import model_probability
+from activefail.reliability.model_probability import model_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier

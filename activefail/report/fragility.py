@@ -1,4 +1,4 @@
-"""Fragility curves on a page: a page of their own with its files, or a section of a campaign's report."""
+"""The page of `activefail fragility --out`, with its files; `fragility_section` shows the same curves in the report."""
 
 from collections.abc import Sequence
 from pathlib import Path

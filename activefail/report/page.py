@@ -42,8 +42,8 @@ from activefail.record.store import Store
 from activefail.report.environment import page_environment
 from activefail.report.evidence import Evidence
 from activefail.report.failure import failure_section
+from activefail.report.fragility_section import RiskFindings, fragility_section
 from activefail.report.picture import picture
-from activefail.report.risk_section import RiskFindings, risk_section
 from activefail.simulators.bearing import DfpSimulator
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
@@ -356,7 +356,7 @@ def render(
             "Shares of the outcomes",
         ),
         "failure": failure_section(findings, failure),
-        "risk": risk_section(risk, outcomes),
+        "risk": fragility_section(risk, outcomes),
         "has_pulse": has_pulse(campaign.space),
         "curve": _curve(findings, evidence),
         "pairs": _pairs(findings, scales),

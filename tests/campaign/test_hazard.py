@@ -13,10 +13,10 @@ import activefail as package
 from activefail.acquisition.population import integration_points
 from activefail.bearing.design import TABLE_1
 from activefail.bearing.pulse import VELOCITY_PERIOD, amplitude_of, velocity_of
-from activefail.campaign.asked import read_asked
 from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
 from activefail.campaign.hazard_sections import RELATIONS
-from activefail.campaign.question import Question, read_question
+from activefail.campaign.question import Question
+from activefail.campaign.question_files import read_question
 from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
@@ -26,7 +26,7 @@ from activefail.risk.fragility.levels import answer
 from activefail.risk.hazard import HazardSummary, Outside
 from activefail.risk.model import classifier_probability
 from activefail.space import Array, DesignSpace
-from activefail.verification.probability import Sampled
+from activefail.verification.probability_estimator import Sampled
 from activefail.weighted import WeightedRows, weighted_quantiles
 
 BEARING = {"T_b": 4.0, "mu": 0.06, "D_tot": 0.65, "h_sl_ratio": 0.6, "h_rim_ratio": 0.1, "p": 45.0, "k": 2e9}
@@ -352,7 +352,7 @@ def test_questions_have_the_digests_that_they_had_before_there_were_hazards(
     settings = parse_settings(OLD, "old.toml")
     path = tmp_path / "question.toml"
     path.write_text(f"[space]\n{text}\n")
-    assert read_question(path, settings, settings.design_space()).digest == digest
+    assert read_question(path, settings, settings.design_space(), {}).digest == digest
 
 
 def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: Path) -> None:
@@ -373,14 +373,14 @@ def test_questions_differ_by_bound_draw_and_values_not_by_their_words(tmp_path: 
 def test_a_file_is_a_hazard_or_a_question_by_its_keys(tmp_path: Path) -> None:
     path = tmp_path / "asked.toml"
     path.write_text(PERIOD + PGV)
-    assert read_asked(path, SETTINGS, TABLE_1, BEARING).space.names == ("T_p", "PGV")
+    assert read_question(path, SETTINGS, TABLE_1, BEARING).space.names == ("T_p", "PGV")
     path.write_text("[space]\nmu = { value = 0.05 }\n")
-    assert "mu" not in read_asked(path, SETTINGS, TABLE_1, {}).space.names
+    assert "mu" not in read_question(path, SETTINGS, TABLE_1, {}).space.names
     path.write_text("[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0.01]\n")
     with pytest.raises(InputError, match=r"needs `magnitude`, `pulse_period` or `samples`"):
-        read_asked(path, SETTINGS, TABLE_1, {})
+        read_question(path, SETTINGS, TABLE_1, {})
     path.write_text("[space]\nT_p = { value = 2.0 }\nPGV = { value = 1.0 }\n")
-    question = read_asked(path, SETTINGS, TABLE_1, {})
+    question = read_question(path, SETTINGS, TABLE_1, {})
     amplitude = float(amplitude_of(np.array(1.0), np.array(2.0)))
     assert question.designs(np.zeros((1, 7)))[0, 7:] == pytest.approx([2.0, amplitude])
 

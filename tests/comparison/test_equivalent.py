@@ -25,8 +25,8 @@ def test_the_size_is_interpolated_in_its_logarithm_on_the_medians_and_along_each
     # The series reach 0.960 at 1000, half way from 1000 to 4000, and at 4000.
     assert (same.lowest, same.highest) == (pytest.approx(1000.0), pytest.approx(4000.0))
     assert same.in_words("failure") == (
-        "After 500 simulations the campaign is right about failure for 96.00 % of 20000 fresh designs, as often as "
-        "static sampling after about 2000 (1000 to 4000 along the 3 series of static designs)."
+        "After 500 simulations the campaign is right about failure for 96.00 % of 20,000 fresh designs, as often as "
+        "static sampling after about 2,000 (1,000 to 4,000 over the 3 series of static designs)."
     )
 
 
@@ -34,14 +34,14 @@ def test_a_campaign_that_beats_every_static_design_is_said_to_beat_the_largest()
     same = equivalent([scored("active", 500, 0.964), *STATIC])
     assert same is not None
     assert same.size is None
-    assert "more often than static sampling after 4000 (2500 to more than 4000 along" in same.in_words("failure")
+    assert "more often than static sampling after 4,000 (2,500 to more than 4,000 over" in same.in_words("failure")
 
 
 def test_a_campaign_that_no_static_design_is_worse_than_is_said_to_be_no_better_than_the_smallest() -> None:
     same = equivalent([scored("active", 500, 0.940), *STATIC])
     assert same is not None
     text = same.in_words("failure")
-    assert "not more often than static sampling after 500 (at most 500 along the 3 series" in text
+    assert "not more often than static sampling after 500 (at most 500 over the 3 series" in text
 
 
 def test_one_static_design_of_each_size_gives_no_range() -> None:

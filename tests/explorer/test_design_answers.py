@@ -112,7 +112,7 @@ def test_a_target_out_of_reach_says_so_with_the_least_probability(design):
     reply = design.required(design.asked(REQUEST | {"site": strong, "target": 0.001}))
     assert reply["required"] is None
     assert reply["probability"] == pytest.approx(min(reply["curve"]))
-    assert reply["text"].startswith("No D_tot from 0.450 to 0.850 m meets the target and stays below it from ")
+    assert reply["text"].startswith("At no D_tot from 0.450 to 0.850 m does the probability meet the target and stay ")
 
 
 def test_a_target_that_the_smallest_value_meets_says_that_it_is_an_end_of_the_range(design):

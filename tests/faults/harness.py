@@ -78,7 +78,7 @@ class Victim:
     reports: list[str] = field(default_factory=list)
 
     def go_on(self) -> None:
-        """Let it go on from where it waits."""
+        """Let it continue from where it waits."""
         os.write(self.gate, b"\n")
         os.close(self.gate)
 

@@ -205,7 +205,7 @@ def test_a_result_that_is_told_twice_is_recorded_once_and_another_one_is_refused
     designs = ask(campaign, store, 2, BUDGET).designs
     assert tell(campaign, store, designs.id, results(0, 1)) == 2
     assert tell(campaign, store, designs.id, results(0, 1)) == 0
-    way = r"\(`tell` the id with `correct` to replace it\)"
+    way = r"\(to replace it: `tell --correct`, or `correct=True` in Python\)"
     with pytest.raises(
         RowError, match=rf"id 1 already has the result broken, distance 0\.5 {way}; this row has safe, distance 0\.5"
     ):
@@ -249,7 +249,7 @@ def test_an_added_design_in_flight_or_with_another_result_is_refused() -> None:
     ):
         add(campaign, store, designs.designs[:1], results(0))
     tell(campaign, store, designs.id, results(0, 1))
-    way = r"\(`tell` the id with `correct` to replace it\)"
+    way = r"\(to replace it: `tell --correct`, or `correct=True` in Python\)"
     with pytest.raises(
         RowError, match=rf"the same design has the result safe, distance 0\.5 as id 0 {way}; this row has broken"
     ):
@@ -737,7 +737,7 @@ def test_only_recorded_results_are_corrected_and_all_of_a_table_or_none() -> Non
     with pytest.raises(RowError, match=r"id 0 has the result .* in an earlier row"):
         correct(campaign, store, np.array([0, 0]), Results.concatenate([other, results]))
     assert len(store.corrections) == 0
-    with pytest.raises(RowError, match="`tell` the id with `correct` to replace it"):
+    with pytest.raises(RowError, match="to replace it: `tell --correct`, or `correct=True` in Python"):
         tell(campaign, store, ids, other)
     assert correct(campaign, store, np.array([0, 0]), Results.concatenate([other, other])) == 1
     assert tell(campaign, store, ids, other) == 0

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 from activefail.features import feature_map
 from activefail.parameter import Parameter
 from activefail.reliability.hidden import OUTSIDE, hidden_places
-from activefail.reliability.probability import model_probability
+from activefail.reliability.model_probability import model_probability
 from activefail.space import DesignSpace, radius
 from activefail.surrogate.margin import MarginLatent, fit_margin
 

@@ -26,7 +26,7 @@ from activefail.risk.fragility.exports import multilinear, openquake_model, peli
 from activefail.risk.fragility.lognormal import fit_lognormal, why_not_fitted
 from activefail.risk.fragility.rates import risk_of
 from activefail.space import Array, DesignSpace
-from activefail.verification.probability import Sampled, error_of_rows
+from activefail.verification.probability_estimator import Sampled, error_of_rows
 from activefail.weighted import WeightedRows
 
 MEDIAN, BETA = 1.2, 0.4

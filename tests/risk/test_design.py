@@ -24,7 +24,7 @@ from activefail.risk.design.task import DesignTask, Requirement, read_targets
 from activefail.run import Run
 from activefail.space import Array, DesignSpace
 from activefail.verification.confidence_bounds import largest_unseen_share
-from activefail.verification.probability import Sampled
+from activefail.verification.probability_estimator import Sampled
 
 CAMPAIGN = """
 simulator = { python = "tank:run", outcomes = ["safe", "damage", "failure"] }

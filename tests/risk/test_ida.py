@@ -358,7 +358,10 @@ def test_options_that_break_a_rule_are_refused(case: Path, options: tuple[str, .
     ("text", "message"),
     [
         (TOML.replace("p = 45\n", ""), "bearing.toml: needs p."),
-        (TOML + "T_p = 2.0\n", "bearing.toml: T_p: is the pulse's; a record takes its place."),
+        (
+            TOML + "T_p = 2.0\n",
+            "bearing.toml: T_p: belongs to a pulse; leave it out, because the records are the ground motion.",
+        ),
         (TOML.replace("p = 45", "p = true"), "p: must be a number"),
         (TOML.replace("mu = 0.06", "mu = -0.1"), "mu"),
     ],

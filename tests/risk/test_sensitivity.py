@@ -17,7 +17,7 @@ from activefail import create_run, open_run
 from activefail.bearing.pulse import velocity_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import hazard_question, read_hazard
-from activefail.campaign.question import read_question
+from activefail.campaign.question_files import read_question
 from activefail.errors import InputError
 from activefail.loop.history import History
 from activefail.paper.p_values import variable_p_values
@@ -147,7 +147,7 @@ def test_the_indices_of_a_question_are_those_of_its_distributions(campaign: Camp
         "[space]\nmu = { value = 0.05 }\n"
         'A_p = { distribution = "truncated_normal", mean = 0.5, sd = 0.05, low = 0.1, high = 0.9, unit = "g" }\n'
     )
-    question = read_question(file, campaign.settings, campaign.space)
+    question = read_question(file, campaign.settings, campaign.space, {})
 
     def additive(X: Array) -> Array:
         assert (X[:, 0] == 0.05).all()

@@ -11,7 +11,7 @@ from activefail.risk.design.required import RequiredChart, required_chart
 from activefail.risk.design.search import Designed, find_design
 from activefail.risk.design.task import RISK_CATEGORIES, DesignTask
 from activefail.risk.model import classifier_probability
-from activefail.verification.probability import Estimator
+from activefail.verification.probability_estimator import Estimator
 
 _ACROSS, _LINES = 6, 3
 """Values of the two variables of a chart."""

@@ -105,7 +105,7 @@ class DesignFindings:
         kind = "small" if task.cost_text == task.free[0] else "cheap"
         if self.designed.last.candidate.is_between:
             sentences.append(
-                "The probability exceeds the target again on both sides of this range of designs. This design is the "
+                "The probability exceeds the search's goal on both sides of this range of designs. This design is the "
                 f"{kind}est one in the range that contains the safest design."
             )
         else:

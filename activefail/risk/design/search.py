@@ -14,7 +14,7 @@ from activefail.risk.design.task import LOOKS, DesignTask
 from activefail.risk.model import classifier_probability
 from activefail.space import Array
 from activefail.verification.confidence_bounds import largest_unseen_share
-from activefail.verification.probability import Estimator, Sampled
+from activefail.verification.probability_estimator import Estimator, Sampled
 
 _GRID = 13
 """Values of the first free variable at which a line is scanned."""

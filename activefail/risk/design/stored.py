@@ -13,7 +13,7 @@ from activefail.record.layout import DESIGNS
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.search import Designed, verifies
 from activefail.risk.design.task import LOOKS, Requirement, confidence_of_bound
-from activefail.verification.probability import Estimator
+from activefail.verification.probability_estimator import Estimator
 
 _LARGEST, _MOST = 1_000_000, 1_000
 """Most bytes of the file, and most designs in it."""

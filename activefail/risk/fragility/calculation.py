@@ -34,7 +34,7 @@ from activefail.risk.fragility.levels import (
 from activefail.risk.fragility.rates import risk_of
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import DesignSpace
-from activefail.verification.probability import Estimator
+from activefail.verification.probability_estimator import Estimator
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,11 @@ class IdaFindings:
             lines += [
                 ("median", f"{fit.median:.3g}{unit}{_interval(m)}"),
                 ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
-                ("misfit", f"the lognormal curve is within {self.misfit:.2f} of the records' shares"),
+                (
+                    "misfit",
+                    f"the lognormal curve differs by at most {self.misfit:.2f} from the share of records that have "
+                    "failed",
+                ),
             ]
         if self.pulses is not None:
             lines += _pulse_lines(self.pulses)
@@ -163,13 +167,13 @@ class IdaFindings:
         if not self.records.has_events:
             notes.append(
                 "No table names the events, so each record counts as one. Components of one earthquake are not "
-                "independent: the intervals are then too short."
+                "independent: the intervals are then too narrow."
             )
         if self.failed < len(found.capacity):
             notes.append("Records that never fail enter the fit as capacities above the highest level.")
         at_lowest = int((np.isfinite(found.capacity) & (found.below == 0.0)).sum())
         if at_lowest:
-            notes.append(f"{at_lowest} of the records fail at every simulated level. Lower the levels with --to.")
+            notes.append(f"{at_lowest} of the records fail at every simulated level. Use a lower --to.")
         if risen := int((found.resurrections > 0).sum()):
             notes.append(
                 f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
@@ -177,8 +181,8 @@ class IdaFindings:
             )
         if lifted := int(found.lifted.sum()):
             notes.append(
-                f"In {lifted} of the simulations the slider rocks until a plate is above the rim, before it touches "
-                "one. They count as failures."
+                f"In {lifted} of the simulations the slider rocks so far that a plate rises above the rim before "
+                "the slider touches a rim. They count as failures."
             )
         if failures := int(found.numerical_failures.sum()):
             notes.append(
@@ -188,8 +192,8 @@ class IdaFindings:
         if self.pulses is not None and self.pulses.compared < len(found.capacity):
             left_out = len(found.capacity) - self.pulses.compared
             notes.append(
-                f"{left_out} of the records, or their pulses, never fail and are not in the ratio. It is rather too "
-                "small where the pulses are what never fails."
+                f"{left_out} of the records, or their pulses, never fail and are not in the ratio. If it is the "
+                "pulses that never fail, the ratio is probably too small."
             )
         notes.append("Capacities, shares of records and the misfit have no interval.")
         notes.append(
@@ -246,7 +250,7 @@ class IdaFindings:
 def _verdict(acmr: float, interval: Sequence[float], least: float) -> str:
     """Whether a margin is acceptable; undecided if its interval contains the least acceptable value."""
     if interval and interval[0] < least <= interval[1]:
-        return f"{'met' if acmr >= least else 'not met'}, but the interval contains it"
+        return f"{'met' if acmr >= least else 'not met'}, but the interval of the ACMR contains this value"
     return "met" if acmr >= least else "not met"
 
 

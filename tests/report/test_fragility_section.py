@@ -14,7 +14,7 @@ from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
 from activefail.campaign.hazard import read_hazard
 from activefail.errors import InputError
 from activefail.opening import open_run
-from activefail.report.risk_section import risk_findings, risk_options
+from activefail.report.fragility_section import risk_findings, risk_options
 from activefail.risk.design.stored import stored_designs
 from activefail.risk.design.task import Requirement
 

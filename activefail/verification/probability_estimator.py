@@ -1,4 +1,7 @@
-"""Estimate the probability beyond a boundary from fresh simulations, which are kept in the run folder."""
+"""Estimates the probability beyond a boundary from fresh simulations, and keeps them in the run folder.
+
+`reliability.estimate` and `reliability.strata` compute the intervals.
+"""
 
 import math
 from dataclasses import asdict, dataclass, replace

@@ -1,4 +1,4 @@
-"""Values for the report's section on fragility: what a site's hazard means for a bearing. It simulates nothing."""
+"""Values for the section on fragility in a campaign's report (`report.html.j2`). It simulates nothing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from activefail.risk.design.task import DEFAULT_FREE, RISK_CATEGORIES, Requireme
 from activefail.risk.fragility.calculation import fragility
 from activefail.risk.fragility.findings import FragilityFindings
 from activefail.space import DesignSpace
-from activefail.verification.probability import Estimator
+from activefail.verification.probability_estimator import Estimator
 from activefail.visible import quoted
 
 _CONFIDENCE = 0.95
@@ -125,7 +125,7 @@ def risk_findings(
     return RiskFindings(asked, campaign.space, curves, chart, "", tuple(designs))
 
 
-def risk_section(found: RiskFindings | None, outcomes: Sequence[str]) -> dict[str, Any] | None:
+def fragility_section(found: RiskFindings | None, outcomes: Sequence[str]) -> dict[str, Any] | None:
     """The numbers and pictures of the section; None without a hazard."""
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""The probability beyond a boundary under a latent, and how well the latent knows it."""
+"""The probability beyond a boundary by the classifier alone, and the posterior sd of this probability."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What is asked of a campaign: the question of a question file or of a hazard file."""
+"""Reads the question that a question file or a hazard file asks of a campaign."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -16,7 +16,7 @@ _CHECKED = 256
 """Designs of a question on which its values are checked."""
 
 
-def read_asked(path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float]) -> Question:
+def read_question(path: Path, settings: CampaignSettings, space: DesignSpace, fixed: Mapping[str, float]) -> Question:
     """Read the question of a question file or a hazard file.
 
     Args:
