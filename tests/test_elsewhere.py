@@ -355,7 +355,7 @@ def test_a_wrong_result_is_corrected_and_the_former_one_stays_in_the_history(fol
         assert len(run.corrections) == 0
         assert run.tell(wrong, correct=True) == 1
         assert run.tell(wrong, correct=True) == run.tell(wrong) == 0
-        with pytest.raises(InputError, match=f"row 0: id {wrong['id']} already has the result .*`correct` to replace"):
+        with pytest.raises(InputError, match=f"row 0: id {wrong['id']} already has the result .*to replace it: `tell --correct`"):
             run.tell({"id": wrong["id"], "g": row["g"]})
         now = run.simulations
         assert now["g"].tolist() == [*before["g"][:2], -row["g"], *before["g"][3:]]
