@@ -133,6 +133,37 @@ def test_the_bearing_through_csv_files_from_two_shells_in_turns_has_the_bits_of_
     assert record(folder) == whole
 
 
+@pytest.mark.exhaustive
+def test_the_paper_s_campaign_by_hand_has_the_bits_of_run(tmp_path: Path) -> None:
+    file, todo, answers = (
+        Path(__file__).parents[1] / "campaigns" / "paper.toml",
+        tmp_path / "todo",
+        tmp_path / "answers",
+    )
+    whole, script, shells = (tmp_path / name for name in ("whole", "script", "shells"))
+
+    def shell(*words: str | Path) -> None:
+        done = subprocess.run(
+            [sys.executable, "-m", "activefail.cli", *map(str, words)], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+
+    shell("run", file, "--out", whole)
+    with af.create_run(script, file) as run:
+        run.tell(simulated(run.ask(250)))
+        while len(designs := run.ask(10)):
+            run.tell(simulated(designs))
+    assert len(record(whole)) == 500
+    assert record(script) == record(whole)
+
+    shell("create", file, "--out", shells)
+    for count in (250, *(10 for _ in range(25))):
+        shell("ask", shells, "--n", str(count), "--csv", todo)
+        shell("simulate", "--csv", todo, "--out", answers)
+        shell("tell", shells, "--csv", answers)
+    assert record(shells) == record(whole)
+
+
 # --- what the tables hold ----------------------------------------------------------------------------------------
 
 
@@ -355,7 +386,9 @@ def test_a_wrong_result_is_corrected_and_the_former_one_stays_in_the_history(fol
         assert len(run.corrections) == 0
         assert run.tell(wrong, correct=True) == 1
         assert run.tell(wrong, correct=True) == run.tell(wrong) == 0
-        with pytest.raises(InputError, match=f"row 0: id {wrong['id']} already has the result .*to replace it: `tell --correct`"):
+        with pytest.raises(
+            InputError, match=f"row 0: id {wrong['id']} already has the result .*to replace it: `tell --correct`"
+        ):
             run.tell({"id": wrong["id"], "g": row["g"]})
         now = run.simulations
         assert now["g"].tolist() == [*before["g"][:2], -row["g"], *before["g"][3:]]
