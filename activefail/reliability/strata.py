@@ -25,6 +25,10 @@ _BY_VOLUME = 0.5
 _PRIOR = (0.2, 1.5)
 """The prior of the share q of wrong predictions of a stratum is Beta(0.2 + q, 1.5 − q), q by the classifier."""
 
+_RIGHT_BELOW = 0.2
+"""At the lower end of an interval, the prior of a stratum beyond the boundary is Beta(0.2 + q, 0.2): a classifier that
+is wrong there must not raise the end."""
+
 _LEAST_DOUBT = 1e-4
 """Least doubt of a stratum for the number of its simulations."""
 
@@ -95,7 +99,7 @@ class StratifiedPlan:
         """
         middle = self._middle(np.where(answered, beyond, self.predicted))
         tails = 0.5 - 0.5 * confidence
-        low = np.quantile(self._posterior(beyond & answered), tails)
+        low = np.quantile(self._posterior(beyond & answered, _RIGHT_BELOW), tails)
         high = np.quantile(self._posterior(beyond | ~answered), 1.0 - tails)
         wrong = answered & (beyond != self.predicted)
         recall, recall_low = self._recall(beyond, answered, confidence)
@@ -130,11 +134,17 @@ class StratifiedPlan:
         wrong = (beyond != self.predicted).astype(np.float64)
         return np.asarray(np.bincount(self.stratum, weights=wrong, minlength=len(self.volume)))
 
-    def _shares(self, beyond: NDArray[np.bool_]) -> Array:
-        """Draws of the strata's shares of wrong predictions, (draws, s)."""
+    def _shares(self, beyond: NDArray[np.bool_], right: float = np.inf) -> Array:
+        """Draws of the strata's shares of wrong predictions, (draws, s).
+
+        Args:
+            beyond: (m,) whether each outcome is beyond the boundary.
+            right: greatest second parameter of the prior of the strata beyond the boundary.
+        """
         wrong, n, (a, b) = self._wrong(beyond), self.counts, _PRIOR
+        second = np.minimum(b - self.doubt, np.where(self.is_beyond, right, np.inf))
         rng = np.random.default_rng(0)
-        return np.asarray(rng.beta(a + self.doubt + wrong, b - self.doubt + n - wrong, (_DRAWS, len(n))))
+        return np.asarray(rng.beta(a + self.doubt + wrong, second + n - wrong, (_DRAWS, len(n))))
 
     def _parts(self, shares: Array) -> tuple[Array, Array]:
         """Probability of what the classifier puts beyond the boundary rightly, and of what it misses."""
@@ -147,9 +157,9 @@ class StratifiedPlan:
         shares = np.divide(self._wrong(beyond), n, out=self.doubt.copy(), where=n > 0)
         return float(np.sum(self._parts(shares)))
 
-    def _posterior(self, beyond: NDArray[np.bool_]) -> Array:
-        """Draws of the probability, (draws,)."""
-        hit, missed = self._parts(self._shares(beyond))
+    def _posterior(self, beyond: NDArray[np.bool_], right: float = np.inf) -> Array:
+        """Draws of the probability, (draws,); the arguments are those of `_shares`."""
+        hit, missed = self._parts(self._shares(beyond, right))
         of_integration = self.standard_error * np.random.default_rng(1).standard_normal(len(hit))
         return np.asarray(hit + missed + of_integration)
 
