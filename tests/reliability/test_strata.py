@@ -66,6 +66,16 @@ def test_hidden_failure_where_the_classifier_is_sure_is_within_the_bound_more_of
     assert np.mean(np.array(highs) >= true) > 0.8
 
 
+def test_a_classifier_that_is_wrong_where_it_predicts_failure_does_not_raise_the_lower_end() -> None:
+    P, above = float(norm.sf(2.0)), []
+    for seed in range(100):
+        # It puts half of the distribution beyond the boundary, in doubt nearly everywhere.
+        plan = plan_strata(lambda X: X[:, 0] / 2.0, SPACE, 50, np.random.default_rng(seed))
+        assert plan is not None
+        above.append(plan.estimate(plan.designs[:, 0] > 2.0, all_answered(plan), 0.9).low > P)
+    assert np.mean(above) <= 0.12
+
+
 def test_a_part_of_the_simulations_is_shared_out_by_volume() -> None:
     plan = plan_of(0.01, 200, 0)
     count, volume = plan.surest
