@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from activefail.surrogate.classifier import Classifier
 
 
-def sentence(outcome: str, margin: str, margin_score: float, outcome_score: float) -> str:
+def sentence(outcome: str, margin: str, margin_score: float, outcome_score: float, is_clipped: bool = False) -> str:
     """What a boundary is learned from, with the evidence if there is any; empty if there was no choice.
 
     Args:
         outcome: name of the boundary's outcome.
         margin: name of the margin; empty if the boundary is learned from the outcomes.
         margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
+        is_clipped: whether the margin is clipped at a largest value.
     """
     compared = not (math.isnan(margin_score) or math.isnan(outcome_score))
     if not margin and not compared:
@@ -27,6 +28,8 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
         f"{outcome_score:.3f} from outcomes)"
     )
     source = f"the margin {visible(margin)}" if margin else "the outcomes"
+    if is_clipped:
+        source += ", which is clipped at its largest value and does not show failures behind it"
     return f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
 
 
@@ -36,6 +39,7 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
     A boundary has no sentence if the simulator has several margins and none of them gives its side.
     """
     from activefail.surrogate.choice import OUTCOMES, usable
+    from activefail.surrogate.margin import is_clipped
 
     known, names = history.training, campaign.simulator.margins
     learns = campaign.settings.classifier.learns
@@ -43,7 +47,8 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
     for severity, choice in enumerate(classifier.choices, start=1):
         outcome = campaign.simulator.outcomes[severity]
         margin = "" if choice.margin == OUTCOMES else names[choice.margin]
-        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score)
+        clipped = bool(margin) and is_clipped(known.margins[:, choice.margin])
+        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped)
         candidate = names[0] if learns == "auto" and len(names) == 1 else "" if learns == "auto" else learns
         if not text and candidate:
             margins = campaign.margins_at(severity, known.outcome, known.margins)

@@ -44,6 +44,9 @@ WARPINGS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] =
 _CENSORED_SPREAD = 0.01
 """Largest range of the failed designs' margins, in standard deviations of the others', that is taken as truncation."""
 
+_TIED = 3
+"""Fewest equal margins at the top that are taken as clipped."""
+
 _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 """Most sweeps of expectation propagation, its share of a step, and the relative change of precisions that ends it."""
 
@@ -83,6 +86,12 @@ def is_truncated(margin: Array) -> bool:
     largest = others.max()
     reach = np.ptp(failed / largest) if len(failed) > 1 else -failed[0] / largest
     return bool(reach <= _CENSORED_SPREAD * (others / largest).std())
+
+
+def is_clipped(margin: Array) -> bool:
+    """Whether margins, (n,), are clipped: whether three or more are equal to the largest, which is positive."""
+    top = margin.max(initial=0.0)
+    return bool(top > 0.0 and (margin == top).sum() >= _TIED)
 
 
 class CensoredSites(NamedTuple):
