@@ -3,7 +3,8 @@
     python experiments/saturated_margins.py --seeds 20
 
 Two standard normal variables. Failure is a half-plane, and a disc of radius 0.1 to 0.4 on the other side that has 20 to
-90 % of the failure probability. Each seed draws both. The margin is the distance to the nearer of the two regions; the simulator reports
+90 % of the failure probability. Each seed draws both. The margin is the distance to the nearer of the two regions; the
+simulator reports
 
     distance   this distance
     clipped    the distance, at most 0.4
