@@ -28,9 +28,12 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
         f"{outcome_score:.3f} from outcomes)"
     )
     source = f"the margin {visible(margin)}" if margin else "the outcomes"
-    if is_clipped:
-        source += ", which is clipped at its largest value and does not show failures behind it"
-    return f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
+    clipped = (
+        "; this margin is clipped at its largest value and does not show a failure behind it, so stop.probability "
+        "cannot end the campaign"
+    )
+    text = f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
+    return text + clipped if is_clipped else text
 
 
 def choices_in_words(campaign: "Campaign", history: "History", classifier: "Classifier") -> list[str]:
@@ -39,15 +42,15 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
     A boundary has no sentence if the simulator has several margins and none of them gives its side.
     """
     from activefail.surrogate.choice import OUTCOMES, usable
-    from activefail.surrogate.margin import is_clipped
+    from activefail.surrogate.margin import MarginLatent
 
     known, names = history.training, campaign.simulator.margins
     learns = campaign.settings.classifier.learns
     sentences = []
-    for severity, choice in enumerate(classifier.choices, start=1):
+    for severity, (choice, latent) in enumerate(zip(classifier.choices, classifier.latents, strict=False), start=1):
         outcome = campaign.simulator.outcomes[severity]
         margin = "" if choice.margin == OUTCOMES else names[choice.margin]
-        clipped = bool(margin) and is_clipped(known.margins[:, choice.margin])
+        clipped = isinstance(latent, MarginLatent) and latent.trained.is_clipped
         text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped)
         candidate = names[0] if learns == "auto" and len(names) == 1 else "" if learns == "auto" else learns
         if not text and candidate:

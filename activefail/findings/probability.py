@@ -13,7 +13,7 @@ from activefail.shares import percent
 from activefail.space import REACH
 from activefail.surrogate.choice import OUTCOMES
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import is_clipped
+from activefail.surrogate.margin import MarginLatent
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability_estimator import EstimateOfRows
 from activefail.visible import visible
@@ -129,6 +129,7 @@ class ProbabilityFindings:
         known = history.training
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
+        latent = classifier.latent(outcome)
         return cls(
             outcome=outcome,
             estimate=estimate,
@@ -140,7 +141,7 @@ class ProbabilityFindings:
             question=question.title if question.digest else "",
             extrapolated=question.share_outside(campaign.space) if question.digest else 0.0,
             of_question=question.assumptions,
-            is_clipped=choice != OUTCOMES and is_clipped(known.margins[:, choice]),
+            is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
 
     @property

@@ -23,7 +23,7 @@ from activefail.reliability.model_probability import model_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
-from activefail.surrogate.margin import MarginLatent, is_clipped
+from activefail.surrogate.margin import MarginLatent
 
 _BETWEEN = 4
 """Fewest simulations between the two looks that must agree."""
@@ -124,7 +124,7 @@ def has_clipped_margin(campaign: Campaign, classifier: Classifier) -> bool:
     rule = campaign.settings.probability_rule
     assert rule is not None
     latent = classifier.latent(rule.probability)
-    return isinstance(latent, MarginLatent) and is_clipped(latent.trained.margin)
+    return isinstance(latent, MarginLatent) and latent.trained.is_clipped
 
 
 def is_whole(campaign: Campaign, answered: int) -> bool:

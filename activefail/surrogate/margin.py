@@ -45,7 +45,7 @@ _CENSORED_SPREAD = 0.01
 """Largest range of the failed designs' margins, in standard deviations of the others', that is taken as truncation."""
 
 _TIED = 3
-"""Fewest equal margins at the top that are taken as clipped."""
+"""Fewest different designs with the largest margin that show that it is clipped."""
 
 _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 """Most sweeps of expectation propagation, its share of a step, and the relative change of precisions that ends it."""
@@ -86,12 +86,6 @@ def is_truncated(margin: Array) -> bool:
     largest = others.max()
     reach = np.ptp(failed / largest) if len(failed) > 1 else -failed[0] / largest
     return bool(reach <= _CENSORED_SPREAD * (others / largest).std())
-
-
-def is_clipped(margin: Array) -> bool:
-    """Whether margins, (n,), are clipped: whether three or more are equal to the largest, which is positive."""
-    top = margin.max(initial=0.0)
-    return bool(top > 0.0 and (margin == top).sum() >= _TIED)
 
 
 class CensoredSites(NamedTuple):
@@ -202,6 +196,15 @@ class MarginFit:
         L = cholesky(A, lower=True)
         ones = cho_solve((L, True), np.ones(len(A)))
         return Solved(L, cho_solve((L, True), target - self.hyperparameters.mean), ones, float(ones.sum()))
+
+    @cached_property
+    def is_clipped(self) -> bool:
+        """Whether the margin is clipped: three or more different designs have the largest one, which is positive.
+
+        A repeated design has the same margin again, which shows nothing.
+        """
+        top = self.margin.max()
+        return bool(top > 0.0 and len(np.unique(self.features[self.margin == top], axis=0)) >= _TIED)
 
     def _covariance(self, F: Array) -> Array:
         X = torch.from_numpy(self.features)

@@ -224,7 +224,7 @@ def test_a_clipped_margin_never_ends_a_campaign_but_is_checked_again(asynchronou
     assert len(history) == 90
     assert (history.origin == CHECK).sum() >= 2 * 8
     (text,) = choices_in_words(campaign, history, classifier_of(campaign, store, asynchronous))
-    assert "the margin g, which is clipped at its largest value and does not show failures behind it" in text
+    assert "this margin is clipped at its largest value and does not show a failure behind it" in text
 
 
 @pytest.mark.parametrize(
