@@ -2,8 +2,9 @@
 
     python experiments/saturated_margins.py --seeds 20
 
-Two standard normal variables. Failure is a half-plane, and a disc on the other side that has 20 to 90 % of the failure
-probability. Each seed draws both. The margin is the distance to the nearer of the two regions; the simulator reports
+Two standard normal variables. Failure is a half-plane, and a disc of radius 0.1 to 0.4 on the other side that has 20 to
+90 % of the failure probability. Each seed draws both. The margin is the distance to the nearer of the two regions; the
+simulator reports
 
     distance   this distance
     clipped    the distance, at most 0.4
@@ -64,7 +65,7 @@ class HalfPlaneAndDisc:
         rng = np.random.default_rng([seed, 3])
         while True:
             angle, away = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.5 * np.pi, 1.5 * np.pi)
-            offset, far, radius = rng.uniform(2.3, 2.9), rng.uniform(1.5, 2.5), rng.uniform(0.3, 0.6)
+            offset, far, radius = rng.uniform(2.6, 3.2), rng.uniform(1.2, 2.2), rng.uniform(0.1, 0.4)
             direction = float(np.cos(angle)), float(np.sin(angle))
             centre = float(far * np.cos(angle + away)), float(far * np.sin(angle + away))
             problem = cls(kind, direction, float(offset), centre, float(radius))

@@ -37,6 +37,10 @@ def reversed_sign(design):
 
 def never(design):
     return 20.0 + design["x"]
+
+def clipped(design):
+    g = min(1.8 - design["x"] + 0.1 * design["y"], 1.0)
+    return {"outcome": "failure" if g <= 0 else "safe", "margins": {"g": g if g > 0 else float("nan")}}
 """
 
 TRUE = float(ndtr(-3.0 / 1.01**0.5))
@@ -96,6 +100,28 @@ def test_a_margin_of_the_wrong_sign_is_not_learned_from_and_the_reason_is_told(t
     result = activefail("run", begun(tmp_path, "reversed_sign", 16), "--out", tmp_path / "run")
     assert result.code == 0, result.err
     assert "learned    failure from the outcomes; the margin g is not used: its sign contradicts" in result.out
+
+
+def test_a_clipped_margin_is_named_as_the_reason_why_the_campaign_goes_on_to_its_budget(tmp_path: Path) -> None:
+    result = activefail("run", begun(tmp_path, "clipped", 60), "--out", tmp_path / "run")
+    assert result.code == 0, result.err
+    reason = (
+        "; this margin is clipped at its largest value and does not show a failure behind it, so stop.probability "
+        "cannot end the campaign"
+    )
+    assert "stop rule" not in result.out
+    assert reason in result.out
+    status = activefail("status", tmp_path / "run")
+    assert status.code == 0, status.err
+    assert "60 of 60" in status.out
+    assert "learned    failure from the margin g" in status.out
+    assert reason in status.out
+    result = activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "10")
+    assert result.code == 0, result.err
+    assert "The margin g is clipped at its largest value." in result.out
+    assert activefail("export", tmp_path / "run", "--csv", tmp_path / "all.csv").code == 0
+    # The check that contradicts nothing is made, and made again.
+    assert (tmp_path / "all.csv").read_text().count(",check,") >= 16
 
 
 def test_where_no_failure_was_seen_the_estimate_says_so_and_the_bound_is_wide(tmp_path: Path) -> None:

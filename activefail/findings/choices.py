@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from activefail.surrogate.classifier import Classifier
 
 
-def sentence(outcome: str, margin: str, margin_score: float, outcome_score: float) -> str:
+def sentence(outcome: str, margin: str, margin_score: float, outcome_score: float, is_clipped: bool = False) -> str:
     """What a boundary is learned from, with the evidence if there is any; empty if there was no choice.
 
     Args:
         outcome: name of the boundary's outcome.
         margin: name of the margin; empty if the boundary is learned from the outcomes.
         margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
+        is_clipped: whether the margin is clipped at a largest value.
     """
     compared = not (math.isnan(margin_score) or math.isnan(outcome_score))
     if not margin and not compared:
@@ -27,7 +28,12 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
         f"{outcome_score:.3f} from outcomes)"
     )
     source = f"the margin {visible(margin)}" if margin else "the outcomes"
-    return f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
+    clipped = (
+        "; this margin is clipped at its largest value and does not show a failure behind it, so stop.probability "
+        "cannot end the campaign"
+    )
+    text = f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
+    return text + clipped if is_clipped else text
 
 
 def choices_in_words(campaign: "Campaign", history: "History", classifier: "Classifier") -> list[str]:
@@ -36,14 +42,16 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
     A boundary has no sentence if the simulator has several margins and none of them gives its side.
     """
     from activefail.surrogate.choice import OUTCOMES, usable
+    from activefail.surrogate.margin import MarginLatent
 
     known, names = history.training, campaign.simulator.margins
     learns = campaign.settings.classifier.learns
     sentences = []
-    for severity, choice in enumerate(classifier.choices, start=1):
+    for severity, (choice, latent) in enumerate(zip(classifier.choices, classifier.latents, strict=False), start=1):
         outcome = campaign.simulator.outcomes[severity]
         margin = "" if choice.margin == OUTCOMES else names[choice.margin]
-        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score)
+        clipped = isinstance(latent, MarginLatent) and latent.trained.is_clipped
+        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped)
         candidate = names[0] if learns == "auto" and len(names) == 1 else "" if learns == "auto" else learns
         if not text and candidate:
             margins = campaign.margins_at(severity, known.outcome, known.margins)

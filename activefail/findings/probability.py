@@ -13,8 +13,10 @@ from activefail.shares import percent
 from activefail.space import REACH
 from activefail.surrogate.choice import OUTCOMES
 from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.margin import MarginLatent
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability_estimator import EstimateOfRows
+from activefail.visible import visible
 
 BOUND_CONFIDENCE = 0.9
 """One-sided confidence of the bounds without a model."""
@@ -88,6 +90,7 @@ class ProbabilityFindings:
         outcome: its name.
         estimate: from fresh simulations with the classifier frozen.
         learned_from: the margin that the boundary was learned from; empty if from the outcomes alone.
+        is_clipped: whether this margin is clipped at a largest value.
         learned: simulations of the campaign, without its fresh simulations.
         seen: how many of these ended beyond the boundary.
         bound: without a model.
@@ -107,6 +110,7 @@ class ProbabilityFindings:
     question: str
     extrapolated: float
     of_question: tuple[str, ...] = ()
+    is_clipped: bool = False
 
     @classmethod
     def of(
@@ -125,6 +129,7 @@ class ProbabilityFindings:
         known = history.training
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
+        latent = classifier.latent(outcome)
         return cls(
             outcome=outcome,
             estimate=estimate,
@@ -136,6 +141,7 @@ class ProbabilityFindings:
             question=question.title if question.digest else "",
             extrapolated=question.share_outside(campaign.space) if question.digest else 0.0,
             of_question=question.assumptions,
+            is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
 
     @property
@@ -171,6 +177,11 @@ class ProbabilityFindings:
             "the classifier nor the fresh simulations looked, in one region or scattered. In five or more dimensions, "
             "no method finds such a region reliably. Only the bound without a model needs no such assumption."
         )
+        if self.is_clipped:
+            sentences.append(
+                f"The margin {visible(self.learned_from)} is clipped at its largest value. It does not show a failure "
+                "behind this value, so the estimate and its interval may lack regions of failure."
+            )
         if self.extrapolated > 0.0:
             sentences.append(
                 f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design "

@@ -100,14 +100,15 @@ class Status:
             return {}
 
     @cached_property
-    def _choices(self) -> list[tuple[str, str, float, float]]:
-        """For each boundary its outcome, the margin that it is learned from (or nothing), and the two scores."""
+    def _choices(self) -> list[tuple[str, str, float, float, bool]]:
+        """For each boundary the arguments of `sentence`."""
         rows = []
         for outcome in self.summary.outcomes[1:]:
             try:
                 margin, _, from_margin, from_outcomes, _ = self._state[f"{outcome}/choice"].tolist()
                 name = "" if margin < 0 else self.summary.margins[int(margin)]
-                rows.append((outcome, name, float(from_margin), float(from_outcomes)))
+                is_clipped = f"{outcome}/clipped" in self._state
+                rows.append((outcome, name, float(from_margin), float(from_outcomes), is_clipped))
             except (LookupError, ValueError, TypeError, OverflowError):
                 return []
         return rows
@@ -116,7 +117,7 @@ class Status:
     def _learner(self) -> str:
         """What is learned and where, in words."""
         line = dict(self.summary.lines)["learner"]
-        margins = [margin for _, margin, _, _ in self._choices]
+        margins = [margin for _, margin, *_ in self._choices]
         if not any(margins):
             return line
         settings = self.summary.settings

@@ -26,6 +26,7 @@ from activefail.loop.probability_rule import (
     check_looks,
     contradictions,
     designs_of_check,
+    has_clipped_margin,
     is_whole,
     look,
     looks_from_state,
@@ -133,6 +134,7 @@ class Course:
         if check is not None and not len(check.waiting):
             # Designs beside the check may have widened the posterior again.
             passed = is_whole(campaign, check.answered) and looks.is_narrow(rule.cov)
+            passed = passed and not has_clipped_margin(campaign, self.classifier)
             known_through = len(history) + len(self.flight) if passed else 0
             looks, check = Looks(row), None
         looks = replace(looks, is_known=len(history) <= known_through)

@@ -101,7 +101,7 @@ def looked(
         rule = campaign.settings.probability_rule
         assert rule is not None
         passed = passed and Looks(table).is_narrow(rule.cov)
-    return Looks(row, is_known=bool(passed))
+    return Looks(row, is_known=bool(passed) and not has_clipped_margin(campaign, classifier))
 
 
 def look(campaign: Campaign, known: History, iteration: int, classifier: Classifier) -> Array:
@@ -114,6 +114,17 @@ def look(campaign: Campaign, known: History, iteration: int, classifier: Classif
         return np.empty((0, 4))
     rng = stream(campaign.settings.seed, "probability", iteration)
     return np.array([[len(known), *model_probability(latent, campaign.features, campaign.space, SIZE, rng)]])
+
+
+def has_clipped_margin(campaign: Campaign, classifier: Classifier) -> bool:
+    """Whether the boundary is learned from a margin that is clipped at a largest value.
+
+    Such a margin does not show a failure behind this value, so a passed check knows only its own designs.
+    """
+    rule = campaign.settings.probability_rule
+    assert rule is not None
+    latent = classifier.latent(rule.probability)
+    return isinstance(latent, MarginLatent) and latent.trained.is_clipped
 
 
 def is_whole(campaign: Campaign, answered: int) -> bool:

@@ -44,6 +44,9 @@ WARPINGS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] =
 _CENSORED_SPREAD = 0.01
 """Largest range of the failed designs' margins, in standard deviations of the others', that is taken as truncation."""
 
+_TIED = 3
+"""Fewest different designs with the largest margin that show that it is clipped."""
+
 _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 """Most sweeps of expectation propagation, its share of a step, and the relative change of precisions that ends it."""
 
@@ -193,6 +196,15 @@ class MarginFit:
         L = cholesky(A, lower=True)
         ones = cho_solve((L, True), np.ones(len(A)))
         return Solved(L, cho_solve((L, True), target - self.hyperparameters.mean), ones, float(ones.sum()))
+
+    @cached_property
+    def is_clipped(self) -> bool:
+        """Whether the margin is clipped: three or more different designs have the largest one, which is positive.
+
+        A repeated design has the same margin again, which shows nothing.
+        """
+        top = self.margin.max()
+        return bool(top > 0.0 and len(np.unique(self.features[self.margin == top], axis=0)) >= _TIED)
 
     def _covariance(self, F: Array) -> Array:
         X = torch.from_numpy(self.features)

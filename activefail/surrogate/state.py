@@ -44,6 +44,9 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
                 f"{name}/warping": np.int64(list(WARPINGS).index(trained.warping)),
                 f"{name}/truncated": np.int64(trained.truncated),
             }
+            if trained.is_clipped:
+                # For readers without the margins.
+                state[f"{name}/clipped"] = np.int64(1)
             continue
         state |= {
             f"{name}/site_linear": trained.sites.linear.numpy(),

@@ -10,7 +10,9 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
+from activefail.findings.choices import choices_in_words
 from activefail.loop.asking import add, ask, drop, tell
+from activefail.loop.asynchronous import learned_so_far
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
@@ -29,11 +31,12 @@ class FourBranch:
     """Fails rarely, and tells its margin.
 
     Attributes:
-        lowest: lowest margin that it tells.
+        lowest, highest: range to which the margins that it tells are clipped.
         hidden: the middle of a disc whose designs fail too.
     """
 
     lowest: float = -np.inf
+    highest: float = np.inf
     hidden: tuple[float, float] | None = None
 
     outcomes = ("safe", "failure")
@@ -46,7 +49,7 @@ class FourBranch:
         if self.hidden is not None:
             g = np.minimum(g, np.hypot(*(X - self.hidden).T) - 0.5)
         nothing = np.zeros(len(X))
-        margin = np.maximum(g, self.lowest)[:, None]
+        margin = np.clip(g, self.lowest, self.highest)[:, None]
         return Results((g <= 0.0).astype(np.int8), nothing.astype(np.int8), margin, nothing)
 
 
@@ -70,6 +73,11 @@ def taken(campaign, store=None, observer=None):
     with ThreadExecutor(1) as executor:
         run(campaign, store, executor, campaign.settings.sampling.budget, observer)
     return store
+
+
+def classifier_of(campaign, store, asynchronous):
+    known = learned_so_far if asynchronous else current
+    return known(campaign, store, write=False).classifier
 
 
 @pytest.fixture(scope="module")
@@ -205,6 +213,18 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
     store = taken(campaign)
     assert len(History.of(store.batches)) == 20
     assert not current(campaign, store, write=False).looks.is_known
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_a_clipped_margin_never_ends_a_campaign_but_is_checked_again(asynchronous: bool) -> None:
+    campaign = campaign_on(FourBranch(highest=1.5), sampling__budget=90, sampling__asynchronous=asynchronous)
+    store = taken(campaign)
+    history = History.of(store.batches)
+    assert (history.margins == 1.5).sum() >= 3
+    assert len(history) == 90
+    assert (history.origin == CHECK).sum() >= 2 * 8
+    (text,) = choices_in_words(campaign, history, classifier_of(campaign, store, asynchronous))
+    assert "this margin is clipped at its largest value and does not show a failure behind it" in text
 
 
 @pytest.mark.parametrize(

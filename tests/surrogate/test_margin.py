@@ -7,6 +7,7 @@ from rare import four_branch
 from scipy import stats
 
 from activefail.surrogate import margin as m
+from activefail.surrogate.choice import fit_defined
 from activefail.surrogate.margin import MarginLatent, fit_margin, is_truncated
 
 RNG = np.random.default_rng(5)
@@ -203,3 +204,21 @@ def test_margins_that_nothing_can_be_learned_from_are_refused(margin: list[float
 def test_truncated_margins_need_two_positive_ones() -> None:
     with pytest.raises(ValueError, match="needs two that are positive"):
         fit_margin(Z[:4], np.array([0.0, -1.0, -2.0, 1.0]), truncated=True)
+
+
+def test_a_margin_is_clipped_if_three_different_designs_have_the_largest_one() -> None:
+    X, g = drawn(4)
+    top = np.sort(g)
+    assert not fit_margin(X, g).is_clipped
+    assert not fit_margin(X, np.minimum(g, top[-2])).is_clipped
+    assert fit_margin(X, np.minimum(g, top[-3])).is_clipped
+    # Ties elsewhere, at failure above all, say nothing about the largest margin.
+    assert not fit_margin(X, np.maximum(g, top[4])).is_clipped
+    clipped = np.minimum(g, top[-3])
+    assert fit_defined(X, np.where(clipped <= 0.0, np.nan, clipped)).is_clipped
+
+
+def test_a_design_simulated_again_does_not_make_its_margin_a_clipped_one() -> None:
+    X, g = drawn(4)
+    best = np.full(3, g.argmax())
+    assert not fit_margin(np.concatenate([X, X[best]]), np.concatenate([g, g[best]])).is_clipped
