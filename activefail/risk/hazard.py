@@ -166,8 +166,8 @@ class HazardSummary:
     def assumptions(self) -> list[str]:
         """What the hazard assumes and leaves out, as sentences."""
         return [
-            "T_p is the period at which the Fourier spectrum of the pulse's acceleration peaks. That of its velocity peaks "
-            f"at √1.5 T_p = {_VELOCITY_PULSE}. Published periods are taken to be {_VELOCITY_PULSE}.",
+            "T_p is the period at which the Fourier spectrum of the pulse's acceleration peaks. That of its velocity "
+            f"peaks at √1.5 T_p = {_VELOCITY_PULSE}. Published periods are taken to be {_VELOCITY_PULSE}.",
             *self.hazard.assumptions,
         ]
 
