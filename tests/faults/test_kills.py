@@ -83,8 +83,8 @@ def _copied(base: Path, folder: Path) -> Path:
 
 
 # How often threads wait for each other is up to the scheduler, and how often memory is taken and returned depends on
-# addresses and threads, so that a number does not name one of these calls. They change no file: a kill at one of them is
-# a kill between the calls beside it.
+# addresses and threads, so that a number does not name one of these calls. They change no file: a kill at one of them
+# is a kill between the calls beside it.
 UNCOUNTED = ("futex", "sched_yield", "brk", "madvise", "mmap", "mprotect", "munmap")
 
 
