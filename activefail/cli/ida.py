@@ -48,11 +48,35 @@ def ida(
     mce: Annotated[
         float | None,
         typer.Option(
-            help="Intensity of the maximum considered earthquake; adds the collapse margin ratio of FEMA P695."
+            help="Intensity of the maximum considered earthquake; adds the collapse margin ratio of FEMA P695.",
+            show_default=False,
         ),
     ] = None,
-    ssf: Annotated[float, typer.Option(help="Spectral shape factor of FEMA P695, with --mce.")] = 1.0,
-    beta_total: Annotated[float, typer.Option(help="Total dispersion β of FEMA P695, with --mce.")] = 0.5,
+    ssf: Annotated[
+        float | None,
+        typer.Option(help="Spectral shape factor of FEMA P695, with --mce; 1 by default.", show_default=False),
+    ] = None,
+    sdc: Annotated[
+        str | None,
+        typer.Option(
+            help="Seismic design category (dmax, dmin, cmax, cmin, bmax, bmin), to compute the shape factor.",
+            show_default=False,
+        ),
+    ] = None,
+    ductility: Annotated[
+        float | None,
+        typer.Option(help="Period-based ductility of FEMA P695, for --sdc and --ratings.", show_default=False),
+    ] = None,
+    beta_total: Annotated[
+        float | None, typer.Option(help="Total dispersion β, with --mce; 0.5 by default.", show_default=False)
+    ] = None,
+    ratings: Annotated[
+        str | None,
+        typer.Option(
+            help="Ratings A to D of design requirements, test data and model, such as B,B,C, to compute β.",
+            show_default=False,
+        ),
+    ] = None,
     pulses: Annotated[bool, typer.Option("--pulses", help="Compare each record with the pulse nearest to it.")] = False,
     workers: Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)] = None,
     as_json: AsJson = False,
@@ -65,13 +89,15 @@ def ida(
     The intensities give a fragility curve.
     """
     from activefail.accelerogram_sets import read_record_set
-    from activefail.risk.ida.findings import BISECTIONS, LEVELS, MarginOptions, analyse
+    from activefail.risk.ida.findings import BISECTIONS, LEVELS, analyse
     from activefail.risk.ida.intensity import Intensity
+    from activefail.risk.ida.p695 import MarginRequest
 
     check_output("--out", out)
     intensity, row = Intensity.of(scale_to), _bearing(bearing)
-    options = None if mce is None else MarginOptions(mce, ssf, beta_total)
+    request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
     read = read_record_set(records, unit, dt)
+    options = request.options(float(row[0]), read.of_p695)
     with progress_bar("simulating") as begin:
         noted = begin(len(read.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
         found = analyse(row, read, intensity, outcome, to, options, pulses, threads=workers, progress=noted)

@@ -20,8 +20,9 @@ from activefail.risk.ida import capacity as module
 from activefail.risk.ida.capacity import Capacities, capacities
 from activefail.risk.ida.collapse import collapse_margin, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
-from activefail.risk.ida.findings import MarginOptions, ladder
+from activefail.risk.ida.findings import ladder
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
+from activefail.risk.ida.p695 import MarginOptions
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"

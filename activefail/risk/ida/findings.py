@@ -17,6 +17,7 @@ from activefail.risk.ida.capacity import Capacities, capacities
 from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin, collapse_margin, fitted
 from activefail.risk.ida.equivalent_pulse import PulseComparison, compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity
+from activefail.risk.ida.p695 import MarginOptions
 from activefail.space import Array
 
 LEVELS, BISECTIONS = 10, 5
@@ -39,30 +40,6 @@ def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     if not (np.isfinite(top) and top > 0.0):
         raise InputError(f"--to: must be positive, got {top:g}.")
     return np.geomspace(_LOWEST * top, top, LEVELS)
-
-
-@dataclass(frozen=True)
-class MarginOptions:
-    """What FEMA P695 asks for beside the analysis.
-
-    Attributes:
-        mce: intensity of the maximum considered earthquake, in the unit of the analysis.
-        shape_factor: spectral shape factor, from the tables of FEMA P695; 1 changes nothing.
-        total_dispersion: total system uncertainty β.
-
-    Raises:
-        InputError: if one is not positive.
-    """
-
-    mce: float
-    shape_factor: float = 1.0
-    total_dispersion: float = 0.5
-
-    def __post_init__(self) -> None:
-        given = {"--mce": self.mce, "--ssf": self.shape_factor, "--beta-total": self.total_dispersion}
-        for name, value in given.items():
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name}: must be positive, got {value:g}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +126,15 @@ class IdaFindings:
             margin, factor = self.margin, self.options.shape_factor
             lines += [
                 ("CMR", f"{margin.cmr:.3g}{_interval(self.cmr_interval)}"),
-                ("ACMR", f"{margin.acmr:.3g}{_interval(tuple(factor * end for end in self.cmr_interval))}"),
+                (
+                    "ACMR",
+                    f"{margin.acmr:.3g} with a shape factor of {factor:.4g}"
+                    f"{_interval(tuple(factor * end for end in self.cmr_interval))}",
+                ),
             ]
             for share, least in (("10", margin.acceptable_10), ("20", margin.acceptable_20)):
                 verdict = _verdict(margin.acmr, [factor * end for end in self.cmr_interval], least)
-                lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:g}: {verdict}"))
+                lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:.3g}: {verdict}"))
         return lines
 
     @property
@@ -200,11 +181,8 @@ class IdaFindings:
             f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
-        if self.margin is not None:
-            notes.append(
-                "The spectral shape factor and β are not computed: they are those of --ssf, 1 by default, and "
-                "--beta-total, 0.5 by default. The acceptable ACMR assumes a lognormal capacity with β."
-            )
+        if self.margin is not None and self.options is not None:
+            notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
         return notes
 
     def as_json(self) -> dict[str, Any]:
@@ -239,6 +217,8 @@ class IdaFindings:
             "misfit": None if fragility is None else self.misfit,
             "cmr": None if margin is None else margin.cmr,
             "cmr_interval": list(self.cmr_interval) or None,
+            "shape_factor": None if self.options is None else self.options.shape_factor,
+            "beta_total": None if self.options is None else self.options.total_dispersion,
             "acmr": None if margin is None else margin.acmr,
             "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
             "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
