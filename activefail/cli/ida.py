@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import AsJson, print_json
+from activefail.cli.common import AsJson, opened_run, print_json
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import replacing, writing_to
@@ -15,6 +15,7 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.risk.ida.findings import IdaFindings
+    from activefail.risk.ida.predictions import Surrogate
     from activefail.space import Array
 
 
@@ -78,6 +79,13 @@ def ida(
         ),
     ] = None,
     pulses: Annotated[bool, typer.Option("--pulses", help="Compare each record with the pulse nearest to it.")] = False,
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            help="Run folder of a campaign under pulses: with --pulses, its classifier predicts each level.",
+            show_default=False,
+        ),
+    ] = None,
     workers: Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)] = None,
     as_json: AsJson = False,
     out: Annotated[
@@ -94,13 +102,16 @@ def ida(
     from activefail.risk.ida.p695 import MarginRequest
 
     check_output("--out", out)
+    if campaign is not None and not pulses:
+        raise InputError("--campaign: needs --pulses, because a campaign under pulses knows no records.")
     intensity, row = Intensity.of(scale_to), _bearing(bearing)
     request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
     read = read_record_set(records, unit, dt)
     options = request.options(float(row[0]), read.of_p695)
+    surrogate = None if campaign is None else _surrogate(campaign, outcome)
     with progress_bar("simulating") as begin:
         noted = begin(len(read.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
-        found = analyse(row, read, intensity, outcome, to, options, pulses, threads=workers, progress=noted)
+        found = analyse(row, read, intensity, outcome, to, options, pulses, surrogate, threads=workers, progress=noted)
     if out is not None:
         _write(found, out)
     if as_json:
@@ -135,6 +146,21 @@ def _bearing(file: Path) -> "Array":
     if missing := [name for name in names if name not in values]:
         raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
     return np.array([values[name] for name in names])
+
+
+def _surrogate(folder: Path, outcome: str) -> "Surrogate":
+    """The classifier of a run folder.
+
+    Raises:
+        InputError: if the folder has no campaign under pulses, or the outcome is unknown.
+    """
+    from activefail.bearing.outcome import OUTCOMES
+    from activefail.risk.ida.predictions import Surrogate
+
+    if outcome not in OUTCOMES:
+        raise InputError(f"--outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
+    with opened_run(folder) as run:
+        return Surrogate(run.campaign, run.classifier, OUTCOMES.index(outcome))
 
 
 def _write(found: "IdaFindings", out: Path) -> None:

@@ -4,6 +4,7 @@ import json
 import math
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from commandline import activefail, refused
 from scipy.integrate import solve_ivp
 from scipy.stats import norm
 
-from activefail.bearing import Accelerogram, simulate_records
+from activefail import create_run, open_run
+from activefail.bearing import TABLE_1, Accelerogram, simulate_records
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.outcome import CAUSES
 from activefail.bearing.pulse import ground_acceleration
@@ -23,6 +25,7 @@ from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_puls
 from activefail.risk.ida.findings import ladder
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida.p695 import MarginOptions
+from activefail.risk.ida.predictions import Agreement
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
@@ -274,7 +277,7 @@ def test_levels_are_counted_by_the_outcomes_of_record_and_pulse() -> None:
         (np.array([0, 0, 2, 2], dtype=np.int8), np.array([0, -1, 2, 2], dtype=np.int8)),
     )
     found = compare_pulses([], of_pulses, records, ["a", "b"], LEVELS, 2)
-    assert (found.both_fail, found.both_survive, found.missed, found.false) == (3, 2, 1, 1)
+    assert found.levels == Agreement(both_fail=3, both_survive=2, missed=1, false=1)
     assert found.mean == pytest.approx(0.5 * (math.log(2.0) + math.log(0.5)))
     assert (found.interval, found.compared) == ((), 2)
 
@@ -331,6 +334,67 @@ def test_records_that_are_pulses_have_the_capacities_of_their_equivalent_pulses(
     shown = activefail(*words).out
     assert "a pulse alone fails at" in shown
     assert "failures missed by the pulse" in shown
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small campaign under pulses."""
+    folder = tmp_path_factory.mktemp("pulses") / "run"
+    with create_run(folder, {"seed": 1, "sampling": {"initial": 60, "budget": 60}}) as run:
+        run.take()
+    return folder
+
+
+def test_predictions_stand_beside_the_outcomes_under_records(case: Path, campaign: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--pulses", "--campaign", campaign)
+    result = activefail(*words, "--json")
+    assert result.code == 0, result.err
+    numbers = json.loads(result.out)
+    classifier, reduced = numbers["predictions"]
+    assert (classifier["by"], reduced["by"]) == ("classifier at the pulse", "reduced model")
+    for one in numbers["predictions"]:
+        assert sum(one[name] for name in ("both_fail", "both_survive", "missed", "false")) == 80
+    # The records are pulses, so the reduced model sees what the bearing does.
+    assert reduced["missed"] + reduced["false"] <= 4
+    assert reduced["outside"] is None
+    periods = [1.3 + 0.4 * (k // 2) for k in range(8)]
+    amplitude = ladder(Intensity.of("pgv"))[None, :] / (0.1997 * 9.81 * np.array(periods)[:, None])
+    expected = np.mean((amplitude < 0.1) | (amplitude > 0.8))
+    assert classifier["outside"] == pytest.approx(expected, abs=0.03)
+    X = np.column_stack([np.tile(BEARING, (80, 1)), np.repeat(periods, 10), amplitude.ravel()])
+    with open_run(campaign) as run:
+        fails = run.predict(X)["p_failure"].to_numpy() >= 0.5
+    assert classifier["both_fail"] + classifier["false"] == pytest.approx(fails.sum(), abs=2)
+    shown = activefail(*words).out
+    assert "% of these pulses lie outside the campaign's design space" in shown
+    assert "outcomes are those that the reduced model predicts" in shown
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"space": {"x": {"low": 0, "high": 1}}, "simulator": {"elsewhere": True}}, "must be a campaign under pulses"),
+        ({"space": {"k": {"value": 3e9}}}, "fixes k to 3e+09, but the bearing has 2e+09"),
+    ],
+)
+def test_a_campaign_that_does_not_fit_is_refused(
+    case: Path, tmp_path: Path, settings: dict[str, Any], message: str
+) -> None:
+    if "simulator" not in settings:
+        space = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
+        settings = {"space": space | settings["space"], "sampling": {"initial": 40, "budget": 40}}
+    with create_run(tmp_path / "run", settings) as run:
+        if "simulator" in settings:
+            run.add({"x": [0.1, 0.9], "outcome": ["safe", "failure"]})
+        else:
+            run.take()
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--pulses")
+    refused(activefail(*words, "--campaign", tmp_path / "run"), "--campaign: ", message)
+
+
+def test_a_campaign_without_pulses_to_compare_is_refused(case: Path, campaign: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--campaign", campaign)
+    refused(activefail(*words), "--campaign: needs --pulses")
 
 
 def test_a_set_that_the_bearing_survives_has_no_curve_and_says_so(case: Path) -> None:

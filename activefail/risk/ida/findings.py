@@ -13,11 +13,12 @@ from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import Model, Tolerance
 from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
-from activefail.risk.ida.capacity import Capacities, capacities
+from activefail.risk.ida.capacity import Capacities, capacities, on_ladder
 from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin, collapse_margin, fitted
-from activefail.risk.ida.equivalent_pulse import PulseComparison, compare_pulses, equivalent_pulse
+from activefail.risk.ida.equivalent_pulse import EquivalentPulse, PulseComparison, compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity
 from activefail.risk.ida.p695 import MarginOptions
+from activefail.risk.ida.predictions import Agreement, Prediction, Surrogate, predicted_by_reduced_model
 from activefail.space import Array
 
 LEVELS, BISECTIONS = 10, 5
@@ -53,6 +54,7 @@ class IdaFindings:
         found: the capacities.
         fragility: of the outcome, or a worse one; None if fewer than two records have a capacity.
         pulses: the comparison with equivalent pulses; None if it was not asked for.
+        predictions: what predicts the outcomes at the ladder's levels, with `pulses`.
         margin: of FEMA P695; None if it was not asked for, or there is no fragility.
         options: of the margin.
     """
@@ -65,6 +67,7 @@ class IdaFindings:
     margin: Margin | None
     options: MarginOptions | None
     pulses: PulseComparison | None = None
+    predictions: tuple[Prediction, ...] = ()
 
     @property
     def failed(self) -> int:
@@ -122,6 +125,7 @@ class IdaFindings:
             ]
         if self.pulses is not None:
             lines += _pulse_lines(self.pulses)
+            lines += [(one.title, one.text) for one in self.predictions]
         if self.margin is not None and self.options is not None:
             margin, factor = self.margin, self.options.shape_factor
             lines += [
@@ -176,7 +180,7 @@ class IdaFindings:
                 f"{left_out} of the records, or their pulses, never fail and are not in the ratio. If it is the "
                 "pulses that never fail, the ratio is probably too small."
             )
-        notes.append("Capacities, shares of records and the misfit have no interval.")
+        notes.append("Capacities, shares of records, counts of levels and the misfit have no interval.")
         notes.append(
             f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
             "model, the scaling of records, or a lognormal curve that does not fit."
@@ -223,6 +227,7 @@ class IdaFindings:
             "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
             "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
             "pulses": None if self.pulses is None else _pulses_as_json(self.pulses),
+            "predictions": [{"by": one.by, **one.levels.as_json(), "outside": one.outside} for one in self.predictions],
             "notes": self.notes,
         }
 
@@ -246,12 +251,12 @@ def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
                 f"sd of the logarithm {compared.spread:.2g}; {compared.compared} records",
             )
         )
-    total = compared.both_fail + compared.both_survive + compared.missed + compared.false
+    levels = compared.levels
     lines.append(
         (
             "levels",
-            f"{compared.both_fail + compared.both_survive} of {total} outcomes are the same; {compared.missed} "
-            f"failures missed by the pulse, {compared.false} only under the pulse",
+            f"{levels.same} of {levels.levels} outcomes are the same; {levels.missed} "
+            f"failures missed by the pulse, {levels.false} only under the pulse",
         )
     )
     return lines
@@ -272,10 +277,7 @@ def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
         "mean_log_ratio_interval": list(compared.interval) or None,
         "sd_log_ratio": compared.spread,
         "compared": compared.compared,
-        "both_fail": compared.both_fail,
-        "both_survive": compared.both_survive,
-        "missed": compared.missed,
-        "false": compared.false,
+        **compared.levels.as_json(),
     }
 
 
@@ -291,6 +293,7 @@ def analyse(
     highest: float | None = None,
     options: MarginOptions | None = None,
     pulses: bool = False,
+    surrogate: Surrogate | None = None,
     model: Model | None = None,
     tolerance: Tolerance | None = None,
     threads: int | None = None,
@@ -305,7 +308,8 @@ def analyse(
         outcome: "impact" or "failure"; worse outcomes count too.
         highest: level of the ladder; by default 8, 3 g, 4 m/s or 2 g.
         options: of the collapse margin; None for none.
-        pulses: whether to compare the records with their equivalent pulses.
+        pulses: whether to compare the records with their equivalent pulses, and with predictions.
+        surrogate: a campaign's classifier, to predict the outcomes under the equivalent pulses.
         model, tolerance, threads, progress: as for `simulate_records`.
 
     Raises:
@@ -324,10 +328,37 @@ def analyse(
     events = [record.event for record in records.records]
     fragility = fitted(found.below, found.capacity, events)
     margin = compared = None
+    predictions: tuple[Prediction, ...] = ()
     if options is not None and fragility is not None:
         margin = collapse_margin(fragility.fit.median, options.mce, options.shape_factor, options.total_dispersion)
     if pulses:
         nearest = [equivalent_pulse(motion) for motion in motions]
         of_pulses = capacities_under([one.motion for one in nearest])
         compared = compare_pulses(nearest, of_pulses, found, events, levels, severity)
-    return IdaFindings(records, intensity, outcome, found, fragility, margin, options, compared)
+        predictions = _predictions(bearing, motions, nearest, surrogate, found, own, levels, severity)
+    return IdaFindings(records, intensity, outcome, found, fragility, margin, options, compared, predictions)
+
+
+def _predictions(
+    bearing: Array,
+    motions: Sequence[Accelerogram],
+    pulses: Sequence[EquivalentPulse],
+    surrogate: Surrogate | None,
+    found: Capacities,
+    own: Array,
+    levels: Array,
+    severity: int,
+) -> tuple[Prediction, ...]:
+    """What predicts the outcomes at the ladder's levels without simulating them."""
+    outcome = on_ladder(found, levels).ravel()
+    which, factors = np.repeat(np.arange(len(motions)), len(levels)), (levels / own[:, None]).ravel()
+    answered = outcome >= 0
+    fails, which, factors = outcome[answered] >= severity, which[answered], factors[answered]
+    predictions = []
+    if surrogate is not None:
+        period, amplitude = (np.array([getattr(one, name) for one in pulses]) for name in ("period", "amplitude"))
+        predicted, outside = surrogate.under_pulses(bearing, period[which], factors * amplitude[which])
+        predictions.append(Prediction("classifier", "classifier at the pulse", Agreement.of(fails, predicted), outside))
+    predicted = predicted_by_reduced_model(bearing, motions, which, factors, severity)
+    predictions.append(Prediction("reduced", "reduced model", Agreement.of(fails, predicted)))
+    return tuple(predictions)
