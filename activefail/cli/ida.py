@@ -1,6 +1,7 @@
 """`activefail ida`: at which intensity of each record of a set a bearing fails."""
 
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -89,15 +90,24 @@ def ida(
     The intensities give a fragility curve.
     """
     from activefail.accelerogram_sets import read_record_set
+    from activefail.bearing.design import outside_table_1
     from activefail.risk.ida.findings import BISECTIONS, LEVELS, analyse
     from activefail.risk.ida.intensity import Intensity
     from activefail.risk.ida.p695 import MarginRequest
 
     check_output("--out", out)
+    if out is not None and out.resolve() == records.resolve():
+        raise InputError(f"--out: must be another folder than --records, got {visible(str(out))}.")
     intensity, row = Intensity.of(scale_to), _bearing(bearing)
     request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
     read = read_record_set(records, unit, dt)
     options = request.options(float(row[0]), read.of_p695)
+    if out is not None:
+        # Before the simulations, which would be lost.
+        with writing_to(out):
+            out.mkdir(parents=True, exist_ok=True)
+    for note in outside_table_1(row.tolist()):
+        print(f"note: {note}", file=sys.stderr)
     with progress_bar("simulating") as begin:
         noted = begin(len(read.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
         found = analyse(row, read, intensity, outcome, to, options, pulses, threads=workers, progress=noted)
@@ -122,7 +132,7 @@ def _bearing(file: Path) -> "Array":
     """
     import numpy as np
 
-    from activefail.bearing.design import TABLE_1
+    from activefail.bearing.design import TABLE_1, Bearing, Model
     from activefail.campaign.question import read_fixed
 
     values, names = read_fixed(file, TABLE_1), TABLE_1.names[:7]
@@ -134,7 +144,12 @@ def _bearing(file: Path) -> "Array":
             )
     if missing := [name for name in names if name not in values]:
         raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
-    return np.array([values[name] for name in names])
+    row = [values[name] for name in names]
+    try:
+        Bearing.from_row(row, Model().slider_diameter)
+    except InputError as error:
+        raise InputError(f"{visible(str(file))}: {error}") from None
+    return np.array(row)
 
 
 def _write(found: "IdaFindings", out: Path) -> None:
@@ -145,7 +160,6 @@ def _write(found: "IdaFindings", out: Path) -> None:
     numbers = found.as_json()
     columns = list(numbers["records"][0])
     with writing_to(out):
-        out.mkdir(parents=True, exist_ok=True)
         with replacing(out / "ida.json") as file:
             file.write(json.dumps(numbers, indent=2))
         with writing(out / "ida.csv", columns) as write:

@@ -139,6 +139,7 @@ def _simulate_one(
     plot: Path | None,
     animate: Path | None,
 ) -> None:
+    from activefail.accelerogram_files import doubts
     from activefail.bearing.design import GRAVITY, Bearing, Pulse, outside_table_1
     from activefail.bearing.motion import response_lines
     from activefail.bearing.simulation import simulate_one
@@ -155,8 +156,9 @@ def _simulate_one(
             f"{record.peak / GRAVITY:.3g} g, PGV {record.peak_velocity:.3g} m/s"
         )
     print("\n".join(response_lines(response)))
-    for note in outside_table_1(design):
-        print(f"note: {note}", file=sys.stderr)
+    notes = [] if record is None else [f"{record.name} {doubt}" for doubt in doubts(record)]
+    for note in [*notes, *outside_table_1(design)]:
+        print(f"note: {visible(note)}", file=sys.stderr)
     if plot is not None:
         from activefail.figures.motion import save_response
 

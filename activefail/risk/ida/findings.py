@@ -77,6 +77,11 @@ class IdaFindings:
         return float(self.found.levels[0][-1])
 
     @property
+    def lowest(self) -> float:
+        """The lowest level of the ladder; bisection may have gone lower."""
+        return _LOWEST * self.highest
+
+    @property
     def empirical(self) -> tuple[Array, Array]:
         """Capacities, rising, and the share of all records that have failed there, (m,) each."""
         capacity = np.sort(self.found.capacity[np.isfinite(self.found.capacity)])
@@ -140,21 +145,27 @@ class IdaFindings:
     @property
     def notes(self) -> list[str]:
         """What is assumed, and what to know of the runs, as sentences."""
-        found, notes = self.found, []
+        found, notes = self.found, list[str]()
+        at_lowest = int((found.capacity <= self.lowest).sum())
         if self.fragility is None:
-            notes.append("Fewer than two records reach the outcome, so there is no curve. Raise the levels with --to.")
+            lower = "Lower" if 2 * at_lowest > len(found.capacity) else "Raise"
+            without = "curve" if self.options is None else "curve and no margin"
+            notes.append(
+                "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no "
+                f"{without}. {lower} the levels with --to."
+            )
         elif not self.fragility.median:
             notes.append("The curve has no interval: there are too few events, or too few of them with a capacity.")
-        if not self.records.has_events:
-            notes.append(
-                "No table names the events, so each record counts as one. Components of one earthquake are not "
-                "independent: the intervals are then too narrow."
-            )
+        if self.fragility is not None and self.fragility.fit.median > self.highest:
+            notes.append("The median lies above the highest level: it is an extrapolation. Raise the levels with --to.")
+        notes += self.records.notes
         if self.failed < len(found.capacity):
             notes.append("Records that never fail enter the fit as capacities above the highest level.")
-        at_lowest = int((np.isfinite(found.capacity) & (found.below == 0.0)).sum())
         if at_lowest:
-            notes.append(f"{at_lowest} of the records fail at every simulated level. Use a lower --to.")
+            notes.append(
+                f"{at_lowest} of the records fail at the lowest level of the ladder, {self.lowest:.3g}, and are "
+                "known less closely. Use a lower --to."
+            )
         if risen := int((found.resurrections > 0).sum()):
             notes.append(
                 f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
@@ -182,6 +193,8 @@ class IdaFindings:
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
         if self.margin is not None and self.options is not None:
+            if self.outcome != OUTCOMES[-1]:
+                notes.append(f"The margin is that of the outcome {self.outcome}, which is not a collapse.")
             notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
         return notes
 
