@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import AsJson, print_json
+from activefail.cli.common import (
+    AsJson,
+    FrictionVelocity,
+    LossOfConfinement,
+    RelativeTolerance,
+    Restitution,
+    RestitutionCoefficient,
+    SliderDensity,
+    SliderDiameter,
+    Workers,
+    print_json,
+)
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import replacing, writing_to
@@ -15,6 +26,7 @@ from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
+    from activefail.bearing import Model
     from activefail.risk.ida.findings import IdaFindings
     from activefail.space import Array
 
@@ -79,7 +91,14 @@ def ida(
         ),
     ] = None,
     pulses: Annotated[bool, typer.Option("--pulses", help="Compare each record with the pulse nearest to it.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)] = None,
+    slider_diameter: SliderDiameter = 0.30,
+    restitution_coefficient: RestitutionCoefficient = 0.65,
+    slider_density: SliderDensity = 7850.0,
+    loss_of_confinement: LossOfConfinement = True,
+    restitution: Restitution = "pairwise",
+    friction_velocity: FrictionVelocity = 1e-3,
+    tolerance: RelativeTolerance = 1e-4,
+    workers: Workers = None,
     as_json: AsJson = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for ida.json, ida.csv, ida.png and ida.svg.", show_default=False)
@@ -90,7 +109,7 @@ def ida(
     The intensities give a fragility curve.
     """
     from activefail.accelerogram_sets import read_record_set
-    from activefail.bearing.design import outside_table_1
+    from activefail.bearing.design import Model, Tolerance, outside_table_1
     from activefail.risk.ida.findings import BISECTIONS, LEVELS, analyse
     from activefail.risk.ida.intensity import Intensity
     from activefail.risk.ida.p695 import MarginRequest
@@ -98,7 +117,16 @@ def ida(
     check_output("--out", out)
     if out is not None and out.resolve() == records.resolve():
         raise InputError(f"--out: must be another folder than --records, got {visible(str(out))}.")
-    intensity, row = Intensity.of(scale_to), _bearing(bearing)
+    model = Model(
+        slider_diameter=slider_diameter,
+        restitution_coefficient=restitution_coefficient,
+        restitution=restitution,
+        slider_density=slider_density,
+        friction_velocity=friction_velocity,
+        loss_of_confinement=loss_of_confinement,
+    )
+    integration = Tolerance(relative=tolerance)
+    intensity, row = Intensity.of(scale_to), _bearing(bearing, model)
     request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
     read = read_record_set(records, unit, dt)
     options = request.options(float(row[0]), read.of_p695)
@@ -110,7 +138,7 @@ def ida(
         print(f"note: {note}", file=sys.stderr)
     with progress_bar("simulating") as begin:
         noted = begin(len(read.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
-        found = analyse(row, read, intensity, outcome, to, options, pulses, threads=workers, progress=noted)
+        found = analyse(row, read, intensity, outcome, to, options, pulses, model, integration, workers, noted)
     if out is not None:
         _write(found, out)
     if as_json:
@@ -124,7 +152,7 @@ def ida(
         print(f"written     {visible(str(out))}: ida.json, ida.csv, ida.png, ida.svg")
 
 
-def _bearing(file: Path) -> "Array":
+def _bearing(file: Path, model: "Model") -> "Array":
     """The bearing of a file, (7,), in the units of Table 1.
 
     Raises:
@@ -132,7 +160,7 @@ def _bearing(file: Path) -> "Array":
     """
     import numpy as np
 
-    from activefail.bearing.design import TABLE_1, Bearing, Model
+    from activefail.bearing.design import TABLE_1, Bearing
     from activefail.campaign.question import read_fixed
 
     values, names = read_fixed(file, TABLE_1), TABLE_1.names[:7]
@@ -146,7 +174,7 @@ def _bearing(file: Path) -> "Array":
         raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
     row = [values[name] for name in names]
     try:
-        Bearing.from_row(row, Model().slider_diameter)
+        Bearing.from_row(row, model.slider_diameter)
     except InputError as error:
         raise InputError(f"{visible(str(file))}: {error}") from None
     return np.array(row)

@@ -11,7 +11,7 @@ from commandline import activefail, refused
 from scipy.integrate import solve_ivp
 from scipy.stats import norm
 
-from activefail.bearing import Accelerogram, simulate_records
+from activefail.bearing import TABLE_1, Accelerogram, simulate_records
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.outcome import CAUSES
 from activefail.bearing.pulse import ground_acceleration
@@ -388,6 +388,24 @@ def test_the_output_folder_is_made_before_any_simulation(case: Path, monkeypatch
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--out")
     refused(activefail(*words, case / "bearing.toml"), "bearing.toml: cannot be written: File exists")
     refused(activefail(*words, case / "set" / ".." / "set"), "--out: must be another folder than --records")
+
+
+def test_model_and_tolerance_are_those_of_the_options(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--json")
+    usual = json.loads(activefail(*words).out)
+    assert (usual["tolerance"], usual["model"]["slider_diameter"]) == (1e-4, 0.3)
+    assert usual["bearing"] == dict(zip(TABLE_1.names, BEARING.tolist(), strict=False))
+    # A slider of twice the diameter has rims twice as high.
+    changed = json.loads(activefail(*words, "--slider-diameter", "0.6", "--tolerance", "1e-6").out)
+    assert (changed["tolerance"], changed["model"]["slider_diameter"]) == (1e-6, 0.6)
+    assert changed["median"] > 1.02 * usual["median"]
+    accurate = json.loads(activefail(*words, "--tolerance", "1e-6").out)
+    assert accurate["median"] == pytest.approx(usual["median"], rel=0.01)
+    for options, message in (
+        (("--tolerance", "1"), "`1e-12 <= relative <= 1e-2` must hold for the tolerance, got 1.0"),
+        (("--restitution-coefficient", "2"), "`0 < restitution_coefficient <= 1` must hold, got 2.0"),
+    ):
+        refused(activefail(*words, *options), message)
 
 
 def test_values_outside_the_paper_are_named(case: Path, tmp_path: Path) -> None:

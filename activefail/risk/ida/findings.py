@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.design import TABLE_1, Model, Tolerance
 from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
 from activefail.risk.ida.capacity import Capacities, capacities
@@ -47,6 +47,8 @@ class IdaFindings:
     """What an incremental dynamic analysis found.
 
     Attributes:
+        bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
+        model, tolerance: of all simulations.
         records: the set.
         intensity: of all levels.
         outcome: the outcome that is sought.
@@ -57,6 +59,9 @@ class IdaFindings:
         options: of the margin.
     """
 
+    bearing: Array
+    model: Model
+    tolerance: Tolerance
     records: RecordSet
     intensity: Intensity
     outcome: str
@@ -203,6 +208,9 @@ class IdaFindings:
         found, fragility, margin = self.found, self.fragility, self.margin
         rows = zip(self.records.records, found.below, found.capacity, strict=True)
         return {
+            "bearing": dict(zip(TABLE_1.names, self.bearing.tolist(), strict=False)),
+            "model": asdict(self.model),
+            "tolerance": self.tolerance.relative,
             "outcome": self.outcome,
             "intensity": self.intensity.name,
             "unit": self.intensity.unit,
@@ -326,6 +334,7 @@ def analyse(
     """
     if outcome not in OUTCOMES[1:]:
         raise InputError(f"outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
+    model, tolerance = model or Model(), tolerance or Tolerance()
     motions, severity = [record.motion for record in records.records], OUTCOMES.index(outcome)
     levels = ladder(intensity, highest)
     own = np.array([intensity.of_record(motion) for motion in motions])
@@ -343,4 +352,6 @@ def analyse(
         nearest = [equivalent_pulse(motion) for motion in motions]
         of_pulses = capacities_under([one.motion for one in nearest])
         compared = compare_pulses(nearest, of_pulses, found, events, levels, severity)
-    return IdaFindings(records, intensity, outcome, found, fragility, margin, options, compared)
+    return IdaFindings(
+        bearing, model, tolerance, records, intensity, outcome, found, fragility, margin, options, compared
+    )
