@@ -66,7 +66,9 @@ def test_scaling_a_record_scales_its_intensity(kind: str) -> None:
     assert intensity.of_record(motion.scaled(3.0)) == pytest.approx(factor * intensity.of_record(motion))
 
 
-@pytest.mark.parametrize("text", ["pgd", "sa", "sa:-1", "sa:x", "pgv:2", "sa:inf"])
+@pytest.mark.parametrize(
+    "text", ["pgd", "sa", "sa:-1", "sa:0", "sa:x", "pgv:2", "sa:inf", "sa:1e-200", "sa:1e300", "sa:101"]
+)
 def test_an_intensity_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="--scale-to: "):
         Intensity.of(text)
@@ -202,6 +204,15 @@ def test_too_few_failing_records_have_no_curve_and_too_few_events_no_interval() 
     two = fitted(0.95 * capacity, capacity, ["a", "a", "b", "b"])
     assert two is not None
     assert two.median == two.dispersion == ()
+
+
+def test_records_that_fail_at_every_level_alone_have_no_curve() -> None:
+    high = np.array([1.0, 1.1, 1.2, 1.3])
+    assert fit_lognormal(np.zeros(4), high) is None
+    assert fit_lognormal(np.array([0.9, 0.0, 0.0, 0.0]), high) is None
+    fit = fit_lognormal(np.array([0.9, 1.0, 0.0, 0.0]), high)
+    assert fit is not None
+    assert 0.5 < fit.median < 1.3
 
 
 def test_intervals_cover_medians_of_records_that_share_events() -> None:
@@ -395,14 +406,78 @@ def test_a_campaign_that_does_not_fit_is_refused(
 def test_a_campaign_without_pulses_to_compare_is_refused(case: Path, campaign: Path) -> None:
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--campaign", campaign)
     refused(activefail(*words), "--campaign: needs --pulses")
+    other = activefail(*words, "--pulses", "--slider-diameter", "0.4")
+    refused(other, "--campaign: its [bearing] settings differ from this command's options")
 
 
 def test_a_set_that_the_bearing_survives_has_no_curve_and_says_so(case: Path) -> None:
     result = activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "0.05")
     assert result.code == 0
     assert "0 of 8 records reach it" in result.out
-    assert "Fewer than two records reach the outcome, so there is no curve" in result.out
+    assert (
+        "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no curve. "
+        "Raise the levels with --to." in result.out
+    )
     assert "median" not in result.out
+
+
+def test_a_set_that_fails_at_every_level_has_no_curve_and_says_so(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "1e6", "--mce", "1")
+    result = activefail(*words)
+    assert result.code == 0
+    assert "so there is no curve and no margin. Lower the levels with --to." in result.out
+    assert "8 of the records fail at the lowest level of the ladder, 6.25e+04" in result.out
+    assert "median" not in result.out
+
+
+def test_capacities_within_the_lowest_level_are_named_as_such(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "50")
+    result = activefail(*words)
+    assert "median" in result.out
+    assert "of the records fail at the lowest level of the ladder, 3.12, and are known less closely." in result.out
+
+
+def test_a_median_above_the_levels_is_named_an_extrapolation(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml")
+    capacity = sorted(one["capacity"] for one in json.loads(activefail(*words, "--json").out)["records"])
+    notes = json.loads(activefail(*words, "--json", "--to", str(0.5 * (capacity[1] + capacity[2]))).out)["notes"]
+    assert [note for note in notes if "The median lies above the highest level: it is an extrapolation." in note]
+
+
+def test_the_margin_of_an_impact_is_named_so(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--outcome", "impact", "--mce", "1")
+    assert "The margin is that of the outcome impact, which is not a collapse." in activefail(*words).out
+
+
+def test_the_output_folder_is_made_before_any_simulation(case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "simulate_records", lambda *_: pytest.fail("simulated first"))
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--out")
+    refused(activefail(*words, case / "bearing.toml"), "bearing.toml: cannot be written: File exists")
+    refused(activefail(*words, case / "set" / ".." / "set"), "--out: must be another folder than --records")
+
+
+def test_model_and_tolerance_are_those_of_the_options(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--json")
+    usual = json.loads(activefail(*words).out)
+    assert (usual["tolerance"], usual["model"]["slider_diameter"]) == (1e-4, 0.3)
+    assert usual["bearing"] == dict(zip(TABLE_1.names, BEARING.tolist(), strict=False))
+    # A slider of twice the diameter has rims twice as high.
+    changed = json.loads(activefail(*words, "--slider-diameter", "0.6", "--tolerance", "1e-6").out)
+    assert (changed["tolerance"], changed["model"]["slider_diameter"]) == (1e-6, 0.6)
+    assert changed["median"] > 1.02 * usual["median"]
+    accurate = json.loads(activefail(*words, "--tolerance", "1e-6").out)
+    assert accurate["median"] == pytest.approx(usual["median"], rel=0.01)
+    for options, message in (
+        (("--tolerance", "1"), "`1e-12 <= relative <= 1e-2` must hold for the tolerance, got 1.0"),
+        (("--restitution-coefficient", "2"), "`0 < restitution_coefficient <= 1` must hold, got 2.0"),
+    ):
+        refused(activefail(*words, *options), message)
+
+
+def test_values_outside_the_paper_are_named(case: Path, tmp_path: Path) -> None:
+    (tmp_path / "bearing.toml").write_text(TOML.replace("mu = 0.06", "mu = 0.2"))
+    result = activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml")
+    assert result.err == "note: mu = 0.2 lies outside the paper's range 0.02 to 0.12\n"
 
 
 @pytest.mark.parametrize(
@@ -428,12 +503,15 @@ def test_options_that_break_a_rule_are_refused(case: Path, options: tuple[str, .
             "bearing.toml: T_p: belongs to a pulse; leave it out, because the records are the ground motion.",
         ),
         (TOML.replace("p = 45", "p = true"), "p: must be a number"),
-        (TOML.replace("mu = 0.06", "mu = -0.1"), "mu"),
+        (TOML.replace("mu = 0.06", "mu = -0.1"), "bearing.toml: `mu > 0` must hold, got -0.1."),
+        (TOML.replace("D_tot = 0.6", "D_tot = 600"), "bearing.toml: A dish must be less than a hemisphere"),
+        ("T_b: 3\n", "activefail: {file}: not valid TOML"),
     ],
 )
 def test_a_bearing_that_breaks_a_rule_is_refused(case: Path, tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "bearing.toml").write_text(text)
-    refused(activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml"), message)
+    said = message.format(file=tmp_path / "bearing.toml")
+    refused(activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml"), said)
 
 
 def test_options_of_the_margin_must_be_positive() -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.design import TABLE_1, Model, Tolerance
 from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
 from activefail.risk.ida.capacity import Capacities, capacities, on_ladder
@@ -48,6 +48,8 @@ class IdaFindings:
     """What an incremental dynamic analysis found.
 
     Attributes:
+        bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
+        model, tolerance: of all simulations.
         records: the set.
         intensity: of all levels.
         outcome: the outcome that is sought.
@@ -59,6 +61,9 @@ class IdaFindings:
         options: of the margin.
     """
 
+    bearing: Array
+    model: Model
+    tolerance: Tolerance
     records: RecordSet
     intensity: Intensity
     outcome: str
@@ -78,6 +83,11 @@ class IdaFindings:
     def highest(self) -> float:
         """The highest level."""
         return float(self.found.levels[0][-1])
+
+    @property
+    def lowest(self) -> float:
+        """The lowest level of the ladder; bisection may have gone lower."""
+        return _LOWEST * self.highest
 
     @property
     def empirical(self) -> tuple[Array, Array]:
@@ -144,21 +154,27 @@ class IdaFindings:
     @property
     def notes(self) -> list[str]:
         """What is assumed, and what to know of the runs, as sentences."""
-        found, notes = self.found, []
+        found, notes = self.found, list[str]()
+        at_lowest = int((found.capacity <= self.lowest).sum())
         if self.fragility is None:
-            notes.append("Fewer than two records reach the outcome, so there is no curve. Raise the levels with --to.")
+            lower = "Lower" if 2 * at_lowest > len(found.capacity) else "Raise"
+            without = "curve" if self.options is None else "curve and no margin"
+            notes.append(
+                "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no "
+                f"{without}. {lower} the levels with --to."
+            )
         elif not self.fragility.median:
             notes.append("The curve has no interval: there are too few events, or too few of them with a capacity.")
-        if not self.records.has_events:
-            notes.append(
-                "No table names the events, so each record counts as one. Components of one earthquake are not "
-                "independent: the intervals are then too narrow."
-            )
+        if self.fragility is not None and self.fragility.fit.median > self.highest:
+            notes.append("The median lies above the highest level: it is an extrapolation. Raise the levels with --to.")
+        notes += self.records.notes
         if self.failed < len(found.capacity):
             notes.append("Records that never fail enter the fit as capacities above the highest level.")
-        at_lowest = int((np.isfinite(found.capacity) & (found.below == 0.0)).sum())
         if at_lowest:
-            notes.append(f"{at_lowest} of the records fail at every simulated level. Use a lower --to.")
+            notes.append(
+                f"{at_lowest} of the records fail at the lowest level of the ladder, {self.lowest:.3g}, and are "
+                "known less closely. Use a lower --to."
+            )
         if risen := int((found.resurrections > 0).sum()):
             notes.append(
                 f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
@@ -186,6 +202,8 @@ class IdaFindings:
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
         if self.margin is not None and self.options is not None:
+            if self.outcome != OUTCOMES[-1]:
+                notes.append(f"The margin is that of the outcome {self.outcome}, which is not a collapse.")
             notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
         return notes
 
@@ -194,6 +212,9 @@ class IdaFindings:
         found, fragility, margin = self.found, self.fragility, self.margin
         rows = zip(self.records.records, found.below, found.capacity, strict=True)
         return {
+            "bearing": dict(zip(TABLE_1.names, self.bearing.tolist(), strict=False)),
+            "model": asdict(self.model),
+            "tolerance": self.tolerance.relative,
             "outcome": self.outcome,
             "intensity": self.intensity.name,
             "unit": self.intensity.unit,
@@ -317,6 +338,7 @@ def analyse(
     """
     if outcome not in OUTCOMES[1:]:
         raise InputError(f"outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
+    model, tolerance = model or Model(), tolerance or Tolerance()
     motions, severity = [record.motion for record in records.records], OUTCOMES.index(outcome)
     levels = ladder(intensity, highest)
     own = np.array([intensity.of_record(motion) for motion in motions])
@@ -335,8 +357,10 @@ def analyse(
         nearest = [equivalent_pulse(motion) for motion in motions]
         of_pulses = capacities_under([one.motion for one in nearest])
         compared = compare_pulses(nearest, of_pulses, found, events, levels, severity)
-        predictions = _predictions(bearing, motions, nearest, surrogate, found, own, levels, severity)
-    return IdaFindings(records, intensity, outcome, found, fragility, margin, options, compared, predictions)
+        predictions = _predictions(bearing, motions, nearest, surrogate, found, own, levels, severity, model)
+    return IdaFindings(
+        bearing, model, tolerance, records, intensity, outcome, found, fragility, margin, options, compared, predictions
+    )
 
 
 def _predictions(
@@ -348,6 +372,7 @@ def _predictions(
     own: Array,
     levels: Array,
     severity: int,
+    model: Model,
 ) -> tuple[Prediction, ...]:
     """What predicts the outcomes at the ladder's levels without simulating them."""
     outcome = on_ladder(found, levels).ravel()
@@ -359,6 +384,6 @@ def _predictions(
         period, amplitude = (np.array([getattr(one, name) for one in pulses]) for name in ("period", "amplitude"))
         predicted, outside = surrogate.under_pulses(bearing, period[which], factors * amplitude[which])
         predictions.append(Prediction("classifier", "classifier at the pulse", Agreement.of(fails, predicted), outside))
-    predicted = predicted_by_reduced_model(bearing, motions, which, factors, severity)
+    predicted = predicted_by_reduced_model(bearing, motions, which, factors, severity, model)
     predictions.append(Prediction("reduced", "reduced model", Agreement.of(fails, predicted)))
     return tuple(predictions)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import GRAVITY, TABLE_1
+from activefail.bearing.design import GRAVITY, TABLE_1, Model
 from activefail.bearing.outcome import OUTCOMES
 from activefail.bearing.record_features import RECORD_FEATURES, record_features
 from activefail.campaign.assembly import Campaign
@@ -92,7 +92,12 @@ class Prediction:
 
 
 def predicted_by_reduced_model(
-    bearing: Array, motions: Sequence[Accelerogram], which: NDArray[np.intp], factors: Array, severity: int
+    bearing: Array,
+    motions: Sequence[Accelerogram],
+    which: NDArray[np.intp],
+    factors: Array,
+    severity: int,
+    model: Model | None = None,
 ) -> NDArray[np.bool_]:
     """Whether the reduced models expect the outcome under scaled records, (n,): m* > 0 for failure, v* > 0 for impact.
 
@@ -101,8 +106,9 @@ def predicted_by_reduced_model(
         motions: the records.
         which, factors: (n,) record and factor of each level.
         severity: of the outcome.
+        model: as for `record_features`.
     """
-    features = record_features(np.tile(bearing, (len(which), 1)), motions, which, factors)
+    features = record_features(np.tile(bearing, (len(which), 1)), motions, which, factors, model)
     column = RECORD_FEATURES.index("m*" if severity == len(OUTCOMES) - 1 else "v*")
     return np.asarray(features[:, column] > 0.0)
 
