@@ -11,6 +11,7 @@ share of the designs without failure for which one was predicted.
 
 import argparse
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -93,12 +94,19 @@ def main():
         run = simulate_records(bearings, scaled)
         return np.where(run.cause == o.NO_TOUCH, o.FAILURE, run.outcome).astype(np.int8)
 
+    began = time.process_time()
     outcome = outcomes(motions)
+    simulated = time.process_time() - began
+    began = time.process_time()
+    physics = shipped.features(X, space)[:, -3:]
+    computed = time.process_time() - began
     event = np.array(events)[which]
     fails = outcome == o.FAILURE
     print(
         f"{len(X)} simulations under {len(motions)} records of {len(set(events))} events; {fails.mean():.1%} failures"
     )
+    milliseconds = [1e3 * seconds / len(X) for seconds in (simulated, computed)]
+    print("processor time of a design: simulation {:.1f} ms, v*, a* and m* {:.2f} ms".format(*milliseconds))
     print("| predicted by | learned from | right | missed | false |")
     print("|---|---|---|---|---|")
 
@@ -112,7 +120,7 @@ def main():
     show("no failure, ever", "-", np.zeros(len(X), dtype=bool))
     pulses, _, _ = measures_of(motions)
     show("equivalent pulse, simulated", "-", outcomes([pulse.motion for pulse in pulses]) == o.FAILURE)
-    show("reduced model, m* > 0", "-", shipped.features(X, space)[:, -1] > 0.0)
+    show("reduced model, m* > 0", "-", physics[:, -1] > 0.0)
     for name, features in feature_sets(shipped).items():
         mapped = feature_map(CustomFeatures("features", features, variables=False), space)
         for count in map(int, options.learn.split(",")):
