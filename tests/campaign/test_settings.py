@@ -33,7 +33,7 @@ def _refusal(text: str) -> str:
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
 def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path: Path) -> None:
     settings = read_settings(path)
-    campaign = Campaign.of(settings)
+    campaign = Campaign.of(settings, path.parent)
     assert settings.simulator != "dfp" or campaign.space == TABLE_1
     assert settings.description
     comment = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
