@@ -150,7 +150,9 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
     if len(bad) or not mean > 0.0:
         # One gap changes the mean of all steps, but not their median.
         median = float(np.median(steps))
-        k = int(np.argmax(np.abs(steps - median) if mean > 0.0 else -steps)) + 1
+        apart = np.abs(steps - median) if mean > 0.0 else -steps
+        # The first of those that differ most, but for rounding.
+        k = int(np.argmax(apart >= 0.99 * apart.max())) + 1
         raise InputError(
             f"line {rows[k][0]}: times must rise by equal intervals (median: {median:.6g} s), got {steps[k - 1]:.6g} s."
         )

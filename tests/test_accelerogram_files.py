@@ -71,6 +71,10 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
             HEADER.replace("ACC", "VELOCITY TIME SERIES IN UNITS OF CM/S\nACC") + "NPTS= 2, DT= 1\n1 2\n",
             "line 3: must state an acceleration",
         ),
+        (
+            "".join(f"{0.02 * k + 0.01 * max(k - 250, 0):.6f} 1\n" for k in range(500)),
+            "line 252: times must rise by equal intervals (median: 0.02 s), got 0.03 s",
+        ),
         ("0.00 1\n0.01 1e75\n", "sample 2 must be at most 1e+75 m/s2 in magnitude, got 9.81e+75"),
         ("0.00 1\n0.01 nan\n", "line 2: must be numbers, got 'nan'"),
         ("0.00 1\n0.01 2 3\n", "line 2: must have one or two numbers"),

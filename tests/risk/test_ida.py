@@ -293,6 +293,26 @@ def test_levels_are_counted_by_the_outcomes_of_record_and_pulse() -> None:
     assert (found.interval, found.compared) == ((), 2)
 
 
+def test_records_that_fail_at_every_level_are_not_compared_with_their_pulses() -> None:
+    none = np.zeros(3, dtype=np.int64)
+    outcomes = tuple(np.array([2, 2, 2, 2], dtype=np.int8) for _ in range(3))
+
+    def with_capacities(below: list[float], capacity: list[float]) -> Capacities:
+        return Capacities(np.array(below), np.array(capacity), none, none, none, (LEVELS,) * 3, outcomes)
+
+    records, pulses = (
+        with_capacities([0.0, 1.0, 1.0], [0.1, 2.0, 2.0]),
+        with_capacities([1.0, 0.0, 2.0], [2.0, 0.1, 4.0]),
+    )
+    found = compare_pulses([], pulses, records, ["a", "b", "c"], LEVELS, 2)
+    assert (found.compared, found.mean) == (1, pytest.approx(math.log(2.0)))
+
+
+def test_a_record_without_velocity_has_no_equivalent_pulse() -> None:
+    with pytest.raises(InputError, match="zigzag: has no equivalent pulse, because its velocity is zero"):
+        equivalent_pulse(Accelerogram(np.tile([1.0, -1.0], 50), 0.01, "zigzag"))
+
+
 # --- the command -------------------------------------------------------------------------------------------------
 
 

@@ -113,10 +113,11 @@ def jackknife(statistic: Callable[[NDArray[np.bool_]], float], events: Sequence[
     Returns:
         None with fewer than three events, or where the statistic does not exist without one of them.
     """
-    names = np.array(events)
+    names, count = np.array(events), len(set(events))
+    if count < 3:
+        return None
     left_out = np.array([statistic(names != event) for event in dict.fromkeys(events)])
-    count = len(left_out)
-    if count < 3 or np.isnan(left_out).any():
+    if np.isnan(left_out).any():
         return None
     error = math.sqrt((count - 1) / count * float(((left_out - left_out.mean()) ** 2).sum()))
     return float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * error

@@ -11,6 +11,7 @@ from scipy.signal import correlate
 
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.pulse import HALF_DURATION, VELOCITY_PER_ACCELERATION, ground_acceleration
+from activefail.errors import InputError
 from activefail.risk.ida.capacity import Capacities, on_ladder
 from activefail.risk.ida.collapse import jackknife
 from activefail.risk.ida.predictions import Agreement
@@ -45,9 +46,14 @@ def equivalent_pulse(record: Accelerogram) -> EquivalentPulse:
 
     For each period the best time is the largest correlation of the record's velocity with that of the pulse (a matched
     filter), and the best amplitude follows.
+
+    Raises:
+        InputError: if the velocity is zero at all samples.
     """
     v = cumulative_trapezoid(record.acceleration, dx=record.dt, initial=0.0)
     energy = float(v @ v)
+    if energy == 0.0:
+        raise InputError(f"{record.name}: has no equivalent pulse, because its velocity is zero at all samples.")
 
     def fitted(period: float) -> tuple[float, float]:
         """The explained share, and the amplitude."""
@@ -80,7 +86,7 @@ class PulseComparison:
         mean: of ln(capacity under the pulse / capacity under the record); positive where the pulse is unconservative.
         interval: of the mean, over events; empty if it cannot be had.
         spread: standard deviation of the logarithm.
-        compared: records with both capacities.
+        compared: records with both capacities, each above a level that the bearing survives.
         levels: of the ladder, by the outcomes of record and pulse.
     """
 
@@ -110,7 +116,9 @@ def compare_pulses(
         ladder: (k,) the levels that both were simulated at.
         severity: of the outcome.
     """
-    both = np.isfinite(of_pulses.capacity) & np.isfinite(of_records.capacity)
+    # A bearing that fails at every level has a capacity between 0 and the lowest: not a number to compare.
+    known = [np.isfinite(one.capacity) & (one.below > 0.0) for one in (of_pulses, of_records)]
+    both = known[0] & known[1]
     ratio = np.log(of_pulses.capacity[both] / of_records.capacity[both])
     names = [event for event, kept in zip(events, both, strict=True) if kept]
     record, pulse = (on_ladder(one, ladder).ravel() for one in (of_records, of_pulses))

@@ -193,8 +193,8 @@ class IdaFindings:
         if self.pulses is not None and self.pulses.compared < len(found.capacity):
             left_out = len(found.capacity) - self.pulses.compared
             notes.append(
-                f"{left_out} of the records, or their pulses, never fail and are not in the ratio. If it is the "
-                "pulses that never fail, the ratio is probably too small."
+                f"{left_out} of the records, or their pulses, never fail or fail at every level, and are not in the "
+                "ratio. If it is the pulses that never fail, the ratio is probably too small."
             )
         notes.append("Capacities, shares of records, counts of levels and the misfit have no interval.")
         notes.append(
