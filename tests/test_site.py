@@ -1,0 +1,74 @@
+"""The site of the documentation builds without a warning, and loads nothing from another host."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("sphinx") is None, reason="needs Sphinx: pip install 'activefail[docs]'"
+)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built as `make docs` builds it."""
+    folder = tmp_path_factory.mktemp("site")
+    options = ["-b", "html", "-d", str(folder / "doctrees"), "-W", "--keep-going", "-q"]
+    command = [sys.executable, "-m", "sphinx", *options, str(ROOT / "docs"), str(folder / "html")]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder / "html"
+
+
+class Loads(HTMLParser):
+    """Collects the addresses that a browser loads with a page; links are not loaded."""
+
+    def __init__(self):
+        super().__init__()
+        self.addresses = []
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        names = {"src", "srcset", "poster", "data", "action"} | ({"href"} if tag in ("link", "image", "use") else set())
+        self.addresses += [given[name] for name in names if given.get(name)]
+        self.addresses += re.findall(r"url\(([^)]*)\)", given.get("style") or "")
+
+
+def is_remote(address):
+    return re.match(r"\s*['\"]?(?:\w+:)?//", address) is not None
+
+
+def loads(html):
+    parser = Loads()
+    parser.feed(html)
+    return parser.addresses
+
+
+def test_a_remote_address_is_recognised():
+    html = '<script src="https://a.org/b.js"></script><link href="//a.org/c.css"><a href="https://a.org"></a>'
+    assert list(map(is_remote, loads(html + '<img src="_images/d.png">'))) == [True, True, False]
+
+
+def test_no_page_loads_anything_from_another_host(site):
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 40
+    for page in pages:
+        remote = [address for address in loads(page.read_text(encoding="utf-8")) if is_remote(address)]
+        assert not remote, f"{page.relative_to(site)}: {remote}"
+    for style in site.rglob("*.css"):
+        text = style.read_text(encoding="utf-8")
+        addresses = re.findall(r"url\(([^)]*)\)", text) + re.findall(r"@import\s+([^;]*)", text)
+        assert not [address for address in addresses if is_remote(address)], style
+
+
+def test_every_page_is_in_the_site(site):
+    pages = [*ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/**/*.ipynb")]
+    built = {file.relative_to(site).with_suffix("") for file in site.rglob("*.html")}
+    assert {page.relative_to(ROOT / "docs").with_suffix("") for page in pages} <= built
