@@ -29,6 +29,14 @@ version = release = activefail.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 nitpicky = True
+nitpick_ignore_regex = [("py:class", ".*")]  # types of other libraries, and those without a page, are not links
+
+default_role = "literal"  # docstrings set names between single backticks
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+napoleon_custom_sections = ["Returns"]  # as text: a colon in it does not end a type
+napoleon_use_ivar = True  # the attributes of a class are listed once, in its docstring
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
@@ -81,7 +89,13 @@ def register_anchors(app: Sphinx, tree: nodes.document) -> None:
     page = app.env.current_document.docname
     for raw in tree.findall(nodes.raw):
         for anchor in re.findall(r'<a id="([^"]+)">', raw.astext()):
-            app.env.get_domain("std").anonlabels[f"{page}#{anchor}"] = page, anchor
+            app.env.get_domain("std").anonlabels[f"{page}#{anchor}".lower()] = page, anchor
+
+
+def with_links(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Link the keys of references.bib in a docstring to the page of references."""
+    key = r"\[([A-Z][A-Za-z]+\d{4})((?:, [^\]]*)?)\]"
+    lines[:] = re.sub(key, r":ref:`\1\2 <references#\1>`", "\n".join(lines)).split("\n")
 
 
 def setup(app: Sphinx) -> None:
@@ -91,4 +105,5 @@ def setup(app: Sphinx) -> None:
     app.add_source_suffix(".ipynb", "notebook")
     app.add_source_parser(NotebookParser)
     app.connect("source-read", with_pages_outside_docs)
+    app.connect("autodoc-process-docstring", with_links)
     app.connect("doctree-read", register_anchors)

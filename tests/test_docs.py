@@ -17,6 +17,7 @@ import pytest
 
 import activefail
 from activefail.campaign.hazard_sections import HazardSettings
+from activefail.campaign.sections import Section
 from activefail.campaign.settings import CampaignSettings
 
 ROOT = Path(__file__).parents[1]
@@ -276,6 +277,23 @@ def test_the_list_of_modules_is_what_its_script_writes_and_every_module_says_wha
     modules = script("modules")
     assert modules.PAGE.read_text(encoding="utf-8") == modules.page(), "run python docs/modules.py"
     assert not re.findall(r"^- `.*`:\s*$|^## .*\n\n\n", modules.page(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", ["commands", "settings"])
+def test_the_pages_of_commands_and_keys_are_what_their_scripts_write(name):
+    reference = script(name)
+    assert reference.PAGE.read_text(encoding="utf-8") == reference.page(), f"run python docs/{name}.py"
+
+
+def test_a_key_without_a_meaning_is_not_written():
+    class Unexplained(Section):
+        """A section of which no key is explained."""
+
+        size: int = 0
+
+    reference = script("settings")
+    with pytest.raises(KeyError, match="'size'"):
+        reference.rows(Unexplained, Unexplained.model_json_schema())
 
 
 # --- citations ---------------------------------------------------------------------------------------------------
