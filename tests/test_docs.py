@@ -18,7 +18,7 @@ import pytest
 import activefail
 from activefail.campaign.hazard_sections import HazardSettings
 from activefail.campaign.sections import Section
-from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.settings import CampaignSettings, checked
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -294,6 +294,19 @@ def test_a_key_without_a_meaning_is_not_written():
     reference = script("settings")
     with pytest.raises(KeyError, match="'size'"):
         reference.rows(Unexplained, Unexplained.model_json_schema())
+
+
+def test_the_settings_that_a_page_recommends_are_settings():
+    features, *campaigns = map(tomllib.loads, blocks(ROOT / "docs" / "which.md", "toml"))
+    assert len(campaigns) == 2
+    for settings in (features, *campaigns):
+        checked(CampaignSettings, settings, "docs/which.md")
+    defaults = CampaignSettings()
+    assert (defaults.acquisition.criterion, defaults.acquisition.exploration) == ("entropy", 0.0)
+    assert checked(CampaignSettings, campaigns[0], "").acquisition.criterion == "eavc"
+    shipped = tomllib.loads((ROOT / "campaigns" / "bearing.toml").read_text(encoding="utf-8"))
+    assert shipped["classifier"] == {"features": "collision", "kernel": "matern52"}
+    assert shipped["acquisition"] == {"criterion": "eavc", "boundary": {"failure": 0.7, "impact": 0.3}}
 
 
 # --- citations ---------------------------------------------------------------------------------------------------
