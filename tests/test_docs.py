@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import inspect
+import math
 import re
 import shlex
 import shutil
@@ -188,6 +189,62 @@ def test_the_guide_lists_every_method_and_property_of_a_run_with_its_arguments()
             _, given, default = text.partition("=")
             assert bool(given) == (one.default is not one.empty), name
             assert default in ("", "…") or ast.literal_eval(default) == one.default, name
+
+
+TUTORIALS = ROOT / "docs" / "tutorials"
+
+
+def test_the_commands_of_the_first_tutorial_run_in_their_order(tmp_path, monkeypatch):
+    page = TUTORIALS / "first_design.md"
+    monkeypatch.chdir(tmp_path)
+    (text,) = blocks(page, "toml")
+    (tmp_path / "bearing.toml").write_text(text)
+    commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    assert [shlex.split(command)[1] for command in commands] == (
+        ["doctor", "simulate", "campaigns", "run", "status", "design"]
+    )
+    for command in commands:
+        name, *words = shlex.split(command)
+        if words[0] == "run":
+            assert Path(words[1]).exists()
+            shutil.copytree(ROOT / "tests" / "old_runs" / "finished" / "paper", Path(words[-1]))
+            continue
+        # Small: the classifier of this folder has learned too little to find a bearing.
+        small = ["--simulations", "60", "--no-chart"] if words[0] == "design" else []
+        done = commandline.activefail(*words, *small)
+        assert (name, done.code) == ("activefail", 3 if words[0] == "design" else 0), f"{command}\n{done.err}"
+    assert Path("response.png").exists()
+    assert Path("design", "design.html").exists()
+
+
+def test_the_tutorial_on_a_custom_simulator_runs_as_it_says(tmp_path, monkeypatch):
+    page = TUTORIALS / "custom_simulator.md"
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "python": ("beam.py", "program.py"),
+        "toml": ("beam.toml", "site.toml", "program.toml"),
+        "csv": ("designs.csv",),
+    }
+    for language, names in files.items():
+        for name, text in zip(names, blocks(page, language), strict=True):
+            (tmp_path / name).write_text(text)
+    commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    said = {}
+    for command in commands:
+        name, *words = shlex.split(command)
+        done = commandline.activefail(*words)
+        assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
+        said[words[0]] = done.out
+    rows = Path("predictions.csv").read_text().splitlines()
+    column = rows[0].split(",").index("p_failure")
+    safe, *failing = (float(row.split(",")[column]) for row in rows[1:])
+    assert safe < 0.01
+    assert min(failing) > 0.99
+    low, high = re.search(r"interval   (\S+) to (\S+),", said["probability"]).groups()
+    scale = 4 * 6**0.5 / math.pi
+    exact = 1 - math.exp(-math.exp(-(91 / 2.5 - (20 - 0.5772157 * scale)) / scale))
+    assert f"{exact:.4f}" == "0.0029"
+    assert float(low) < exact < float(high)
 
 
 HAZARD = ROOT / "docs" / "hazard.md"
