@@ -41,6 +41,8 @@ napoleon_use_ivar = True  # the attributes of a class are listed once, in its do
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 
+smartquotes = False  # two hyphens begin an option
+
 html_theme = "furo"
 html_title = "activefail"
 html_copy_source = False

@@ -72,3 +72,10 @@ def test_every_page_is_in_the_site(site):
     pages = [*ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/**/*.ipynb")]
     built = {file.relative_to(site).with_suffix("") for file in site.rglob("*.html")}
     assert {page.relative_to(ROOT / "docs").with_suffix("") for page in pages} <= built
+
+
+def test_formulas_are_mathml_and_nothing_of_tex_is_left(site):
+    page = (site / "bearing.html").read_text(encoding="utf-8")
+    formulas = re.findall(r"<math .*?</math>", page, re.DOTALL)
+    assert len(formulas) > 40
+    assert not re.search(r"\\(frac|sqrt|ddot|theta|left|text)|\$\$", page)
