@@ -305,6 +305,13 @@ def test_links_between_pages_lead_somewhere(page):
         assert not anchor or anchor in anchors(there), f"{page.name}: {target}#{anchor}"
 
 
+def test_the_first_page_leads_to_every_page():
+    docs = ROOT / "docs"
+    linked = set(re.findall(r"\]\(([^)#:]+)", (docs / "index.md").read_text(encoding="utf-8")))
+    pages = {page.relative_to(docs).as_posix() for page in (*docs.glob("**/*.md"), *docs.glob("**/*.ipynb"))}
+    assert linked == pages - {"index.md"}
+
+
 def test_the_guide_lists_every_setting_with_its_default():
     guide = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
     stated = dict(re.findall(r"^\| `([\w.]+)` \| ([^|]*) \|", guide, re.MULTILINE))

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from report.browser import NO_BROWSER, browser, console_errors, photograph, requested, screenshots
 
 ROOT = Path(__file__).parents[1]
 
@@ -79,3 +80,34 @@ def test_formulas_are_mathml_and_nothing_of_tex_is_left(site):
     formulas = re.findall(r"<math .*?</math>", page, re.DOTALL)
     assert len(formulas) > 40
     assert not re.search(r"\\(frac|sqrt|ddot|theta|left|text)|\$\$", page)
+
+
+WIDE = """
+const scrolls = (one) => one.tagName != "ARTICLE" &&
+    (["auto", "scroll"].includes(getComputedStyle(one).overflowX) || scrolls(one.parentElement));
+return [...document.querySelectorAll("article *")]
+    .filter((one) => one.getBoundingClientRect().right > innerWidth + 1 && !scrolls(one))
+    .map((one) => `${one.tagName} ${one.textContent.slice(0, 60)}`);
+"""
+"""Elements of the page that are wider than the screen, and not inside a table or block that scrolls by itself."""
+
+
+@pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER)
+@pytest.mark.parametrize("width", [390, 1280])
+def test_pages_fit_a_screen_without_errors_and_requests(site, width, tmp_path):
+    with browser() as driver:
+        size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 500}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        for page in sorted(site.rglob("*.html")):
+            name = page.relative_to(site).with_suffix("").as_posix()
+            driver.get(page.as_uri())
+            assert driver.execute_script("return document.documentElement.scrollWidth") <= width, name
+            assert driver.execute_script(WIDE) == [], name
+            assert console_errors(driver) == [], name
+            assert [address for address in requested(driver) if not address.startswith(("file:", "data:"))] == [], name
+            if name in ("index", "bearing", "guide", "which", "reference/commands", "reference/settings"):
+                photograph(driver, screenshots(f"site-{name.replace('/', '-')}-{width}.png", tmp_path))
+        driver.execute_script(
+            "document.querySelector('article').insertAdjacentHTML('beforeend', '<p style=\"width: 2000px\">wide</p>')"
+        )
+        assert driver.execute_script(WIDE) == ["P wide"]
