@@ -4,10 +4,12 @@ The pages are Markdown that GitHub shows as well. No page loads anything from an
 the styles and scripts of the theme are copied into the site.
 """
 
+import html
 import json
 import re
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 from docutils import nodes
 from docutils.utils.math import MathError
@@ -21,6 +23,9 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import activefail  # noqa: E402
+
+MATHML = "http://www.w3.org/1998/Math/MathML"
+ElementTree.register_namespace("", MATHML)
 
 project = "activefail"
 author = "The activefail developers"
@@ -44,10 +49,24 @@ myst_heading_anchors = 4
 smartquotes = False  # two hyphens begin an option
 
 html_theme = "furo"
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
 html_title = "activefail"
 html_copy_source = False
 html_show_sphinx = False
 html_math_renderer = "mathml"
+
+
+def with_accents_on_letters(formula: str) -> str:
+    """MathML with the index of an accented letter beside it: docutils sets the index of an accent below."""
+    tree = ElementTree.fromstring(re.sub(r"&(?!lt|gt|amp)\w+;", lambda name: html.unescape(name[0]), formula))
+    for stack in tree.iter(f"{{{MATHML}}}munderover"):
+        letter, index, accent = stack
+        if accent.get("stretchy") == "false":
+            stack.tag = f"{{{MATHML}}}msub"
+            stack[:] = [ElementTree.Element(f"{{{MATHML}}}mover", accent="true"), index]
+            stack[0].extend((letter, accent))
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def mathml(self, node: nodes.Node) -> None:
@@ -58,7 +77,7 @@ def mathml(self, node: nodes.Node) -> None:
     """
     block = isinstance(node, nodes.math_block)
     try:
-        drawn = tex2mathml(node.astext(), as_block=block)
+        drawn = with_accents_on_letters(tex2mathml(node.astext(), as_block=block))
     except MathError as error:
         raise ExtensionError(f"{node.astext()!r} is not a formula that docutils reads: {error}") from None
     self.body.append(f'<div class="math">{drawn}</div>\n' if block else drawn)
@@ -94,6 +113,13 @@ def register_anchors(app: Sphinx, tree: nodes.document) -> None:
             app.env.get_domain("std").anonlabels[f"{page}#{anchor}".lower()] = page, anchor
 
 
+def with_dashes(app: Sphinx, tree: nodes.document) -> None:
+    """Set dashes between the parameters of a function and their meanings, where Sphinx sets hyphens."""
+    for text in list(tree.findall(nodes.Text)):
+        if text.astext() == " -- ":
+            text.parent.replace(text, nodes.Text(" – "))
+
+
 def with_links(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
     """Link the keys of references.bib in a docstring to the page of references."""
     key = r"\[([A-Z][A-Za-z]+\d{4})((?:, [^\]]*)?)\]"
@@ -109,3 +135,4 @@ def setup(app: Sphinx) -> None:
     app.connect("source-read", with_pages_outside_docs)
     app.connect("autodoc-process-docstring", with_links)
     app.connect("doctree-read", register_anchors)
+    app.connect("doctree-read", with_dashes)

@@ -79,6 +79,10 @@ def test_formulas_are_mathml_and_nothing_of_tex_is_left(site):
     page = (site / "bearing.html").read_text(encoding="utf-8")
     formulas = re.findall(r"<math .*?</math>", page, re.DOTALL)
     assert len(formulas) > 40
+    accelerations = re.findall(
+        r"<msub>\s*<mover accent=\"true\">\s*<mi>(\w)</mi>.*?<mi>(\w)</mi>\s*</msub>", page, re.DOTALL
+    )
+    assert {"x s", "z s", "x t", "z t", "u g"} == {" ".join(letters) for letters in accelerations}
     assert not re.search(r"\\(frac|sqrt|ddot|theta|left|text)|\$\$", page)
 
 
