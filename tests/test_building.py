@@ -15,8 +15,9 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import eigh
 
 from activefail import simulate_one
-from activefail.bearing import Bearing, Pulse, Response
+from activefail.bearing import Accelerogram, Bearing, Pulse, Response
 from activefail.bearing.dynamics import equilibrium, static_contact
+from activefail.bearing.pulse import ground_acceleration
 from activefail.simulators.user_code import load_function
 from activefail.space import Array
 
@@ -187,13 +188,46 @@ def test_a_flexible_building_answers_as_one_on_the_motion_of_its_base(building: 
     history = response.history
     t = np.linspace(history[0, 0], history[-1, 0], 20_001)
     base = np.array([accelerations(building, b, row[0], row[1:9].copy(), row[9:].copy())[3] for row in history])
-    ground = np.array([building.ground_acceleration(s, *b.bearing.motion) for s in history[:, 0]])
+    ground = np.array([ground_acceleration(s, *b.bearing.motion) for s in history[:, 0]])
     absolute = np.interp(t, history[:, 0], base + ground)
     for j in range(3):
         system = ([-1.0], [1.0, b.damping[j], b.stiffness[j]])
         _, D, _ = lsim(system, absolute, t - t[0])
         actual = np.interp(t, history[:, 0], history[:, 6 + j])
         assert np.abs(actual - D).max() < 0.02 * np.abs(D).max(), j
+
+
+# --- records -----------------------------------------------------------------------------------------------------
+
+
+def under_record(design: dict[str, float]) -> dict[str, float]:
+    """A design that names no pulse."""
+    return {name: value for name, value in design.items() if name not in ("T_p", "A_p")}
+
+
+@pytest.mark.parametrize("A_p", [0.15, 0.3, 0.6])
+def test_a_sampled_pulse_moves_the_building_as_the_pulse_does(building: ModuleType, A_p: float) -> None:
+    design = of(A_p=A_p)
+    t = np.arange(0.0, 3.0 * design["T_p"], 0.005) - 1.5 * design["T_p"]
+    samples = np.array([ground_acceleration(time, A_p * 9.81, design["T_p"]) for time in t])
+    pulse = building.simulate(design)
+    record = building.simulate(under_record(design), record=Accelerogram(samples, 0.005))
+    assert (record.cause, record.touched) == (pulse.cause, pulse.touched)
+    assert record.peak_displacement == pytest.approx(pulse.peak_displacement, rel=2e-3)
+    assert record.peak_drift == pytest.approx(pulse.peak_drift, rel=0.02)
+    assert record.energy_error < 1e-3
+
+
+def test_a_mirrored_record_moves_the_building_to_the_other_side(building: ModuleType) -> None:
+    design = under_record(DESIGN)
+    rng = np.random.default_rng(0)
+    record = Accelerogram(
+        3.0 * np.convolve(rng.standard_normal(800), np.exp(-np.arange(0.0, 1.0, 0.02) / 0.2)) / 5.0, 0.02
+    )
+    one, other = (building.simulate(design, record=record.scaled(sign)) for sign in (1.0, -1.0))
+    assert one.peak_displacement > 0.05
+    assert other.peak_displacement == pytest.approx(one.peak_displacement, rel=1e-6)
+    assert other.peak_drift == pytest.approx(one.peak_drift, rel=1e-6)
 
 
 # --- energy and order --------------------------------------------------------------------------------------------
@@ -282,7 +316,8 @@ def test_the_campaign_runs_from_its_file_and_its_table_is_consistent(building: M
         assert name in settings
         settings = settings.replace(name, value)
     (tmp_path / "building.toml").write_text(settings, encoding="utf-8")
-    (tmp_path / "building.py").write_bytes((CAMPAIGNS / "building.py").read_bytes())
+    for name in ("building.py", "bearing_records.py"):
+        (tmp_path / name).write_bytes((CAMPAIGNS / name).read_bytes())
     result = activefail(
         "run", tmp_path / "building.toml", "--out", tmp_path / "run", "--budget", "20", "--workers", "1"
     )

@@ -92,6 +92,8 @@ def test_ci_goes_on_to_the_tests_where_nothing_can_be_installed(tmp_path: Path) 
     assert "install" in lines[0]
     assert "chromium" in lines[0]
     assert "ci: pip could not install openseespy" in lines
+    assert "ci: pip could not install the records of FEMA P695" in lines
+    assert "ci: records is not to be had here: its tests are skipped" in lines
     assert "ci: browser is not to be had here: its tests are skipped" in lines
     assert lines[-1] == "make test, required:."
 

@@ -4,7 +4,7 @@ from activefail.bearing.kernels import kept_kernels
 
 with kept_kernels():
     # Not used here: imported so that their kernels are defined here too.
-    from activefail.bearing import collision, motion  # noqa: F401
+    from activefail.bearing import collision, motion, record_features  # noqa: F401
     from activefail.bearing.accelerogram import Accelerogram
     from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
     from activefail.bearing.simulation import Response, Responses, simulate, simulate_one, simulate_records

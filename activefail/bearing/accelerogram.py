@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from activefail.bearing.design import LARGEST
 from activefail.bearing.ground import Samples, Segment, samples
 from activefail.errors import InputError
 from activefail.space import Array
@@ -43,6 +44,12 @@ class Accelerogram:
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise InputError(f"acceleration: sample {bad[0] + 1} must be finite, got {values[bad[0]]}.")
+        large = np.flatnonzero(np.abs(values) > LARGEST)
+        if len(large):
+            raise InputError(
+                f"acceleration: sample {large[0] + 1} must be at most {LARGEST:g} m/s2 in magnitude, got "
+                f"{values[large[0]]:g}."
+            )
         if not (math.isfinite(self.dt) and self.dt > 0.0):
             raise InputError(f"dt: must be positive and finite, got {self.dt} s.")
         values.setflags(write=False)

@@ -22,7 +22,7 @@ from numba import njit
 
 from activefail.bearing.contact import Plate, gap, vertex_force
 from activefail.bearing.design import GRAVITY, Model, table_1_rows
-from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.bearing.ground import Ricker, acceleration, is_harmless, shaking_of
 from activefail.bearing.sliding import STEPS, drift, slide
 from activefail.space import Array
 
@@ -39,7 +39,7 @@ _LONGEST_STEP = 1e-3
 """Upper bound of a step [s]."""
 
 _AFTERMATH = 1.0
-"""Time simulated after the pulse [s]."""
+"""Time simulated after the ground motion [s]."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -70,7 +70,7 @@ def _step(plate, plate_mass, inertia, half_width, half_height, speed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def collide(plate, plate_mass, half_width, half_height, rim_height, length, touch, amplitude, period, t, x, dx, speed):
+def collide(plate, plate_mass, half_width, half_height, rim_height, length, touch, motion, t, x, dx, speed):
     """How close to failure a bearing comes after time t, when its seated slider is at x [m] with velocity dx [m/s].
 
     Args:
@@ -80,7 +80,7 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
         rim_height: h_rim [m].
         length: L [m].
         touch: displacement at which the rims are touched [m].
-        amplitude, period: A_p and T_p of the pulse [m/s², s].
+        motion: of the ground, a `Ricker` or a `Scaled`.
         t, x, dx: time, displacement and velocity at the start.
         speed: expected speed at the first touch [m/s], which determines the step.
 
@@ -93,8 +93,8 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
     inertia = _INERTIA * plate_mass * diameter * diameter
     dt = _step(plate, plate_mass, inertia, half_width, half_height, speed)
     overturning = math.atan2(half_width, half_height)
-    pulse_end = HALF_DURATION * period
-    end = max(pulse_end, t) + _AFTERMATH
+    _, motion_end, _ = shaking_of(motion)
+    end = max(motion_end, t) + _AFTERMATH
     # When seated, the centres of the two circles of vertices are L plus the static penetrations apart.
     static = (0.5 * plate_mass * GRAVITY / plate.stiffness) ** (2.0 / 3.0)
     length += 2.0 * static
@@ -127,9 +127,9 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
         tilt = max(tilt, abs(theta) / overturning)
         if tilt > 1.0:
             break
-        if t > pulse_end and 0.5 * (dx * dx + dz * dz) + GRAVITY * (z - rest) < reach:
+        if is_harmless(motion, t, 0.5 * (dx * dx + dz * dz) + GRAVITY * (z - rest), reach):
             break
-        ground = ground_acceleration(t, amplitude, period)
+        ground = acceleration(motion, t)
         dx += dt * (force_x / plate_mass - ground)
         dz += dt * (force_z / plate_mass - GRAVITY)
         omega += dt * 2.0 * torque / inertia
@@ -141,57 +141,68 @@ def collide(plate, plate_mass, half_width, half_height, rim_height, length, touc
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def severity_of(bearing, motion, slider_diameter, density, restitution, damping_ratio, assembly, steps):
+    """How close to failure a bearing, (7,), comes under a ground motion (`collision_severity`)."""
+    T_b, mu, D_tot, h_sl_ratio = bearing[0], bearing[1], bearing[2], bearing[3]
+    h_rim_ratio, p, k = bearing[4], bearing[5], bearing[6]
+    rate = T_b / (2.0 * math.pi)
+    radius = 0.5 * GRAVITY * (rate * rate)
+    half_width, half_dish = 0.5 * slider_diameter, 0.5 * (D_tot + slider_diameter)
+    slider_height, rim_height = h_sl_ratio * slider_diameter, h_rim_ratio * slider_diameter
+    length = 2.0 * math.sqrt(radius * radius - half_width * half_width) - slider_height
+    # Also false for NaN.
+    buildable = length > D_tot > 0.0 and half_dish < radius and slider_height > 0.0 and rim_height > 0.0
+    if not (buildable and mu >= 0.0 and p > 0.0 and k > 0.0):
+        return math.nan
+    touch = touching_displacement(half_dish, half_width, length, slider_height)
+    stiffness = GRAVITY / length
+    friction = mu * 2.0 * radius * stiffness
+    block = slide(stiffness, friction, touch, restitution, motion, steps)
+    if not block.first_speed > 0.0:
+        return 0.0
+    area = math.pi * half_width * half_width
+    plate_mass, slider_mass = p * 1e6 * area / GRAVITY, density * area * slider_height
+    dish_mass, rim_mass = (plate_mass, 2.0 * plate_mass) if assembly else (slider_mass, slider_mass)
+    plate = Plate(
+        radius,
+        half_dish,
+        radius - math.sqrt(radius * radius - half_dish * half_dish) + rim_height,
+        k,
+        2.0 * damping_ratio * math.sqrt(dish_mass * k),
+        2.0 * damping_ratio * math.sqrt(rim_mass * k),
+        mu,
+        _FRICTION_VELOCITY,
+    )
+    motion_begin, _, _ = shaking_of(motion)
+    begin = max(block.first_time - _LEAD, motion_begin)
+    x, dx = drift(stiffness, friction, motion, steps, begin)
+    lift, tilt = collide(
+        plate,
+        plate_mass,
+        half_width,
+        0.5 * slider_height,
+        rim_height,
+        length,
+        touch,
+        motion,
+        begin,
+        x,
+        dx,
+        block.first_speed,
+    )
+    return max(lift, tilt)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _severities(X, slider_diameter, density, restitution, damping_ratio, assembly, steps, out):
     for row in range(len(X)):
-        T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k, T_p, A_p = X[row]
-        rate = T_b / (2.0 * math.pi)
-        radius = 0.5 * GRAVITY * (rate * rate)
-        half_width, half_dish = 0.5 * slider_diameter, 0.5 * (D_tot + slider_diameter)
-        slider_height, rim_height = h_sl_ratio * slider_diameter, h_rim_ratio * slider_diameter
-        length = 2.0 * math.sqrt(radius * radius - half_width * half_width) - slider_height
+        T_p, A_p = X[row, 7], X[row, 8]
         # Also false for NaN.
-        buildable = length > D_tot > 0.0 and half_dish < radius and slider_height > 0.0 and rim_height > 0.0
-        if not (buildable and mu >= 0.0 and p > 0.0 and k > 0.0 and 0.0 < T_p < math.inf and abs(A_p) < math.inf):
-            continue
-        out[row] = 0.0
-        touch = touching_displacement(half_dish, half_width, length, slider_height)
-        stiffness = GRAVITY / length
-        friction = mu * 2.0 * radius * stiffness
-        block = slide(stiffness, friction, touch, restitution, A_p * GRAVITY, T_p, steps)
-        if not block.first_speed > 0.0:
-            continue
-        area = math.pi * half_width * half_width
-        plate_mass, slider_mass = p * 1e6 * area / GRAVITY, density * area * slider_height
-        dish_mass, rim_mass = (plate_mass, 2.0 * plate_mass) if assembly else (slider_mass, slider_mass)
-        plate = Plate(
-            radius,
-            half_dish,
-            radius - math.sqrt(radius * radius - half_dish * half_dish) + rim_height,
-            k,
-            2.0 * damping_ratio * math.sqrt(dish_mass * k),
-            2.0 * damping_ratio * math.sqrt(rim_mass * k),
-            mu,
-            _FRICTION_VELOCITY,
-        )
-        amplitude = A_p * GRAVITY
-        begin = max(block.first_time - _LEAD, -HALF_DURATION * T_p)
-        x, dx = drift(stiffness, friction, amplitude, T_p, steps, begin)
-        lift, tilt = collide(
-            plate,
-            plate_mass,
-            half_width,
-            0.5 * slider_height,
-            rim_height,
-            length,
-            touch,
-            amplitude,
-            T_p,
-            begin,
-            x,
-            dx,
-            block.first_speed,
-        )
-        out[row] = max(lift, tilt)
+        if 0.0 < T_p < math.inf and abs(A_p) < math.inf:
+            motion = Ricker(A_p * GRAVITY, T_p)
+            out[row] = severity_of(
+                X[row, :7], motion, slider_diameter, density, restitution, damping_ratio, assembly, steps
+            )
 
 
 def collision_severity(X: Array, model: Model | None = None) -> Array:

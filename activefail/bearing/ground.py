@@ -1,16 +1,18 @@
 """Ground motions for the kernels: a Ricker pulse, or a recorded acceleration between its samples.
 
 A kernel calls `acceleration` and `jerk` with a motion; the motion's type chooses the formula, as for the problems of
-`integrator`. An accelerogram is linear between its samples, and no step crosses one (`course`).
+`integrator`. An accelerogram is linear between its samples, and no step of the bearing model crosses one (`course`).
+The cheap models (`sliding`, `collision`) take a whole accelerogram as one motion.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba.extending import overload
 
 from activefail.bearing.kernels import INLINE
-from activefail.bearing.pulse import ground_acceleration, ground_jerk
+from activefail.bearing.pulse import HALF_DURATION, ground_acceleration, ground_jerk
 from activefail.space import Array
 
 
@@ -35,6 +37,13 @@ class Samples(NamedTuple):
     acceleration: Array  # (n,) [m/s2]
     impulse: Array  # (n,) ∫ |ü_g| dt from each sample on [m/s]
     dt: float  # [s]
+
+
+class Scaled(NamedTuple):
+    """A whole accelerogram, multiplied by a factor."""
+
+    samples: Samples
+    factor: float
 
 
 def samples(acceleration: Array, dt: float) -> Samples:
@@ -67,12 +76,27 @@ def jerk(motion, t):
     raise NotImplementedError
 
 
+def shaking_of(motion):
+    """Times at which a whole motion begins and ends, and the shortest period that a cheap model's steps resolve [s]."""
+    raise NotImplementedError
+
+
+def is_harmless(motion, t, energy, least):
+    """Whether a mass with `energy` [m²/s²] at time t [s] can no longer reach the energy `least`.
+
+    A pulse says so after its end only, an accelerogram by its impulse to come, at any time.
+    """
+    raise NotImplementedError
+
+
 @overload(acceleration, jit_options=INLINE)
 def _acceleration(motion, t):
     if is_type(motion, Ricker):
         return lambda motion, t: ground_acceleration(t, motion.amplitude, motion.period)
     if is_type(motion, Segment):
         return lambda motion, t: motion.acceleration + motion.jerk * (t - motion.begin)
+    if is_type(motion, Scaled):
+        return _interpolated
     return None
 
 
@@ -83,3 +107,38 @@ def _jerk(motion, t):
     if is_type(motion, Segment):
         return lambda motion, t: motion.jerk
     return None
+
+
+def _interpolated(motion, t):
+    a = motion.samples.acceleration
+    place = t / motion.samples.dt
+    k = math.floor(place)
+    if k < 0 or k >= len(a) - 1:
+        # The last sample is an instant.
+        return 0.0
+    return motion.factor * (a[k] + (place - k) * (a[k + 1] - a[k]))
+
+
+@overload(shaking_of, jit_options=INLINE)
+def _shaking_of(motion):
+    if is_type(motion, Ricker):
+        return lambda motion: (-HALF_DURATION * motion.period, HALF_DURATION * motion.period, motion.period)
+    if is_type(motion, Scaled):
+        return lambda motion: (0.0, (len(motion.samples.acceleration) - 1) * motion.samples.dt, 1.0)
+    return None
+
+
+@overload(is_harmless, jit_options=INLINE)
+def _is_harmless(motion, t, energy, least):
+    def after_pulse(motion, t, energy, least):
+        return t > HALF_DURATION * motion.period and energy < least
+
+    def with_impulse(motion, t, energy, least):
+        impulse = motion.samples.impulse
+        k = min(max(math.floor(t / motion.samples.dt), 0), len(impulse) - 1)
+        pushed = math.sqrt(0.5) * abs(motion.factor) * impulse[k]
+        return math.sqrt(max(energy, 0.0)) + pushed < math.sqrt(least)
+
+    if is_type(motion, Ricker):
+        return after_pulse
+    return with_impulse if is_type(motion, Scaled) else None

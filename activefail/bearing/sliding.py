@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from activefail.bearing.design import GRAVITY, Model, table_1_rows
-from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
+from activefail.bearing.ground import Ricker, acceleration, shaking_of
 from activefail.space import Array
 
 STEPS = 400
@@ -30,35 +30,35 @@ class Slide(NamedTuple):
     push: float  # outward acceleration −ü_g·sgn(x) from the ground at that instant [m/s²]
     peak: float  # largest |x|, at most the stop's [m]
     first_speed: float  # speed at the first touch [m/s]; 0 without one
-    first_time: float  # time of the first touch, after the pulse's centre [s]
+    first_time: float  # time of the first touch [s], as in the ground motion
     first_side: float  # side of the first touch, -1 or 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
+def slide(stiffness, friction, stop, restitution, motion, steps):
     """The `Slide` of a block that starts from rest between its stops.
 
     Leapfrog method: displacements at whole steps, velocities at half steps; Coulomb friction is an impulse that at most
-    stops the block. The motion after the pulse follows in closed form from its energy.
+    stops the block. The motion after the ground's follows in closed form from its energy.
 
     Args:
         stiffness: g/L [1/s²].
         friction: deceleration by sliding friction [m/s²].
         stop: displacement of the stops [m]; infinite for none.
         restitution: share of the speed that a stop returns.
-        amplitude: A_p of the pulse [m/s²].
-        period: T_p of the pulse [s].
-        steps: steps per period, or per second if that is shorter.
+        motion: of the ground, a `Ricker` or a `Scaled`.
+        steps: steps per pulse period, or per second if that is shorter.
     """
+    begin, end, period = shaking_of(motion)
     # The natural period also bounds the step, for bearings far stiffer than Table 1's.
     shortest = min(period, 1.0, 2.0 * math.pi / math.sqrt(stiffness))
-    count = math.ceil(2.0 * HALF_DURATION * period / shortest * steps)
-    dt = 2.0 * HALF_DURATION * period / count
+    count = math.ceil((end - begin) / shortest * steps)
+    dt = (end - begin) / count
     x, v, change = 0.0, 0.0, 0.0
     speed, push, peak = 0.0, 0.0, 0.0
     first_speed, first_time, first_side = 0.0, 0.0, 1.0
     for n in range(count):
-        ground = ground_acceleration(-HALF_DURATION * period + n * dt, amplitude, period)
+        ground = acceleration(motion, begin + n * dt)
         before = v
         v -= dt * (stiffness * x + ground)
         v = math.copysign(max(abs(v) - dt * friction, 0.0), v)
@@ -70,11 +70,11 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
             share = (side * stop - start) / (x - start)
             # `v` is the velocity at the midpoint of the step; extrapolate it to the stop.
             arrival = abs(v + (share - 0.5) * change)
-            at_stop = (n + share) * dt - HALF_DURATION * period
+            at_stop = (n + share) * dt + begin
             if first_speed == 0.0:
                 first_speed, first_time, first_side = arrival, at_stop, side
             if arrival > speed:
-                speed, push = arrival, -side * ground_acceleration(at_stop, amplitude, period)
+                speed, push = arrival, -side * acceleration(motion, at_stop)
             departure = -side * restitution * arrival
             x = side * stop + (1.0 - share) * dt * departure
             v = departure + (0.5 - share) * change
@@ -88,8 +88,8 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
     if square > 0.0:
         peak = stop
         if first_speed == 0.0:
-            # At some time after the pulse; the exact time does not matter without ground motion.
-            first_speed, first_time, first_side = math.sqrt(square), HALF_DURATION * period, math.copysign(1.0, v)
+            # At some time after the ground motion; the exact time does not matter then.
+            first_speed, first_time, first_side = math.sqrt(square), end, math.copysign(1.0, v)
         if square > speed * speed:
             speed, push = math.sqrt(square), 0.0
     elif v != 0.0:
@@ -99,16 +99,17 @@ def slide(stiffness, friction, stop, restitution, amplitude, period, steps):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def drift(stiffness, friction, amplitude, period, steps, until):
-    """Displacement [m] and velocity [m/s] of the block of `slide` without stops at time `until` [s] in the pulse."""
+def drift(stiffness, friction, motion, steps, until):
+    """Displacement [m] and velocity [m/s] of the block of `slide` without stops at time `until` [s]."""
+    begin, _, period = shaking_of(motion)
     shortest = min(period, 1.0, 2.0 * math.pi / math.sqrt(stiffness))
-    duration = max(until + HALF_DURATION * period, 0.0)
+    duration = max(until - begin, 0.0)
     count = max(math.ceil(duration / shortest * steps), 1)
     dt = duration / count
     x, v, change = 0.0, 0.0, 0.0
     for n in range(count):
         before = v
-        v -= dt * (stiffness * x + ground_acceleration(n * dt - HALF_DURATION * period, amplitude, period))
+        v -= dt * (stiffness * x + acceleration(motion, n * dt + begin))
         v = math.copysign(max(abs(v) - dt * friction, 0.0), v)
         change = v - before
         x += dt * v
@@ -116,24 +117,33 @@ def drift(stiffness, friction, amplitude, period, steps, until):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def sliding_pair(bearing, motion, slider_diameter, restitution, steps):
+    """v* and a* of a bearing, (7,), under a ground motion (`sliding_features`); NaN if it cannot be built."""
+    T_b, mu, D_tot, h_sl_ratio, h_rim_ratio = bearing[0], bearing[1], bearing[2], bearing[3], bearing[4]
+    rate = T_b / (2.0 * math.pi)
+    radius = 0.5 * GRAVITY * (rate * rate)
+    length = (
+        2.0 * math.sqrt(radius * radius - 0.25 * (slider_diameter * slider_diameter)) - h_sl_ratio * slider_diameter
+    )
+    # Also for NaN.
+    if not (length > 0.0 and mu >= 0.0 and D_tot > 0.0 and h_rim_ratio > 0.0):
+        return math.nan, math.nan
+    stiffness = GRAVITY / length
+    block = slide(stiffness, mu * 2.0 * radius * stiffness, D_tot, restitution, motion, steps)
+    speed = block.speed
+    if speed == 0.0:
+        speed = -math.sqrt(stiffness * max(D_tot * D_tot - block.peak * block.peak, 0.0))
+    return speed / math.sqrt(2.0 * GRAVITY * h_rim_ratio * slider_diameter), block.push / GRAVITY
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _features(X, slider_diameter, restitution, steps, out):
     for row in range(len(X)):
-        T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, _, _, T_p, A_p = X[row]
-        rate = T_b / (2.0 * math.pi)
-        radius = 0.5 * GRAVITY * (rate * rate)
-        length = (
-            2.0 * math.sqrt(radius * radius - 0.25 * (slider_diameter * slider_diameter)) - h_sl_ratio * slider_diameter
-        )
+        T_p, A_p = X[row, 7], X[row, 8]
         # Also for NaN.
-        if not (length > 0.0 and mu >= 0.0 and D_tot > 0.0 and h_rim_ratio > 0.0 and 0.0 < T_p < math.inf):
-            continue
-        stiffness = GRAVITY / length
-        block = slide(stiffness, mu * 2.0 * radius * stiffness, D_tot, restitution, A_p * GRAVITY, T_p, steps)
-        speed = block.speed
-        if speed == 0.0:
-            speed = -math.sqrt(stiffness * max(D_tot * D_tot - block.peak * block.peak, 0.0))
-        out[row, 0] = speed / math.sqrt(2.0 * GRAVITY * h_rim_ratio * slider_diameter)
-        out[row, 1] = block.push / GRAVITY
+        if 0.0 < T_p < math.inf:
+            pair = sliding_pair(X[row, :7], Ricker(A_p * GRAVITY, T_p), slider_diameter, restitution, steps)
+            out[row, 0], out[row, 1] = pair
 
 
 SLIDING_FEATURES = ("v*", "a*")

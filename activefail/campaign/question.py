@@ -162,8 +162,9 @@ def read_fixed(path: Path, space: DesignSpace) -> dict[str, float]:
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
+    values = parse_toml(read_text(path), str(path))
     try:
-        return checked_values(parse_toml(read_text(path), str(path)), space)
+        return checked_values(values, space)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

@@ -54,6 +54,20 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 Workers = Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)]
 
+SliderDiameter = Annotated[float, typer.Option(help="Slider diameter D_sl [m].")]
+
+RestitutionCoefficient = Annotated[float, typer.Option(help="Coefficient of restitution of the contacts.")]
+
+SliderDensity = Annotated[float, typer.Option(help="Density of the slider [kg/m³].")]
+
+LossOfConfinement = Annotated[bool, typer.Option(help="Count the bearing as failed once no rim restrains the slider.")]
+
+Restitution = Annotated[str, typer.Option(help="Mass that sets the contact damping: pairwise or assembly.")]
+
+FrictionVelocity = Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")]
+
+RelativeTolerance = Annotated[float, typer.Option(help="Relative tolerance of the integration.")]
+
 ExecutorName = Annotated[
     Literal["local", "dask"], typer.Option(help="Where simulations run: this machine, or a Dask cluster.")
 ]

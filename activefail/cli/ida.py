@@ -1,12 +1,25 @@
 """`activefail ida`: at which intensity of each record of a set a bearing fails."""
 
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import AsJson, print_json
+from activefail.cli.common import (
+    AsJson,
+    FrictionVelocity,
+    LossOfConfinement,
+    RelativeTolerance,
+    Restitution,
+    RestitutionCoefficient,
+    SliderDensity,
+    SliderDiameter,
+    Workers,
+    opened_run,
+    print_json,
+)
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import replacing, writing_to
@@ -14,7 +27,9 @@ from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
+    from activefail.bearing import Model
     from activefail.risk.ida.findings import IdaFindings
+    from activefail.risk.ida.predictions import Surrogate
     from activefail.space import Array
 
 
@@ -48,13 +63,51 @@ def ida(
     mce: Annotated[
         float | None,
         typer.Option(
-            help="Intensity of the maximum considered earthquake; adds the collapse margin ratio of FEMA P695."
+            help="Intensity of the maximum considered earthquake; adds the collapse margin ratio of FEMA P695.",
+            show_default=False,
         ),
     ] = None,
-    ssf: Annotated[float, typer.Option(help="Spectral shape factor of FEMA P695, with --mce.")] = 1.0,
-    beta_total: Annotated[float, typer.Option(help="Total dispersion β of FEMA P695, with --mce.")] = 0.5,
+    ssf: Annotated[
+        float | None,
+        typer.Option(help="Spectral shape factor of FEMA P695, with --mce; 1 by default.", show_default=False),
+    ] = None,
+    sdc: Annotated[
+        str | None,
+        typer.Option(
+            help="Seismic design category (dmax, dmin, cmax, cmin, bmax, bmin), to compute the shape factor.",
+            show_default=False,
+        ),
+    ] = None,
+    ductility: Annotated[
+        float | None,
+        typer.Option(help="Period-based ductility of FEMA P695, for --sdc and --ratings.", show_default=False),
+    ] = None,
+    beta_total: Annotated[
+        float | None, typer.Option(help="Total dispersion β, with --mce; 0.5 by default.", show_default=False)
+    ] = None,
+    ratings: Annotated[
+        str | None,
+        typer.Option(
+            help="Ratings A to D of design requirements, test data and model, such as B,B,C, to compute β.",
+            show_default=False,
+        ),
+    ] = None,
     pulses: Annotated[bool, typer.Option("--pulses", help="Compare each record with the pulse nearest to it.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Parallel simulations; all cores by default.", min=1)] = None,
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            help="Run folder of a campaign under pulses: with --pulses, its classifier predicts each level.",
+            show_default=False,
+        ),
+    ] = None,
+    slider_diameter: SliderDiameter = 0.30,
+    restitution_coefficient: RestitutionCoefficient = 0.65,
+    slider_density: SliderDensity = 7850.0,
+    loss_of_confinement: LossOfConfinement = True,
+    restitution: Restitution = "pairwise",
+    friction_velocity: FrictionVelocity = 1e-3,
+    tolerance: RelativeTolerance = 1e-4,
+    workers: Workers = None,
     as_json: AsJson = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for ida.json, ida.csv, ida.png and ida.svg.", show_default=False)
@@ -65,16 +118,41 @@ def ida(
     The intensities give a fragility curve.
     """
     from activefail.accelerogram_sets import read_record_set
-    from activefail.risk.ida.findings import BISECTIONS, LEVELS, MarginOptions, analyse
+    from activefail.bearing.design import Model, Tolerance, outside_table_1
+    from activefail.risk.ida.findings import BISECTIONS, LEVELS, analyse
     from activefail.risk.ida.intensity import Intensity
+    from activefail.risk.ida.p695 import MarginRequest
 
     check_output("--out", out)
-    intensity, row = Intensity.of(scale_to), _bearing(bearing)
-    options = None if mce is None else MarginOptions(mce, ssf, beta_total)
+    if campaign is not None and not pulses:
+        raise InputError("--campaign: needs --pulses, because a campaign under pulses knows no records.")
+    if out is not None and out.resolve() == records.resolve():
+        raise InputError(f"--out: must be another folder than --records, got {visible(str(out))}.")
+    model = Model(
+        slider_diameter=slider_diameter,
+        restitution_coefficient=restitution_coefficient,
+        restitution=restitution,
+        slider_density=slider_density,
+        friction_velocity=friction_velocity,
+        loss_of_confinement=loss_of_confinement,
+    )
+    integration = Tolerance(relative=tolerance)
+    intensity, row = Intensity.of(scale_to), _bearing(bearing, model)
+    request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
     read = read_record_set(records, unit, dt)
+    options = request.options(float(row[0]), read.of_p695)
+    surrogate = None if campaign is None else _surrogate(campaign, outcome, model)
+    if out is not None:
+        # Before the simulations, which would be lost.
+        with writing_to(out):
+            out.mkdir(parents=True, exist_ok=True)
+    for note in outside_table_1(row.tolist()):
+        print(f"note: {note}", file=sys.stderr)
     with progress_bar("simulating") as begin:
         noted = begin(len(read.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
-        found = analyse(row, read, intensity, outcome, to, options, pulses, threads=workers, progress=noted)
+        found = analyse(
+            row, read, intensity, outcome, to, options, pulses, surrogate, model, integration, workers, noted
+        )
     if out is not None:
         _write(found, out)
     if as_json:
@@ -88,7 +166,7 @@ def ida(
         print(f"written     {visible(str(out))}: ida.json, ida.csv, ida.png, ida.svg")
 
 
-def _bearing(file: Path) -> "Array":
+def _bearing(file: Path, model: "Model") -> "Array":
     """The bearing of a file, (7,), in the units of Table 1.
 
     Raises:
@@ -96,7 +174,7 @@ def _bearing(file: Path) -> "Array":
     """
     import numpy as np
 
-    from activefail.bearing.design import TABLE_1
+    from activefail.bearing.design import TABLE_1, Bearing
     from activefail.campaign.question import read_fixed
 
     values, names = read_fixed(file, TABLE_1), TABLE_1.names[:7]
@@ -108,7 +186,29 @@ def _bearing(file: Path) -> "Array":
             )
     if missing := [name for name in names if name not in values]:
         raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
-    return np.array([values[name] for name in names])
+    row = [values[name] for name in names]
+    try:
+        Bearing.from_row(row, model.slider_diameter)
+    except InputError as error:
+        raise InputError(f"{visible(str(file))}: {error}") from None
+    return np.array(row)
+
+
+def _surrogate(folder: Path, outcome: str, model: "Model") -> "Surrogate":
+    """The classifier of a run folder.
+
+    Raises:
+        InputError: if the folder has no campaign under pulses with this model, or the outcome is unknown.
+    """
+    from activefail.bearing.outcome import OUTCOMES
+    from activefail.risk.ida.predictions import Surrogate
+
+    if outcome not in OUTCOMES:
+        raise InputError(f"--outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
+    with opened_run(folder) as run:
+        if run.settings.bearing.model() != model:
+            raise InputError("--campaign: its [bearing] settings differ from this command's options; state the same.")
+        return Surrogate(run.campaign, run.classifier, OUTCOMES.index(outcome))
 
 
 def _write(found: "IdaFindings", out: Path) -> None:
@@ -119,7 +219,6 @@ def _write(found: "IdaFindings", out: Path) -> None:
     numbers = found.as_json()
     columns = list(numbers["records"][0])
     with writing_to(out):
-        out.mkdir(parents=True, exist_ok=True)
         with replacing(out / "ida.json") as file:
             file.write(json.dumps(numbers, indent=2))
         with writing(out / "ida.csv", columns) as write:

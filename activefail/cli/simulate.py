@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import name_of, table_input, table_output
+from activefail.cli.common import (
+    FrictionVelocity,
+    LossOfConfinement,
+    RelativeTolerance,
+    Restitution,
+    RestitutionCoefficient,
+    SliderDensity,
+    SliderDiameter,
+    name_of,
+    table_input,
+    table_output,
+)
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import check_file, writing_to
@@ -58,17 +69,13 @@ def simulate(
     animate: Annotated[
         Path | None, typer.Option(help="Animate the bearing (.gif or .mp4).", show_default=False)
     ] = None,
-    slider_diameter: Annotated[float, typer.Option(help="Slider diameter D_sl [m].")] = 0.30,
-    restitution_coefficient: Annotated[float, typer.Option(help="Coefficient of restitution of the contacts.")] = 0.65,
-    slider_density: Annotated[float, typer.Option(help="Density of the slider [kg/m³].")] = 7850.0,
-    loss_of_confinement: Annotated[
-        bool, typer.Option(help="Count the bearing as failed once no rim restrains the slider.")
-    ] = True,
-    restitution: Annotated[
-        str, typer.Option(help="Mass that sets the contact damping: pairwise or assembly.")
-    ] = "pairwise",
-    friction_velocity: Annotated[float, typer.Option(help="Velocity over which friction is regularised [m/s].")] = 1e-3,
-    tolerance: Annotated[float, typer.Option(help="Relative tolerance of the integration.")] = 1e-4,
+    slider_diameter: SliderDiameter = 0.30,
+    restitution_coefficient: RestitutionCoefficient = 0.65,
+    slider_density: SliderDensity = 7850.0,
+    loss_of_confinement: LossOfConfinement = True,
+    restitution: Restitution = "pairwise",
+    friction_velocity: FrictionVelocity = 1e-3,
+    tolerance: RelativeTolerance = 1e-4,
 ) -> None:
     """Simulate one bearing, or a table of designs.
 
@@ -139,6 +146,7 @@ def _simulate_one(
     plot: Path | None,
     animate: Path | None,
 ) -> None:
+    from activefail.accelerogram_files import doubts
     from activefail.bearing.design import GRAVITY, Bearing, Pulse, outside_table_1
     from activefail.bearing.motion import response_lines
     from activefail.bearing.simulation import simulate_one
@@ -155,8 +163,9 @@ def _simulate_one(
             f"{record.peak / GRAVITY:.3g} g, PGV {record.peak_velocity:.3g} m/s"
         )
     print("\n".join(response_lines(response)))
-    for note in outside_table_1(design):
-        print(f"note: {note}", file=sys.stderr)
+    notes = [] if record is None else [f"{record.name} {doubt}" for doubt in doubts(record)]
+    for note in [*notes, *outside_table_1(design)]:
+        print(f"note: {visible(note)}", file=sys.stderr)
     if plot is not None:
         from activefail.figures.motion import save_response
 

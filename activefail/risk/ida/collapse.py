@@ -33,9 +33,9 @@ def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:
     """The lognormal curve of largest likelihood, from capacities that lie in (below, capacity], (n,) each.
 
     A record that never fails has an infinite capacity, and says only that it lies above `below`. None if fewer than two
-    records fail: the data then do not bound the curve.
+    records both survive a level and fail at a higher one: the data then do not bound the curve.
     """
-    if int(np.isfinite(capacity).sum()) < 2:
+    if int((np.isfinite(capacity) & (below > 0.0)).sum()) < 2:
         return None
     with np.errstate(divide="ignore"):
         low, high = np.log(below), np.log(capacity)

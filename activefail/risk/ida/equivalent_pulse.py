@@ -11,8 +11,9 @@ from scipy.signal import correlate
 
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.pulse import HALF_DURATION, VELOCITY_PER_ACCELERATION, ground_acceleration
-from activefail.risk.ida.capacity import Capacities
+from activefail.risk.ida.capacity import Capacities, on_ladder
 from activefail.risk.ida.collapse import jackknife
+from activefail.risk.ida.predictions import Agreement
 from activefail.space import Array
 
 _PERIODS = np.geomspace(0.25, 12.0, 60)
@@ -80,8 +81,7 @@ class PulseComparison:
         interval: of the mean, over events; empty if it cannot be had.
         spread: standard deviation of the logarithm.
         compared: records with both capacities.
-        both_fail, both_survive, missed, false: levels of the ladder by the outcomes of record and pulse; `missed` are
-            failures under the record that the pulse survives.
+        levels: of the ladder, by the outcomes of record and pulse.
     """
 
     pulses: tuple[EquivalentPulse, ...]
@@ -90,10 +90,7 @@ class PulseComparison:
     interval: tuple[float, float] | tuple[()]
     spread: float
     compared: int
-    both_fail: int
-    both_survive: int
-    missed: int
-    false: int
+    levels: Agreement
 
 
 def compare_pulses(
@@ -116,11 +113,8 @@ def compare_pulses(
     both = np.isfinite(of_pulses.capacity) & np.isfinite(of_records.capacity)
     ratio = np.log(of_pulses.capacity[both] / of_records.capacity[both])
     names = [event for event, kept in zip(events, both, strict=True) if kept]
-    counts = np.zeros((2, 2), dtype=np.int64)
-    for k in range(len(events)):
-        record, pulse = (one.outcomes[k][np.isin(one.levels[k], ladder)] for one in (of_records, of_pulses))
-        answered = (record >= 0) & (pulse >= 0)
-        np.add.at(counts, ((record[answered] >= severity).astype(int), (pulse[answered] >= severity).astype(int)), 1)
+    record, pulse = (on_ladder(one, ladder).ravel() for one in (of_records, of_pulses))
+    answered = (record >= 0) & (pulse >= 0)
     half = jackknife(lambda rows: float(ratio[rows].mean()), names) if len(ratio) else None
     mean = float(ratio.mean()) if len(ratio) else math.nan
     return PulseComparison(
@@ -130,8 +124,5 @@ def compare_pulses(
         () if half is None else (mean - half, mean + half),
         float(ratio.std(ddof=1)) if len(ratio) > 1 else math.nan,
         len(ratio),
-        int(counts[1, 1]),
-        int(counts[0, 0]),
-        int(counts[1, 0]),
-        int(counts[0, 1]),
+        Agreement.of(record[answered] >= severity, pulse[answered] >= severity),
     )

