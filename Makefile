@@ -5,13 +5,14 @@ BIN := $(VENV)/bin
 RUN := runs/paper
 PIP = $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: paper test test-all check faults reproduction benchmark clean help
+.PHONY: paper test test-all check faults docs reproduction benchmark clean help
 
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
 	@echo "make test         install, run all checks"
 	@echo "make test-all     the same with the exhaustive tests: more cases, and claims that take long to test"
 	@echo "make faults       install, try every state of the fault suite (docs/reliability.md)"
+	@echo "make docs         install, build the site of the documentation in build/docs"
 	@echo "make reproduction install, write docs/reproduction.md and its figures anew"
 	@echo "make benchmark    install, measure the simulator against SciPy's solvers"
 	@echo "make clean        remove the virtual environment (run folders stay)"
@@ -48,6 +49,11 @@ test-all: check
 # Every state, where `make test` tries a few of each kind. With strace (Debian: apt install strace) it also kills.
 faults: $(VENV)/.installed
 	$(BIN)/pytest -n 2 --dist loadfile -m faults --every-fault
+
+# A warning is an error. Every page is read again: the reference comes from the code.
+docs: $(VENV)/.installed
+	$(BIN)/python -m sphinx -b html -d build/doctrees -E -W --keep-going -q docs build/docs
+	@echo "the site: build/docs/index.html"
 
 reproduction: $(VENV)/.installed
 	$(BIN)/activefail paper --out docs

@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import inspect
+import math
 import re
 import shlex
 import shutil
@@ -17,7 +18,8 @@ import pytest
 
 import activefail
 from activefail.campaign.hazard_sections import HazardSettings
-from activefail.campaign.settings import CampaignSettings
+from activefail.campaign.sections import Section
+from activefail.campaign.settings import CampaignSettings, checked
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -189,6 +191,62 @@ def test_the_guide_lists_every_method_and_property_of_a_run_with_its_arguments()
             assert default in ("", "…") or ast.literal_eval(default) == one.default, name
 
 
+TUTORIALS = ROOT / "docs" / "tutorials"
+
+
+def test_the_commands_of_the_first_tutorial_run_in_their_order(tmp_path, monkeypatch):
+    page = TUTORIALS / "first_design.md"
+    monkeypatch.chdir(tmp_path)
+    (text,) = blocks(page, "toml")
+    (tmp_path / "bearing.toml").write_text(text)
+    commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    assert [shlex.split(command)[1] for command in commands] == (
+        ["doctor", "simulate", "campaigns", "run", "status", "design"]
+    )
+    for command in commands:
+        name, *words = shlex.split(command)
+        if words[0] == "run":
+            assert Path(words[1]).exists()
+            shutil.copytree(ROOT / "tests" / "old_runs" / "finished" / "paper", Path(words[-1]))
+            continue
+        # Small: the classifier of this folder has learned too little to find a bearing.
+        small = ["--simulations", "60", "--no-chart"] if words[0] == "design" else []
+        done = commandline.activefail(*words, *small)
+        assert (name, done.code) == ("activefail", 3 if words[0] == "design" else 0), f"{command}\n{done.err}"
+    assert Path("response.png").exists()
+    assert Path("design", "design.html").exists()
+
+
+def test_the_tutorial_on_a_custom_simulator_runs_as_it_says(tmp_path, monkeypatch):
+    page = TUTORIALS / "custom_simulator.md"
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "python": ("beam.py", "program.py"),
+        "toml": ("beam.toml", "site.toml", "program.toml"),
+        "csv": ("designs.csv",),
+    }
+    for language, names in files.items():
+        for name, text in zip(names, blocks(page, language), strict=True):
+            (tmp_path / name).write_text(text)
+    commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    said = {}
+    for command in commands:
+        name, *words = shlex.split(command)
+        done = commandline.activefail(*words)
+        assert (name, done.code) == ("activefail", 0), f"{command}\n{done.err}"
+        said[words[0]] = done.out
+    rows = Path("predictions.csv").read_text().splitlines()
+    column = rows[0].split(",").index("p_failure")
+    safe, *failing = (float(row.split(",")[column]) for row in rows[1:])
+    assert safe < 0.01
+    assert min(failing) > 0.99
+    low, high = re.search(r"interval   (\S+) to (\S+),", said["probability"]).groups()
+    scale = 4 * 6**0.5 / math.pi
+    exact = 1 - math.exp(-math.exp(-(91 / 2.5 - (20 - 0.5772157 * scale)) / scale))
+    assert f"{exact:.4f}" == "0.0029"
+    assert float(low) < exact < float(high)
+
+
 HAZARD = ROOT / "docs" / "hazard.md"
 
 
@@ -247,6 +305,13 @@ def test_links_between_pages_lead_somewhere(page):
         assert not anchor or anchor in anchors(there), f"{page.name}: {target}#{anchor}"
 
 
+def test_the_first_page_leads_to_every_page():
+    docs = ROOT / "docs"
+    linked = set(re.findall(r"\]\(([^)#:]+)", (docs / "index.md").read_text(encoding="utf-8")))
+    pages = {page.relative_to(docs).as_posix() for page in (*docs.glob("**/*.md"), *docs.glob("**/*.ipynb"))}
+    assert linked == pages - {"index.md"}
+
+
 def test_the_guide_lists_every_setting_with_its_default():
     guide = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
     stated = dict(re.findall(r"^\| `([\w.]+)` \| ([^|]*) \|", guide, re.MULTILINE))
@@ -276,6 +341,36 @@ def test_the_list_of_modules_is_what_its_script_writes_and_every_module_says_wha
     modules = script("modules")
     assert modules.PAGE.read_text(encoding="utf-8") == modules.page(), "run python docs/modules.py"
     assert not re.findall(r"^- `.*`:\s*$|^## .*\n\n\n", modules.page(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", ["commands", "settings"])
+def test_the_pages_of_commands_and_keys_are_what_their_scripts_write(name):
+    reference = script(name)
+    assert reference.PAGE.read_text(encoding="utf-8") == reference.page(), f"run python docs/{name}.py"
+
+
+def test_a_key_without_a_meaning_is_not_written():
+    class Unexplained(Section):
+        """A section of which no key is explained."""
+
+        size: int = 0
+
+    reference = script("settings")
+    with pytest.raises(KeyError, match="'size'"):
+        reference.rows(Unexplained, Unexplained.model_json_schema())
+
+
+def test_the_settings_that_a_page_recommends_are_settings():
+    features, *campaigns = map(tomllib.loads, blocks(ROOT / "docs" / "which.md", "toml"))
+    assert len(campaigns) == 2
+    for settings in (features, *campaigns):
+        checked(CampaignSettings, settings, "docs/which.md")
+    defaults = CampaignSettings()
+    assert (defaults.acquisition.criterion, defaults.acquisition.exploration) == ("entropy", 0.0)
+    assert checked(CampaignSettings, campaigns[0], "").acquisition.criterion == "eavc"
+    shipped = tomllib.loads((ROOT / "campaigns" / "bearing.toml").read_text(encoding="utf-8"))
+    assert shipped["classifier"] == {"features": "collision", "kernel": "matern52"}
+    assert shipped["acquisition"] == {"criterion": "eavc", "boundary": {"failure": 0.7, "impact": 0.3}}
 
 
 # --- citations ---------------------------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ class MagnitudeSection(Section):
     Attributes:
         M: moment magnitude.
         relation: published relation between magnitude and pulse period.
-        dispersion: of ln T_p; the relation's own if it is left out.
+        dispersion: standard deviation of ln T_p; the relation's own if it is left out.
     """
 
     M: float = Field(ge=5.0, le=9.0)
@@ -83,8 +83,8 @@ class PulsePeriodSection(Section):
     """Pulse periods by their median and dispersion.
 
     Attributes:
-        median_s: [s].
-        dispersion: of ln T_p.
+        median_s: median of the period [s].
+        dispersion: standard deviation of ln T_p.
         definition: "velocity" for a period of the velocity pulse, as published; "acceleration" for T_p.
     """
 
@@ -97,9 +97,9 @@ class VelocitySection(Section):
     """Peak ground velocities.
 
     Attributes:
-        median_m_s: [m/s].
-        dispersion: of ln PGV.
-        correlation_with_period: of ln PGV with ln T_p.
+        median_m_s: median of the peak ground velocity [m/s].
+        dispersion: standard deviation of ln PGV.
+        correlation_with_period: correlation of ln PGV with ln T_p.
     """
 
     median_m_s: float = Field(ge=0.001)
@@ -118,7 +118,8 @@ class PropertiesSection(Section):
     """Bounds on what the bearing will be: property modification factors [ASCE2017, 17.2.8].
 
     Attributes:
-        mu_lower, mu_upper: factors on the friction coefficient.
+        mu_lower: smallest factor on the friction coefficient.
+        mu_upper: largest factor on the friction coefficient.
         D_tot_lower: factor on the displacement capacity, for tolerances.
     """
 
@@ -140,7 +141,13 @@ class RecordFactorSection(Section):
 
 
 class UncertaintySection(Section):
-    """Dispersions of the capacity that the pulses do not show [FEMA2009]."""
+    """Dispersions of the capacity that the pulses do not show [FEMA2009].
+
+    Attributes:
+        design_requirements: of the design requirements, as a standard deviation of the logarithm of the capacity.
+        test_data: of the test data, likewise.
+        modelling: of the model, likewise.
+    """
 
     design_requirements: float = Field(0.0, ge=0.0, le=1.0)
     test_data: float = Field(0.0, ge=0.0, le=1.0)
@@ -157,7 +164,7 @@ class CurveSection(Section):
 
     Attributes:
         pgv_m_s: velocities [m/s], increasing.
-        annual_rate: decreasing.
+        annual_rate: rates [1/year], decreasing.
     """
 
     pgv_m_s: list[Annotated[float, Field(gt=0.0)]] = Field(min_length=2, max_length=1000)
@@ -193,11 +200,15 @@ class HazardSettings(Section):
     """A hazard file.
 
     Attributes:
-        description: in words.
-        magnitude, pulse_period: either gives the distribution of the pulse period.
+        description: the site, in words.
+        magnitude: gives the distribution of the pulse period.
+        pulse_period: gives the same in place of `magnitude`.
         pgv: the distribution of the peak ground velocity.
         samples: file of pulses in place of both: columns T_p [s], PGV [m/s] or A_p [g], and weight.
-        properties, record_factor, uncertainty, curve: as their classes say; what is left out is not applied.
+        properties: bounds on what the bearing will be; not applied if left out.
+        record_factor: from pulses to records; not applied if left out.
+        uncertainty: more dispersion of the capacity; none if left out.
+        curve: hazard curve, which turns fragility into risk.
     """
 
     description: str = Field("", max_length=200)

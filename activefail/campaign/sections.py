@@ -54,6 +54,23 @@ class Variable(Section):
     Distributions are stated by mean and sd, by mean and coefficient of variation, or by their own parameters
     (`activefail.distributions`). Only uniform, log-uniform, truncated
     normal and beta variables need bounds.
+
+    Attributes:
+        low: lower bound, in the unit of the variable. It truncates a distribution that needs no bounds.
+        high: upper bound, likewise.
+        unit: unit as text, for tables and figures; nothing is converted.
+        distribution: name of the distribution.
+        mean: mean, before truncation.
+        sd: standard deviation, before truncation.
+        cov: coefficient of variation, sd / abs(mean), in place of `sd`.
+        median: median of a lognormal variable.
+        dispersion: standard deviation of the logarithm of a lognormal variable.
+        location: mode of a Gumbel variable.
+        shape: shape of a Weibull or gamma variable.
+        scale: scale of a Gumbel, Weibull or gamma variable.
+        alpha: first shape of a beta variable between its bounds.
+        beta: second shape of a beta variable.
+        rate: rate of an exponential variable, 1 / mean.
     """
 
     low: float | None = None
@@ -119,14 +136,29 @@ class Variable(Section):
 
 
 class FixedVariable(Section):
-    """A quantity of the simulator that is the same for every design."""
+    """A quantity of the simulator that is the same for every design.
+
+    Attributes:
+        value: the value, in its unit.
+        unit: unit as text.
+    """
 
     value: float = Field(ge=-LARGEST, le=LARGEST)
     unit: str = ""
 
 
 class BearingSettings(Section):
-    """Settings of the double friction pendulum (`activefail.bearing.Model` and `Tolerance`)."""
+    """Settings of the double friction pendulum (`activefail.bearing.Model` and `Tolerance`).
+
+    Attributes:
+        slider_diameter: D_sl [m], which Table 1 does not contain.
+        restitution_coefficient: coefficient of restitution of the contacts, dish and rim.
+        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate.
+        slider_density: density of the slider [kg/m³].
+        friction_velocity: velocity over which Coulomb friction is regularised [m/s].
+        loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.
+        tolerance: relative error per step of the integration.
+    """
 
     slider_diameter: float = Field(0.30, gt=0.0, lt=5.0)
     restitution_coefficient: float = Field(0.65, gt=0.0, le=1.0)
@@ -243,14 +275,18 @@ class CustomSimulatorSettings(OutcomeSettings):
     """Settings of a custom simulator that activefail calls.
 
     Attributes:
-        time_limit: of one simulation [s]; no limit if None.
+        time_limit: limit of the time of one simulation [s]; none if it is left out.
     """
 
     time_limit: float | None = Field(None, gt=0.0, le=1e9)
 
 
 class ElsewhereSettings(OutcomeSettings):
-    """Simulations that are made elsewhere: `ask` hands their designs out, `tell` records their results."""
+    """Simulations that are made elsewhere: `ask` hands their designs out, `tell` records their results.
+
+    Attributes:
+        elsewhere: always true.
+    """
 
     elsewhere: Literal[True]
 
@@ -259,7 +295,8 @@ class PythonSimulatorSettings(CustomSimulatorSettings):
     """A simulator that is a Python function (`activefail.simulators.function`), found like `PythonFeaturesSettings`.
 
     Attributes:
-        renew: simulations after which a worker process is replaced; never if None.
+        python: the function, "module:function".
+        renew: simulations after which a worker process is replaced; never if it is left out.
     """
 
     python: _Reference
@@ -286,9 +323,9 @@ class Sampling(Section):
     """Numbers of simulations.
 
     Attributes:
-        initial: in the initial design, a Latin hypercube.
-        budget: in all.
-        batch: in a batch; in an asynchronous campaign, in flight at a time.
+        initial: simulations of the initial design, a Latin hypercube.
+        budget: all simulations.
+        batch: designs in a batch; in an asynchronous campaign, in flight at a time.
         asynchronous: whether the campaign learns from each result as soon as it arrives.
         reach: probability outside the bounds of variables whose bounds the file leaves out. No design is proposed
             there.
@@ -340,6 +377,12 @@ class Stop(Section):
 
     Every `every` batches, verification takes `simulations` fresh designs outside the budget, once the classifier itself
     expects no larger error.
+
+    Attributes:
+        error: share of the design space that the classifier may get wrong.
+        confidence: confidence that the error is at most `error`, over all looks together.
+        simulations: fresh simulations for each look, outside the budget.
+        every: batches between two looks.
     """
 
     error: float = Field(gt=0.0, lt=0.5)
@@ -397,6 +440,8 @@ class ClassifierSettings(Section):
     """Features of the classifier, the smoothness of its boundaries, and what these are learned from.
 
     Attributes:
+        features: what the classifier sees of a design.
+        kernel: covariance of the latents: squared exponential or Matérn-5/2.
         learns: "outcomes", the name of a margin, or "auto": evidence decides for each boundary.
     """
 
@@ -411,7 +456,14 @@ class ClassifierSettings(Section):
 
 
 class AcquisitionSettings(Section):
-    """How active designs are chosen."""
+    """How active designs are chosen.
+
+    Attributes:
+        criterion: what ranks the candidates.
+        boundary: outcome of the target boundary, or weights by outcome. With a custom simulator the most severe outcome
+            by default.
+        exploration: share of the proposed designs that are drawn from the whole space instead.
+    """
 
     criterion: Criterion = "entropy"
     boundary: str | dict[str, float] = "failure"
@@ -444,13 +496,21 @@ class AcquisitionSettings(Section):
 
 
 class Validation(Section):
-    """Designs outside the budget on which a campaign measures its accuracy while it runs."""
+    """Designs outside the budget on which a campaign measures its accuracy while it runs.
+
+    Attributes:
+        size: number of designs.
+    """
 
     size: int = Field(0, ge=0, le=100_000)
 
 
 class Limits(Section):
-    """Limits above which a campaign stops with an error."""
+    """Limits above which a campaign stops with an error.
+
+    Attributes:
+        numerical_failures: share of numerical failures among the simulations, from 20 simulations on.
+    """
 
     numerical_failures: float = Field(0.05, ge=0.0, le=1.0)
 
@@ -464,7 +524,7 @@ class QuestionSettings(Section):
     """A question: other distributions of the variables, in a campaign file or a file of its own.
 
     Attributes:
-        description: in words.
+        description: what is asked, in words.
         reach: as `sampling.reach`, for variables whose bounds the file leaves out.
         space: distributions and fixed values of variables; a variable that is left out keeps the campaign's.
         correlation: as in a campaign; the campaign's among the uncertain variables if it is left out.

@@ -50,7 +50,23 @@ def _table_1() -> dict[str, Variable | FixedVariable]:
 
 
 class CampaignSettings(Section):
-    """The definition of a campaign; with the same versions and threads it gives the same bits."""
+    """The definition of a campaign; with the same versions and threads it gives the same bits.
+
+    Attributes:
+        description: one line, which `status` shows.
+        seed: seed of all random numbers.
+        simulator: "dfp", the double friction pendulum bearing, or a table of a custom simulator.
+        bearing: model of the bearing.
+        space: variables and fixed quantities by name; Table 1 by default, required with a custom simulator.
+        correlation: pairs of variables with the correlation coefficient of their values.
+        sampling: numbers of simulations.
+        classifier: features, covariance, and what is learned from.
+        acquisition: how designs are chosen.
+        validation: designs on which the accuracy is measured during the campaign.
+        limits: limits of numerical failures.
+        stop: the stop rule; none by default.
+        question: other distributions, under which `activefail probability` answers.
+    """
 
     description: str = ""
     seed: int = Field(0, ge=0, lt=2**63)

@@ -1,0 +1,52 @@
+"""Writes docs/reference/commands.md, the reference of the command line, from the program itself.
+
+python docs/commands.py
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from activefail.cli import app
+
+DOCS = Path(__file__).parent
+PAGE = DOCS / "reference" / "commands.md"
+
+HEAD = """# Command line
+
+Every command with its arguments and options, as `activefail COMMAND --help` shows them. `python docs/commands.py`
+writes this page. The [guide](../guide.md#campaigns) says what the commands are for, and lists the
+[exit codes](../guide.md#extra-simulations-exit-codes-ctrl-c).
+
+"""
+
+
+def linked(text: str) -> str:
+    """A help text with links to the pages that it names, fit for a cell of a table."""
+    text = text.replace("|", r"\|").replace("<", r"\<").replace("*", r"\*")
+    return re.sub(r"docs/([\w./]+\.md)", lambda page: f"[{page[1]}](../{page[1]})", text)
+
+
+def command_section(name: str, command: Any) -> str:
+    """A command's section: what it does, how it is called, and a table of its arguments and options."""
+    context = command.make_context(f"activefail {name}", [], resilient_parsing=True)
+    usage = command.get_usage(context).removeprefix("Usage: ")
+    parameters = [parameter for parameter in command.get_params(context) if parameter.name != "help"]
+    rows = []
+    for parameter in parameters:
+        declared, text = parameter.get_help_record(context)
+        rows.append(f"| `{declared.replace('|', chr(92) + '|')}` | {linked(' '.join(text.split()))} |")
+    table = ["| argument or option | meaning |", "|---|---|", *rows] if rows else ["It takes no arguments."]
+    return "\n".join([f"## {name}", "", f"    {' '.join(usage.split())}", "", linked(command.help), "", *table]) + "\n"
+
+
+def page() -> str:
+    """commands.md for the program as it is."""
+    commands = typer.main.get_command(app).commands
+    return HEAD + "\n".join(command_section(name, command) for name, command in commands.items())
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

@@ -1,0 +1,162 @@
+"""Writes docs/reference/settings.md, the keys of campaign, question and hazard files, from the settings themselves.
+
+python docs/settings.py
+"""
+
+import inspect
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from activefail.campaign import hazard_sections, sections
+from activefail.campaign.settings import CampaignSettings
+
+PAGE = Path(__file__).parent / "reference" / "settings.md"
+
+HEAD = """# Keys of the files
+
+Every key of campaign and hazard files, with its type, rule and default (– is no default). `python docs/settings.py`
+writes this page from the settings that check the files. Unknown keys are refused, and so are infinite numbers and NaN.
+The [guide](../guide.md#campaigns) explains campaign files, [Distributions](../distributions.md) the variables, and
+[Hazard files](../hazard.md) hazards. A [question file](../probability.md#other-distributions) has the keys of
+[`[question]`](#question).
+"""
+
+FILES = {
+    "Campaign file": CampaignSettings,
+    "Hazard file": hazard_sections.HazardSettings,
+}
+
+TYPES = {"string": "text", "boolean": "true or false", "integer": "whole number", "number": "number", "object": "table"}
+
+RULES = {"exclusiveMinimum": "> ", "minimum": "≥ ", "exclusiveMaximum": "< ", "maximum": "≤ "}
+
+Schema = dict[str, Any]
+
+
+def section_class(name: str) -> type:
+    """The class of a section by its name."""
+    return (
+        CampaignSettings if name == "CampaignSettings" else getattr(hazard_sections, name, None) or vars(sections)[name]
+    )
+
+
+def meanings(section: type) -> dict[str, str]:
+    """What the keys of a section mean, as its docstring and those of its bases say."""
+    found: dict[str, str] = {}
+    for one in reversed(section.__mro__):
+        _, _, text = inspect.cleandoc(one.__doc__ or "").partition("Attributes:\n")
+        for names, meaning in re.findall(r"^    (\w[\w, ]*): (.*(?:\n {8}.*)*)", text, re.MULTILINE):
+            text = " ".join(meaning.split())
+            found |= dict.fromkeys(names.split(", "), text[0].upper() + text[1:])
+    return found
+
+
+def cited(text: str) -> str:
+    """A text with links for the keys of docs/references.bib."""
+    return re.sub(r"\[([A-Z][A-Za-z]+\d{4})((?:, [^\]]*)?)\]", r"[\1\2](../references.md#\1)", text)
+
+
+def number(value: float) -> str:
+    """A bound as people write it."""
+    text = f"{value:,}" if isinstance(value, int) else f"{value:g}"
+    return "2⁶³" if value == 2**63 else re.sub(r"e([+-])0*(\d+)", lambda e: "e" + e[1].strip("+") + e[2], text)
+
+
+def rule(schema: Schema) -> str:
+    """The type of a value and the rules for it."""
+    kinds = [one for one in schema.get("anyOf", schema.get("oneOf", [])) if one.get("type") != "null"]
+    if kinds:
+        tables = ["table" for one in kinds if "$ref" in one][:1]
+        return " or ".join(dict.fromkeys([*(rule(one) for one in kinds if "$ref" not in one), *tables])) or "table"
+    if "$ref" in schema:
+        return "table"
+    if "enum" in schema or "const" in schema:
+        return ", ".join(f"`{json.dumps(one)}`" for one in schema.get("enum", [schema.get("const")]))
+    if schema["type"] == "array":
+        parts = schema.get("prefixItems", [])
+        inner = ", ".join(map(rule, parts)) if parts else rule(schema["items"])
+        least, most = schema.get("minItems", 0), schema.get("maxItems")
+        count = (
+            "" if parts or not (least or most) else f", {least} to {number(most)}" if most else f", at least {least}"
+        )
+        return f"list of ({inner}){count}" if "," in inner or " of " in inner else f"list of {inner}{count}"
+    if isinstance(values := schema.get("additionalProperties"), dict):
+        return f"table of name = {rule(values)}"
+    rules = [sign + number(schema[key]) for key, sign in RULES.items() if key in schema]
+    if "maxLength" in schema:
+        rules.append(f"at most {schema['maxLength']} characters")
+    return ", ".join([TYPES[schema["type"]], *rules])
+
+
+def default(name: str, schema: Schema, required: list[str]) -> str:
+    """The default of a key, as a file would state it."""
+    if name in required:
+        return "required"
+    value = schema.get("default")
+    if value is None or "$ref" in schema:
+        return "–"
+    return f"`{number(value) if isinstance(value, float) else json.dumps(value)}`"
+
+
+def references(schema: Schema) -> list[str]:
+    """The names of the tables that a value may be."""
+    return re.findall(r'"\$ref": "#/\$defs/(\w+)"', json.dumps(schema))
+
+
+def rows(section: type, schema: Schema) -> list[str]:
+    """The table of a section's keys.
+
+    Raises:
+        KeyError: if its docstring does not say what a key means.
+    """
+    meaning = meanings(section)
+    lines = ["| key | type and rule | default | meaning |", "|---|---|---|---|"]
+    for name, entry in schema["properties"].items():
+        if name not in meaning:
+            raise KeyError(f"the docstring of {section.__name__} does not say what {name!r} means")
+        cells = (f"`{name}`", rule(entry), default(name, entry, schema.get("required", [])), meaning[name])
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return lines
+
+
+def tables(schema: Schema, path: str, defined: dict[str, Schema], seen: set[str]) -> Iterator[str]:
+    """The sections of the page on a table and on the tables inside it, each once.
+
+    Args:
+        schema: JSON schema of the table.
+        path: of the table in a file, such as "classifier"; empty for the file itself.
+        defined: schemas of the tables inside it, by name.
+        seen: names of the tables that the page already has; grows.
+    """
+    section = section_class(schema["title"])
+    if path:
+        summary = " ".join(inspect.cleandoc(section.__doc__ or "").split("\n\n")[0].split())
+        yield "\n".join([f"### {path}", "", cited(summary), "", *rows(section, schema)])
+    else:
+        yield "\n".join(rows(section, schema))
+    for name, entry in schema["properties"].items():
+        inside = references(entry)
+        for inner in [one for one in inside if one not in seen]:
+            seen.add(inner)
+            own = defined[inner].get("required", [])
+            key = ".".join([*path.strip("`[]").split("."), name]).lstrip(".")
+            key += ".NAME" if "additionalProperties" in entry else ""
+            heading = f"`[{key}]`" + (f" with `{own[0]}`" if len(inside) > 1 and own else "")
+            yield from tables(defined[inner], heading, defined, seen)
+
+
+def page() -> str:
+    """settings.md for the settings as they are."""
+    text, seen = HEAD, set[str]()
+    for heading, model in FILES.items():
+        schema = model.model_json_schema()
+        parts = tables(schema, "", schema.get("$defs", {}), seen)
+        text += f"\n## {heading}\n\n" + "\n\n".join(parts) + "\n"
+    return text
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
