@@ -1,5 +1,6 @@
 """Shows the progress of a campaign and of other long work on the terminal."""
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,34 @@ if TYPE_CHECKING:
     from activefail.verification.error import ErrorEstimate
 
 
+_log = logging.getLogger("activefail")
+
+
+def is_quiet() -> bool:
+    """Whether progress is not to be shown: the package's log, which `-q` sets, takes warnings only."""
+    return _log.level >= logging.WARNING
+
+
+def is_verbose() -> bool:
+    """Whether details are to be shown: the package's log, which `-v` sets, takes messages for debugging."""
+    return _log.level == logging.DEBUG
+
+
+def with_times(enter: Callable[[str], None]) -> Callable[[str], None]:
+    """`enter`, which receives the name of each stage as it begins, with the times of the stages in the log (`-v`)."""
+    name, began = "", 0.0
+
+    def timed(stage: str) -> None:
+        nonlocal name, began
+        now = time.monotonic()
+        if name:
+            _log.debug("%s: %.1f s", name, now - began)
+        name, began = stage, now
+        enter(stage)
+
+    return timed
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]:
     """A progress bar on a terminal, otherwise nothing.
@@ -29,7 +58,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
 
     console = Console(file=terminal(sys.stderr), stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True, disable=is_quiet() or not console.is_terminal) as bar:
 
         def begin(total: int) -> Callable[[int], None]:
             task = bar.add_task(title, total=total)
@@ -40,13 +69,16 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
 
 @contextmanager
 def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator["Observer"]:
-    """A live display on a terminal; otherwise one line per batch."""
+    """A live display on a terminal; otherwise, and with the stages' times in the log, one line per batch."""
     from rich.console import Console
 
     from activefail.loop.progress import Observer
 
+    if is_quiet():
+        yield Observer(stop=stop)
+        return
     console = Console(file=terminal(sys.stdout))
-    if not console.is_terminal:
+    if not console.is_terminal or is_verbose():
         shown_iteration, shown_at = -1, -60.0
 
         def show(progress: "Progress") -> None:
@@ -59,7 +91,7 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
                 shown_iteration, shown_at = progress.iteration, time.monotonic()
                 print(_progress_line(campaign, progress), flush=True)
 
-        yield Observer(show, stop=stop)
+        yield Observer(show, with_times(lambda _: None), stop)
         return
 
     from rich.console import Group

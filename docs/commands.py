@@ -16,9 +16,10 @@ PAGE = DOCS / "reference" / "commands.md"
 
 HEAD = """# Command line
 
-Every command with its arguments and options, as `activefail COMMAND --help` shows them. `python docs/commands.py`
-writes this page. The [guide](../guide.md#campaigns) says what the commands are for, and lists the
-[exit codes](../guide.md#extra-simulations-exit-codes-ctrl-c).
+Every command with its arguments and options, as `activefail COMMAND --help` shows them. Every command also takes
+`-q` (`--quiet`) and `-v` (`--verbose`); [the guide](../guide.md#quiet-verbose-completion) says what they do.
+The guide also says [what the commands are for](../guide.md#campaigns), and lists the
+[exit codes](../guide.md#extra-simulations-exit-codes-ctrl-c). `python docs/commands.py` writes this page.
 
 """
 
@@ -33,7 +34,8 @@ def command_section(name: str, command: Any) -> str:
     """A command's section: what it does, how it is called, and a table of its arguments and options."""
     context = command.make_context(f"activefail {name}", [], resilient_parsing=True)
     usage = command.get_usage(context).removeprefix("Usage: ")
-    parameters = [parameter for parameter in command.get_params(context) if parameter.name != "help"]
+    common = ("help", "quiet", "verbose")
+    parameters = [parameter for parameter in command.get_params(context) if parameter.name not in common]
     rows = []
     for parameter in parameters:
         declared, text = parameter.get_help_record(context)

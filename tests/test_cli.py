@@ -122,6 +122,37 @@ def test_the_version_is_the_packages() -> None:
     assert activefail("--version") == CommandResult(0, f"activefail {__version__}\n", "")
 
 
+def test_quiet_commands_show_no_progress_and_verbose_ones_the_times_of_their_stages(tmp_path: Path) -> None:
+    for name, (before, after) in {"q": (["-q"], []), "v": ([], ["--verbose"]), "n": ([], [])}.items():
+        ran = activefail(*before, "run", "quick", "--out", tmp_path / name, "--budget", "60", "--workers", "1", *after)
+        assert (ran.code, f"results    {tmp_path / name}" in ran.out) == (0, True)
+        assert ("60/60 simulations" in ran.out) == (name != "q")
+        assert bool(re.search(r"^simulating the initial design: \d+\.\d s$", ran.err, re.MULTILINE)) == (name == "v")
+    pages = [activefail("report", tmp_path / "n", "--out", tmp_path / "page.html", *option) for option in ([], ["-q"])]
+    assert [page.code for page in pages] == [0, 0]
+    assert pages[0].err != "" == pages[1].err
+
+
+def test_a_verbose_error_says_where_it_was_raised(tmp_path: Path) -> None:
+    shown = activefail("status", tmp_path / "none", "-v")
+    assert shown.code == 2
+    assert "Traceback" in shown.err
+    assert "on_disk.py" in shown.err
+    refused(activefail("status", tmp_path / "none"), "none")
+
+
+def test_shells_complete_commands_and_options() -> None:
+    for words, completed in (("ru", "run"), ("predict --cs", "--csv"), ("--qu", "--quiet")):
+        environment = {
+            "_ACTIVEFAIL_COMPLETE": "complete_bash",
+            "COMP_WORDS": f"activefail {words}",
+            "COMP_CWORD": str(len(words.split())),
+        }
+        program = Path(sys.executable).with_name("activefail")
+        asked = subprocess.run([program], env=os.environ | environment, capture_output=True, text=True, check=False)
+        assert completed in asked.stdout.split(), asked
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

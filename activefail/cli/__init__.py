@@ -1,6 +1,6 @@
 """The command line: parse, call, print."""
 
-from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program
+from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program, with_verbosity
 from activefail.cli.campaigns import campaigns, export, predict, resume, run, status, verify
 from activefail.cli.design import design
 from activefail.cli.doctor import doctor
@@ -42,6 +42,6 @@ for _command in (
     paper,
     doctor,
 ):
-    app.command(cls=Command)(ends_on_ctrl_c(_command))
+    app.command(cls=Command)(ends_on_ctrl_c(with_verbosity(_command)))
 
 __all__ = ["app", "main", "program"]

@@ -1,10 +1,12 @@
 """The application: its entry point and its error handling."""
 
 import errno
+import inspect
 import io
 import logging
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
@@ -13,14 +15,20 @@ from typing import Annotated, Any, NoReturn, TextIO
 import typer
 from typer.core import TyperCommand
 
+from activefail.display import is_verbose
 from activefail.errors import ActivefailError, InputError, place_of, reason_of
 from activefail.interrupts import INTERRUPTED, end_without_waiting, repeating_missed_ctrl_c
 from activefail.screen import OUTPUT, visible_output
 
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress; results, notes and warnings remain.")]
+
+Verbose = Annotated[
+    bool, typer.Option("-v", "--verbose", help="Show stages with their times, and where an error was raised.")
+]
+
 app = typer.Typer(
     help="Learn where a seismic isolation bearing fails, with as few simulations as possible.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     # Plain help: markup would read a unit in brackets as a style.
     rich_markup_mode=None,
@@ -79,6 +87,8 @@ def _main() -> None:
 
 def _end(message: str, code: int) -> NoReturn:
     """Exit with a message. Later lines are indented: they may quote a stranger's text that imitates a message."""
+    if is_verbose():
+        traceback.print_exc()
     first, *rest = f"activefail: {message}".split("\n")
     print("\n".join([first, *(line if line.startswith("  ") else f"  {line}" for line in rest)]), file=sys.stderr)
     sys.exit(code)
@@ -125,6 +135,31 @@ def ends_on_ctrl_c(command: Callable[..., None]) -> Callable[..., None]:
     return wrapper
 
 
+def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
+    """Wrap a command so that it has the options -q and -v. What is shown depends on the level of the log alone."""
+
+    @wraps(command)
+    def wrapper(*arguments: Any, quiet: bool, verbose: bool, **options: Any) -> None:
+        _set_level(quiet, verbose)
+        command(*arguments, **options)
+
+    added = {"quiet": Quiet, "verbose": Verbose}
+    # Typer reads the options from the signature.
+    signature = inspect.signature(command)
+    options = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+        for name, kind in added.items()
+    ]
+    wrapper.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *options])  # type: ignore[attr-defined]
+    wrapper.__annotations__ = command.__annotations__ | added
+    return wrapper
+
+
+def _set_level(quiet: bool, verbose: bool) -> None:
+    if quiet or verbose:
+        logging.getLogger("activefail").setLevel(logging.DEBUG if verbose else logging.WARNING)
+
+
 def _description_of(error: OSError) -> str:
     """The file of a failed system call, or the place of the call, and the reason."""
     return f"{error.filename or f'a system call failed{place_of(error)}'}: {reason_of(error)}"
@@ -154,4 +189,7 @@ def _common(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
-) -> None: ...
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    _set_level(quiet, verbose)

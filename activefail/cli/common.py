@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from activefail.display import is_quiet, is_verbose
 from activefail.errors import InputError
 from activefail.record.layout import check_output
 from activefail.screen import table_stream
@@ -77,6 +79,9 @@ Scheduler = Annotated[
     typer.Option(help="Address of the Dask cluster, such as tcp://head:8786.", metavar="ADDRESS", show_default=False),
 ]
 
+
+_BEGAN = time.monotonic()
+"""The start of the program, nearly: this module is imported first."""
 
 STANDARD = Path("-")
 """Standard input or output in place of a file."""
@@ -173,7 +178,14 @@ def _without_nan(values: object) -> object:
 
 
 def show_stage(text: str) -> None:
-    """Print the current stage to the error stream."""
+    """Print the current stage to the error stream, unless it is quiet; with `-v`, the time since the command began."""
+    if is_quiet():
+        return
+    print(f"{time.monotonic() - _BEGAN:.1f} s: {text}" if is_verbose() else text, file=sys.stderr, flush=True)
+
+
+def show_note(text: str) -> None:
+    """Print what a command did, such as the file that it wrote, to the error stream."""
     print(text, file=sys.stderr, flush=True)
 
 

@@ -13,7 +13,7 @@ from activefail.cli.common import (
     RunFolder,
     name_of,
     opened_run,
-    show_stage,
+    show_note,
     show_unseen,
     table_output,
 )
@@ -75,11 +75,11 @@ def sensitivity(
     show_unseen(summary)
     if out is not None:
         page = words.write_sensitivity(found, campaign, out)
-        show_stage(f"page written to {visible(str(page))}")
+        show_note(f"page written to {visible(str(page))}")
     if csv is not None:
         with table_output("--csv", csv) as target:
             words.write_csv(found, target)
-        show_stage(f"table written to {name_of(csv)}")
+        show_note(f"table written to {name_of(csv)}")
     if csv == STANDARD:
         return
     if as_json:
