@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.bearing.accelerogram import Accelerogram
+from activefail.bearing.accelerogram import EVEN, Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
 from activefail.files import read_regular
@@ -20,9 +20,6 @@ _LARGEST = 200_000_000
 """Most bytes of a file."""
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
-
-_EVEN = 1e-3
-"""Largest difference of an interval of time from their mean, as a share: files round their times."""
 
 _USUAL = (0.005, 3.0)
 """Peak accelerations of strong motion [g]; other values may have another unit."""
@@ -71,7 +68,16 @@ def read_accelerogram(path: Path, unit: str, dt: float | None = None) -> Acceler
 
 
 def doubts(record: Accelerogram) -> list[str]:
-    """What makes a record doubtful, as ends of a sentence that begins with its name."""
+    """What makes a record doubtful, as sentences that begin with its name."""
+    found = [f"{record.name} {doubt}" for doubt in _doubts(record)]
+    if record.vertical is not None:
+        vertical = Accelerogram(record.vertical, record.dt)
+        found += [f"{record.name} (vertical) {doubt}" for doubt in _doubts(vertical)]
+    return found
+
+
+def _doubts(record: Accelerogram) -> list[str]:
+    """What makes a component doubtful, as ends of a sentence."""
     if record.peak == 0.0:
         return ["does not move the ground."]
     found, peak = [], record.peak / GRAVITY
@@ -113,7 +119,7 @@ def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, 
     if len(values) != count:
         raise InputError(f"NPTS: must be the number of accelerations, {len(values)}, got {count:g}.")
     interval = _value(stated["DT"])
-    if dt is not None and abs(interval - dt) > _EVEN * dt:
+    if dt is not None and abs(interval - dt) > EVEN * dt:
         raise InputError(f"dt: the header states an interval of {interval:g} s, got {dt:g} s.")
     return values, interval
 
@@ -142,11 +148,11 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
         raise InputError(f"must have at least 2 samples, got {len(values)}.")
     steps = np.diff(values[:, 0])
     mean = float((values[-1, 0] - values[0, 0]) / len(steps))
-    if dt is not None and abs(mean - dt) > _EVEN * dt:
+    if dt is not None and abs(mean - dt) > EVEN * dt:
         raise InputError(f"dt: the times have an interval of {mean:.6g} s, got {dt:g} s.")
     # Times are rounded to the digits of the file.
     rounding = 2.0 * 10.0 ** -max(_digits(lines[rows[1][0] - 1]), 0)
-    bad = np.flatnonzero(~(np.abs(steps - mean) <= np.maximum(_EVEN * abs(mean), min(rounding, 0.4 * abs(mean)))))
+    bad = np.flatnonzero(~(np.abs(steps - mean) <= np.maximum(EVEN * abs(mean), min(rounding, 0.4 * abs(mean)))))
     if len(bad) or not mean > 0.0:
         # One gap changes the mean of all steps, but not their median.
         median = float(np.median(steps))

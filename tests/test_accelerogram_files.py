@@ -168,6 +168,17 @@ def test_the_command_simulates_a_record(tmp_path: Path) -> None:
         activefail("simulate", *options, "--scale", "6").out.splitlines()[1]
         == "outcome    failure (loss_of_confinement)"
     )
+    up = tmp_path / "up.txt"
+    up.write_text("0.2\n-0.4\n" * 300)
+    risen = activefail("simulate", *options, "--vertical", up)
+    assert "vertical   PGA 0.4 g" in risen.out
+    assert risen.out.splitlines()[2:] != activefail("simulate", *options).out.splitlines()[1:]
+    up.write_text("0 0.2\n0.02 -0.4\n")
+    refused(
+        activefail("simulate", *options[:-4], "--unit", "g", "--dt", "0.01", "--vertical", up),
+        "up.txt: dt: the times have an interval of 0.02 s, got 0.01 s",
+    )
+    refused(activefail("simulate", *BEARING, "--vertical", up), "--vertical requires --record")
     refused(activefail("simulate", *options, "--t-p", "1"), "--record cannot be combined with --t-p")
     refused(activefail("simulate", *options[:-2]), "--record requires --unit, one of g, m/s2, cm/s2")
     refused(activefail("simulate", *BEARING, "--scale", "2"), "--scale requires --record")

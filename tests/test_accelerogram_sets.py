@@ -42,9 +42,10 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
     ("table", "message"),
     [
         ("name\na.txt\n", r"records.csv: needs a column `file`, got name"),
-        ("file,scale\na.txt,2\n", r"columns must be among file, unit, event, dt, got 'scale'"),
+        ("file,scale\na.txt,2\n", r"columns must be among file, vertical, unit, event, dt, got 'scale'"),
         ("file,unit\na.txt,g\na.txt,g\n", r"line 3: file: a.txt is in line 2 already"),
         ("file,unit\n../a.txt,g\nb.AT2,g\n", r"line 2: file: must be the name of a file in this folder"),
+        ("file,vertical\na.txt,../b.AT2\n", r"line 2: vertical: must be the name of a file in this folder"),
         ("file,unit\na.txt\n", r"line 2: must have 2 values, got 1"),
         ("file,unit,dt\na.txt,g,soon\nb.AT2,g,\n", r"line 2: dt: must be a number, got 'soon'"),
         ("file\na.txt\nb.AT2\n", r"line 2: needs a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
@@ -87,6 +88,38 @@ def test_notes_name_what_a_set_leaves_out_and_repeats_and_events_that_are_missin
         "records.csv leaves out c.dat.",
         "d has the same samples as a, and both count.",
     ]
+
+
+def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(folder: Path) -> None:
+    table = folder / "records.csv"
+    table.write_text("file,vertical,event,dt\na.txt,c.dat,Kobe,0.01\nb.AT2,c.dat,Kobe,0.01\n")
+    plain = read_record_set(folder, "m/s2")
+    assert not plain.has_vertical
+    assert "records.csv names 1 vertical components, which only --vertical uses." in plain.notes
+    assert plain.left_out == ()
+    risen = read_record_set(folder, "m/s2", vertical=True)
+    assert [record.motion.vertical.tolist() for record in risen.records] == [[0.0, 3.0, 2.0, 0.0]] * 2
+    assert risen.unused == 0
+    for text, message in (
+        ("file,vertical\na.txt,c.dat\nb.AT2,\n", r"line 3: --vertical needs the file of the vertical component"),
+        ("file\na.txt\nb.AT2\n", r"line 2: --vertical needs the file of the vertical component \(column `vertical`\)"),
+        ("file,vertical\nb.AT2,nix.txt\na.txt,c.dat\n", r"nix.txt: No such file"),
+    ):
+        table.write_text(text)
+        with pytest.raises(InputError, match=message):
+            read_record_set(folder, "m/s2", 0.01, vertical=True)
+    (folder / "c.dat").write_text("0.0 1\n0.05 2\n0.10 1\n")
+    table.write_text("file,vertical\nb.AT2,c.dat\nb2.AT2,c.dat\n")
+    (folder / "b2.AT2").write_text((folder / "b.AT2").read_text())
+    with pytest.raises(
+        InputError, match=r"c.dat: vertical: must have the interval of the horizontal component, 0.01 s"
+    ):
+        read_record_set(folder, "m/s2", vertical=True)
+
+
+def test_a_set_of_fema_p695_has_no_vertical_components() -> None:
+    with pytest.raises(InputError, match="--vertical: the set farfield of FEMA P695 has no vertical components"):
+        read_record_set(Path("farfield"), vertical=True)
 
 
 def test_a_long_list_of_doubtful_records_is_cut(tmp_path: Path) -> None:

@@ -11,8 +11,11 @@ from activefail.bearing.ground import Samples, Segment, samples
 from activefail.errors import InputError
 from activefail.space import Array
 
-STILL = Segment(0.0, 0.0, 0.0)
+STILL = Segment(0.0, 0.0, 0.0, 0.0, 0.0)
 """A ground at rest, with which a system is built before its first sample."""
+
+EVEN = 1e-3
+"""Largest difference between two intervals that count as equal, as a share: files round their times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,7 @@ class Accelerogram:
         acceleration: (n,) [m/s2], at least two.
         dt: interval between samples [s].
         name: of the record, for messages and plots.
+        vertical: (n,) vertical acceleration, up [m/s2]; None if the ground moves horizontally only.
 
     Raises:
         InputError: naming the rule and the value.
@@ -33,37 +37,50 @@ class Accelerogram:
     acceleration: Array
     dt: float
     name: str = ""
+    vertical: Array | None = None
 
     def __post_init__(self) -> None:
-        try:
-            values = np.array(self.acceleration, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InputError("acceleration: must be numbers.") from None
-        if values.ndim != 1 or len(values) < 2:
-            raise InputError(f"acceleration: must have one axis with at least 2 samples, got shape {values.shape}.")
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise InputError(f"acceleration: sample {bad[0] + 1} must be finite, got {values[bad[0]]}.")
-        large = np.flatnonzero(np.abs(values) > LARGEST)
-        if len(large):
-            raise InputError(
-                f"acceleration: sample {large[0] + 1} must be at most {LARGEST:g} m/s2 in magnitude, got "
-                f"{values[large[0]]:g}."
-            )
         if not (math.isfinite(self.dt) and self.dt > 0.0):
             raise InputError(f"dt: must be positive and finite, got {self.dt} s.")
-        values.setflags(write=False)
-        object.__setattr__(self, "acceleration", values)
+        object.__setattr__(self, "acceleration", _checked("acceleration", self.acceleration))
+        if self.vertical is None:
+            return
+        object.__setattr__(self, "vertical", _checked("vertical", self.vertical))
+        if len(self.vertical) != len(self.acceleration):
+            raise InputError(
+                f"vertical: must have as many samples as acceleration, {len(self.acceleration)}, got "
+                f"{len(self.vertical)}."
+            )
 
     def scaled(self, factor: float) -> "Accelerogram":
-        """The record with all accelerations multiplied.
+        """The record with all accelerations multiplied, the vertical ones too.
 
         Raises:
             InputError: if the factor is not finite.
         """
         if not math.isfinite(factor):
             raise InputError(f"scale: must be finite, got {factor}.")
-        return replace(self, acceleration=factor * self.acceleration)
+        vertical = None if self.vertical is None else factor * self.vertical
+        return replace(self, acceleration=factor * self.acceleration, vertical=vertical)
+
+    def with_vertical(self, component: "Accelerogram") -> "Accelerogram":
+        """The record with the acceleration of another one as its vertical component, up.
+
+        The shorter of both is continued with zeros: after its last sample the ground does not accelerate.
+
+        Raises:
+            InputError: if the intervals differ.
+        """
+        if abs(component.dt - self.dt) > EVEN * self.dt:
+            raise InputError(
+                f"vertical: must have the interval of the horizontal component, {self.dt:g} s, got {component.dt:g} s."
+            )
+        missing = len(self.acceleration) - len(component.acceleration)
+        return replace(
+            self,
+            acceleration=np.pad(self.acceleration, (0, max(-missing, 0))),
+            vertical=np.pad(component.acceleration, (0, max(missing, 0))),
+        )
 
     @property
     def duration(self) -> float:
@@ -89,4 +106,28 @@ class Accelerogram:
     @cached_property
     def samples(self) -> Samples:
         """The record for the kernels."""
-        return samples(self.acceleration, float(self.dt))
+        return samples(self.acceleration, float(self.dt), self.vertical)
+
+
+def _checked(name: str, values: Array) -> Array:
+    """A component, which cannot be changed.
+
+    Raises:
+        InputError: naming the component, the sample, the rule and the value.
+    """
+    try:
+        checked = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: must be numbers.") from None
+    if checked.ndim != 1 or len(checked) < 2:
+        raise InputError(f"{name}: must have one axis with at least 2 samples, got shape {checked.shape}.")
+    bad = np.flatnonzero(~np.isfinite(checked))
+    if len(bad):
+        raise InputError(f"{name}: sample {bad[0] + 1} must be finite, got {checked[bad[0]]}.")
+    large = np.flatnonzero(np.abs(checked) > LARGEST)
+    if len(large):
+        raise InputError(
+            f"{name}: sample {large[0] + 1} must be at most {LARGEST:g} m/s2 in magnitude, got {checked[large[0]]:g}."
+        )
+    checked.setflags(write=False)
+    return checked

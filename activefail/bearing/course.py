@@ -6,7 +6,7 @@ chooses the formula, so that a pulse pays nothing for accelerograms.
 
 import math
 
-from numba import types
+from numba import njit, types
 from numba.extending import overload
 
 from activefail.bearing.dynamics import System
@@ -43,7 +43,7 @@ def longest_step(system, samples, t, step, k, ends, longest):
 
 
 def to_come(system, samples, t, k):
-    """∫ |ü_g| dt from time t on [m/s], after sample k."""
+    """∫ |ü_g| dt from time t on [m/s], after sample k; at least that of the vector's norm with a vertical component."""
     raise NotImplementedError
 
 
@@ -83,11 +83,11 @@ def _from_sample(system, samples, k):
         return system
 
     def of_samples(system, samples, k):
-        a, dt = samples.acceleration, samples.dt
+        a, up, dt = samples.acceleration, samples.vertical, samples.dt
         if k < len(a) - 1:
-            motion = Segment(a[k], (a[k + 1] - a[k]) / dt, k * dt)
+            motion = Segment(a[k], (a[k + 1] - a[k]) / dt, k * dt, up[k], (up[k + 1] - up[k]) / dt)
         else:
-            motion = Segment(0.0, 0.0, k * dt)
+            motion = Segment(0.0, 0.0, k * dt, 0.0, 0.0)
         return System(
             system.slider_mass,
             system.slider_inertia,
@@ -128,12 +128,9 @@ def _to_come(system, samples, t, k):
         if k >= len(samples.acceleration) - 1:
             return 0.0
         h = (k + 1) * samples.dt - t
-        b = samples.acceleration[k + 1]
-        a = b - h * system.motion.jerk
-        area = 0.5 * h * (abs(a) + abs(b))
-        if a * b < 0.0:
-            area = 0.5 * h * (a * a + b * b) / (abs(a) + abs(b))
-        return area + samples.impulse[k + 1]
+        across = _area(h, samples.acceleration[k + 1], system.motion.jerk)
+        up = _area(h, samples.vertical[k + 1], system.motion.vertical_jerk)
+        return across + up + samples.impulse[k + 1]
 
     return _of(samples, of_pulse, of_samples)
 
@@ -147,6 +144,15 @@ def _is_over(samples, t, ends):
         return True
 
     return _of(samples, of_pulse, of_samples)
+
+
+@njit(**INLINE)
+def _area(h, last, jerk):
+    """∫ |acceleration| dt [m/s] over the time h [s] before a sample with the acceleration `last`."""
+    first = last - h * jerk
+    if first * last < 0.0:
+        return 0.5 * h * (first * first + last * last) / (abs(first) + abs(last))
+    return 0.5 * h * (abs(first) + abs(last))
 
 
 def _of(samples, of_pulse, of_samples):

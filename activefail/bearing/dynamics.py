@@ -197,15 +197,18 @@ def of_plates(x):
 
 
 @njit(**INLINE)
-def _accelerations(system, f_x, f_z, moment, ground):
-    """Accelerations, from the ground's and the forces and moments of the bottom and the top plate on the slider."""
+def _accelerations(system, f_x, f_z, moment, moved, risen):
+    """Accelerations, from the forces and moments of the bottom and the top plate on the slider, and the ground's.
+
+    `moved` is the ground's horizontal acceleration, `risen` the vertical one, up [m/s2].
+    """
     slider, plate = 1.0 / system.slider_mass, 1.0 / system.plate_mass
     return (
-        slider * (f_x[0] + f_x[1]) - ground,
-        slider * (f_z[0] + f_z[1]) - GRAVITY,
+        slider * (f_x[0] + f_x[1]) - moved,
+        slider * (f_z[0] + f_z[1]) - (GRAVITY + risen),
         (moment[0] + moment[1]) / system.slider_inertia,
-        -plate * f_x[1] - ground,
-        -plate * f_z[1] - GRAVITY,
+        -plate * f_x[1] - moved,
+        -plate * f_z[1] - (GRAVITY + risen),
     )
 
 
@@ -215,8 +218,9 @@ def dfp_acceleration(system, t, q, v):
     at = vertices(system, q, v)
     force = vertex_force(at.u, at.w, at.du, at.dw, at.plate)
     f_x, f_z = force.u, at.up * force.w
-    moved = ground.acceleration(system.motion, t)
-    return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(at.r_x * f_z - at.r_z * f_x), moved)
+    moment = at.r_x * f_z - at.r_z * f_x
+    moved, risen = ground.acceleration(system.motion, t), ground.vertical(system.motion, t)
+    return _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(moment), moved, risen)
 
 
 @njit(**INLINE)
@@ -269,12 +273,14 @@ def dfp_linearisation(system, t, q, v):
         (z_vx, z_vz, z_omega),
         (r_x * z_vx - r_z * x_vx, r_x * z_vz - r_z * x_vz, r_x * z_omega - r_z * x_omega),
     )
-    moved, jerk = ground.acceleration(system.motion, t), ground.jerk(system.motion, t)
+    moved, risen = ground.acceleration(system.motion, t), ground.vertical(system.motion, t)
+    # From 0, so that a pulse keeps the sign of its zero.
+    across, up = -ground.jerk(system.motion, t), 0.0 - ground.vertical_jerk(system.motion, t)
     return (
-        _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(r_x * f_z - r_z * f_x), moved),
+        _accelerations(system, of_plates(f_x), of_plates(f_z), of_plates(r_x * f_z - r_z * f_x), moved, risen),
         _by_coordinates(system, *_of_plates_rows(by_position)),
         _by_coordinates(system, *_of_plates_rows(by_velocity)),
-        (-jerk, 0.0, 0.0, -jerk, 0.0),
+        (across, up, 0.0, across, up),
     )
 
 
@@ -299,8 +305,9 @@ def energy_of(system, t, q, v, force):
     stored = 0.5 * m * (v[0] * v[0] + v[1] * v[1]) + 0.5 * system.slider_inertia * v[2] * v[2]
     stored += 0.5 * M * (v[3] * v[3] + v[4] * v[4]) + GRAVITY * (m * q[1] + M * q[4])
     elastic, dissipation = of_plates(force.stored), of_plates(force.dissipation)
-    moved = ground.acceleration(system.motion, t)
-    return Energy(stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], -(m * v[0] + M * v[3]) * moved)
+    moved, risen = ground.acceleration(system.motion, t), ground.vertical(system.motion, t)
+    power = -(m * v[0] + M * v[3]) * moved - (m * v[1] + M * v[4]) * risen
+    return Energy(stored + elastic[0] + elastic[1], dissipation[0] + dissipation[1], power)
 
 
 @njit(cache=True, **KERNEL)

@@ -29,36 +29,50 @@ class Segment(NamedTuple):
     acceleration: float  # at the first sample [m/s2]
     jerk: float  # [m/s3]
     begin: float  # time of the first sample [s]
+    vertical: float  # vertical acceleration at the first sample, up [m/s2]
+    vertical_jerk: float  # [m/s3]
 
 
 class Samples(NamedTuple):
     """An accelerogram, whose first sample is at time 0. Before it and after the last one the ground does not move."""
 
     acceleration: Array  # (n,) [m/s2]
-    impulse: Array  # (n,) ∫ |ü_g| dt from each sample on [m/s]
+    vertical: Array  # (n,) vertical acceleration, up [m/s2]
+    impulse: Array  # (n,) ∫ (|ü_g| + |vertical|) dt from each sample on [m/s], at least that of the vector's norm
     dt: float  # [s]
 
 
 class Scaled(NamedTuple):
-    """A whole accelerogram, multiplied by a factor."""
+    """A whole accelerogram, multiplied by a factor. The cheap models see its horizontal component only."""
 
     samples: Samples
     factor: float
 
 
-def samples(acceleration: Array, dt: float) -> Samples:
+def samples(acceleration: Array, dt: float, vertical: Array | None = None) -> Samples:
     """The samples of an accelerogram for the kernels.
 
     Args:
         acceleration: (n,) [m/s2], at least two.
         dt: [s].
+        vertical: (n,) vertical acceleration, up [m/s2]; None if the ground moves horizontally only.
     """
+    to_come = _impulse_to_come(acceleration, dt)
+    if vertical is None:
+        vertical = np.zeros(len(acceleration))
+    else:
+        to_come = to_come + _impulse_to_come(vertical, dt)
+    return Samples(np.ascontiguousarray(acceleration), np.ascontiguousarray(vertical), to_come, dt)
+
+
+def _impulse_to_come(acceleration: Array, dt: float) -> Array:
+    """∫ |acceleration| dt from each sample on, (n,) [m/s]."""
     a, b = np.abs(acceleration[:-1]), np.abs(acceleration[1:])
     # Within an interval the linear acceleration changes its sign at most once.
     crosses = acceleration[:-1] * acceleration[1:] < 0.0
     total = np.maximum(a + b, np.finfo(float).tiny)
     area = 0.5 * dt * np.where(crosses, (a * a + b * b) / total, a + b)
-    return Samples(np.ascontiguousarray(acceleration), np.append(np.cumsum(area[::-1])[::-1], 0.0), dt)
+    return np.append(np.cumsum(area[::-1])[::-1], 0.0)
 
 
 def is_type(motion, kind):
@@ -72,6 +86,16 @@ def acceleration(motion, t):
 
 
 def jerk(motion, t):
+    """Its time derivative [m/s3]; overloaded for each type of motion."""
+    raise NotImplementedError
+
+
+def vertical(motion, t):
+    """Vertical ground acceleration, up [m/s2], at time t [s]; overloaded for each type of motion."""
+    raise NotImplementedError
+
+
+def vertical_jerk(motion, t):
     """Its time derivative [m/s3]; overloaded for each type of motion."""
     raise NotImplementedError
 
@@ -106,6 +130,24 @@ def _jerk(motion, t):
         return lambda motion, t: ground_jerk(t, motion.amplitude, motion.period)
     if is_type(motion, Segment):
         return lambda motion, t: motion.jerk
+    return None
+
+
+@overload(vertical, jit_options=INLINE)
+def _vertical(motion, t):
+    if is_type(motion, Ricker):
+        return lambda motion, t: 0.0
+    if is_type(motion, Segment):
+        return lambda motion, t: motion.vertical + motion.vertical_jerk * (t - motion.begin)
+    return None
+
+
+@overload(vertical_jerk, jit_options=INLINE)
+def _vertical_jerk(motion, t):
+    if is_type(motion, Ricker):
+        return lambda motion, t: 0.0
+    if is_type(motion, Segment):
+        return lambda motion, t: motion.vertical_jerk
     return None
 
 

@@ -92,6 +92,10 @@ def ida(
             show_default=False,
         ),
     ] = None,
+    vertical: Annotated[
+        bool,
+        typer.Option("--vertical", help="Use the vertical components that records.csv names (docs/records.md)."),
+    ] = False,
     pulses: Annotated[bool, typer.Option("--pulses", help="Compare each record with the pulse nearest to it.")] = False,
     campaign: Annotated[
         Path | None,
@@ -139,7 +143,7 @@ def ida(
     integration = Tolerance(relative=tolerance)
     intensity, row = Intensity.of(scale_to), _bearing(bearing, model)
     request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
-    read = read_record_set(records, unit, dt)
+    read = read_record_set(records, unit, dt, vertical)
     options = request.options(float(row[0]), read.of_p695)
     surrogate = None if campaign is None else _surrogate(campaign, outcome, model)
     if out is not None:

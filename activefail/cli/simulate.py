@@ -53,6 +53,9 @@ def simulate(
     dt: Annotated[
         float | None, typer.Option(help="Interval of a record without times [s].", show_default=False)
     ] = None,
+    vertical: Annotated[
+        Path | None, typer.Option(help="Vertical component of the record, in its unit.", show_default=False)
+    ] = None,
     csv: Annotated[
         Path | None,
         typer.Option(
@@ -101,11 +104,11 @@ def simulate(
         for option, value in (("--t-p", t_p), ("--a-p", a_p), ("--csv", csv)):
             if value is not None:
                 raise InputError(f"--record cannot be combined with {option}.")
-        motion = _read_record(record, unit, scale, dt)
+        motion = _read_record(record, unit, scale, dt, vertical)
         _check_single({option: value for option, value in design.items() if option not in ("--t-p", "--a-p")}, out)
         _simulate_one(list(present.values()), motion, model, integration, plot, animate)
         return
-    for option, of_record in (("--unit", unit), ("--scale", scale), ("--dt", dt)):
+    for option, of_record in (("--unit", unit), ("--scale", scale), ("--dt", dt), ("--vertical", vertical)):
         if of_record is not None:
             raise InputError(f"{option} requires --record.")
     if csv is None:
@@ -118,12 +121,20 @@ def simulate(
     _simulate_table(csv, out, model, integration)
 
 
-def _read_record(path: Path, unit: str | None, scale: float | None, dt: float | None) -> "Accelerogram":
+def _read_record(
+    path: Path, unit: str | None, scale: float | None, dt: float | None, vertical: Path | None
+) -> "Accelerogram":
     from activefail.accelerogram_files import UNITS, read_accelerogram
 
     if unit is None:
         raise InputError(f"--record requires --unit, one of {', '.join(UNITS)}: files do not say it reliably.")
     found = read_accelerogram(path, unit, dt)
+    if vertical is not None:
+        component = read_accelerogram(vertical, unit, dt)
+        try:
+            found = found.with_vertical(component)
+        except InputError as error:
+            raise InputError(f"{visible(str(vertical))}: {error}") from None
     return found if scale is None else found.scaled(scale)
 
 
@@ -146,6 +157,8 @@ def _simulate_one(
     plot: Path | None,
     animate: Path | None,
 ) -> None:
+    import numpy as np
+
     from activefail.accelerogram_files import doubts
     from activefail.bearing.design import GRAVITY, Bearing, Pulse, outside_table_1
     from activefail.bearing.motion import response_lines
@@ -162,8 +175,10 @@ def _simulate_one(
             f"record     {visible(record.name)}: {len(record.acceleration)} samples of {record.dt:g} s, PGA "
             f"{record.peak / GRAVITY:.3g} g, PGV {record.peak_velocity:.3g} m/s"
         )
+        if record.vertical is not None:
+            print(f"vertical   PGA {np.abs(record.vertical).max() / GRAVITY:.3g} g")
     print("\n".join(response_lines(response)))
-    notes = [] if record is None else [f"{record.name} {doubt}" for doubt in doubts(record)]
+    notes = [] if record is None else doubts(record)
     for note in [*notes, *outside_table_1(design)]:
         print(f"note: {visible(note)}", file=sys.stderr)
     if plot is not None:

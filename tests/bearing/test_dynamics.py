@@ -10,6 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from activefail.bearing import Bearing, Model, Pulse, simulate_one
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import dfp_acceleration, dfp_linearisation, energy, equilibrium, system
+from activefail.bearing.ground import Segment
 from activefail.bearing.integrator import ACCEPTED, Control, advance, start
 from activefail.bearing.pulse import ground_acceleration
 from activefail.space import Array
@@ -195,6 +196,21 @@ def test_the_linearisation_in_time_is_minus_the_jerk_of_the_ground(bearing):
         h = 1e-5
         slope = (ground_acceleration(t + h, 4.0, 0.5) - ground_acceleration(t - h, 4.0, 0.5)) / (2.0 * h)
         np.testing.assert_allclose(by_t, [-slope, 0.0, 0.0, -slope, 0.0], rtol=1e-6, atol=1e-5)
+
+
+def test_a_vertical_acceleration_of_the_ground_adds_to_gravity(bearing):
+    still, moved = (
+        system(bearing, Segment(1.0, 2.0, 0.0, *vertical), Model()) for vertical in ((0.0, 0.0), (3.0, -4.0))
+    )
+    q, v = np.array(equilibrium(still)), np.array([0.1, 0.2, 0.0, 0.3, 0.4])
+    for t in (0.0, 0.5):
+        risen = 3.0 - 4.0 * t
+        difference = acceleration(moved, t, q, v) - acceleration(still, t, q, v)
+        np.testing.assert_allclose(difference, [0.0, -risen, 0.0, 0.0, -risen], atol=1e-9)
+        by_t = dfp_linearisation(moved, t, q, v)[3]
+        assert by_t == (-2.0, 4.0, 0.0, -2.0, 4.0)
+        power = energy(moved, t, q, v).input - energy(still, t, q, v).input
+        assert power == pytest.approx(-(moved.slider_mass * 0.2 + moved.plate_mass * 0.4) * risen)
 
 
 def test_the_mirrored_state_under_the_reversed_pulse_has_the_mirrored_acceleration(visited):

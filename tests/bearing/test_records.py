@@ -85,6 +85,84 @@ def test_energy_is_conserved_under_records() -> None:
     assert (finer.outcome == found.outcome).mean() >= 0.98
 
 
+def rising(seed: int, peak: float = 0.4, vertical: float = 0.3) -> Accelerogram:
+    """A synthetic record with a vertical component."""
+    return synthetic(seed, peak).with_vertical(synthetic(seed + 100, vertical))
+
+
+def test_a_vertical_component_without_motion_changes_no_bit() -> None:
+    plain = [synthetic(k, 0.5) for k in range(20)]
+    still = [one.with_vertical(one.scaled(0.0)) for one in plain]
+    one, other = (simulate_records(bearings(20, 3), records) for records in (plain, still))
+    assert one.columns.tobytes() == other.columns.tobytes()
+    assert one.outcome.tolist() == other.outcome.tolist()
+
+
+def test_a_constant_vertical_acceleration_is_more_gravity() -> None:
+    # A pendulum's period is proportional to 1/√(g + vertical acceleration). Friction is small.
+    row = bearings(1)[0]
+    row[1], row[2] = 0.002, 3.0
+    push = np.zeros(3000)
+    push[:40] = 2.0
+    periods = []
+    for vertical in (0.0, 0.5 * GRAVITY):
+        record = Accelerogram(push, 0.01, vertical=np.full(3000, vertical))
+        response = simulate_one(bearing_of(row), record, to_the_end=True)
+        within = (response.t > 1.0) & (response.t < 29.0)
+        t, x = response.t[within], response.q[within, 3]
+        crossings = t[1:][np.sign(x[1:]) != np.sign(x[:-1])]
+        periods.append(2.0 * float(np.mean(np.diff(crossings))))
+    assert periods[0] / periods[1] == pytest.approx(np.sqrt(1.5), rel=0.01)
+
+
+def test_in_free_fall_nothing_presses_on_the_dishes() -> None:
+    record = Accelerogram(np.full(200, 1.0), 0.01, vertical=np.full(200, -GRAVITY))
+    response = simulate_one(bearing_of(bearings(1)[0]), record, to_the_end=True)
+    # The contacts release their small energy; then the ground moves away from slider and plate alike.
+    late = (response.t > 0.5) & (response.t < 1.9)
+    assert response.a[late][:, [0, 3]] == pytest.approx(-1.0, abs=1e-6)
+    assert response.a[late][:, [1, 4]] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_energy_is_conserved_under_vertical_motion() -> None:
+    found = simulate_records(bearings(60, 2), [rising(k, 0.5) for k in range(60)])
+    assert (found.outcome >= 0).all()
+    assert found.statistic("energy_error").max() < 5e-3
+
+
+def test_with_a_vertical_component_a_run_that_may_end_early_has_the_outcome_of_the_whole_one() -> None:
+    X = bearings(120)
+    records = [rising(k % 12, peak, 0.7 * peak) for k, peak in enumerate(np.geomspace(0.08, 1.2, 120))]
+    early, whole = (simulate_records(X, records, to_the_end=to_the_end) for to_the_end in (False, True))
+    assert early.outcome.tolist() == whole.outcome.tolist()
+    assert set(early.outcome.tolist()) == {0, 1, 2}
+    plain = simulate_records(X, [synthetic(k % 12, peak) for k, peak in enumerate(np.geomspace(0.08, 1.2, 120))])
+    assert plain.margin("peak_displacement_ratio").tolist() != early.margin("peak_displacement_ratio").tolist()
+
+
+def test_a_mirrored_record_keeps_its_vertical_component_and_mirrors_the_motion() -> None:
+    for seed, row in enumerate(bearings(4, 1)):
+        record = rising(seed, 0.3)
+        mirrored = Accelerogram(-record.acceleration, record.dt, vertical=record.vertical)
+        one, other = (simulate_one(bearing_of(row), ground) for ground in (record, mirrored))
+        assert other.outcome == one.outcome
+        assert other.q == pytest.approx(one.q * MIRROR, abs=1e-7)
+
+
+def test_components_of_other_lengths_are_continued_with_zeros_and_other_intervals_refused() -> None:
+    short, long = Accelerogram(np.ones(3), 0.1), Accelerogram(np.full(5, 2.0), 0.1)
+    assert short.with_vertical(long).acceleration.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0]
+    padded = long.with_vertical(short).scaled(3.0)
+    assert padded.vertical is not None
+    assert padded.vertical.tolist() == [3.0, 3.0, 3.0, 0.0, 0.0]
+    with pytest.raises(InputError, match=r"interval of the horizontal component, 0.1 s, got 0.2 s"):
+        short.with_vertical(Accelerogram(np.ones(3), 0.2))
+    with pytest.raises(InputError, match=r"vertical: must have as many samples as acceleration, 3, got 5"):
+        Accelerogram(np.ones(3), 0.1, vertical=np.ones(5))
+    with pytest.raises(InputError, match=r"vertical: sample 2 must be finite"):
+        Accelerogram(np.ones(3), 0.1, vertical=np.array([0.0, np.nan, 0.0]))
+
+
 def test_no_step_crosses_a_sample() -> None:
     record = synthetic(3, dt=0.02)
     t = simulate_one(bearing_of(bearings(1)[0]), record).t

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -355,6 +356,25 @@ def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path,
     assert capacity[::2] == pytest.approx(capacity[1::2])
     header = (tmp_path / "out" / "ida.csv").read_text().splitlines()[0]
     assert header == "record,event,intensity,below,capacity,resurrections,numerical_failures,lifted"
+
+
+def test_vertical_components_change_capacities_and_the_notes_say_how_they_are_scaled(
+    case: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(case / "set", tmp_path / "set")
+    table = tmp_path / "set" / "records.csv"
+    header, *rows = table.read_text().splitlines()
+    table.write_text("\n".join([f"{header},vertical", *(f"{row},up.txt" for row in rows)]) + "\n")
+    np.savetxt(tmp_path / "set" / "up.txt", np.random.default_rng(1).uniform(-0.3, 0.3, 300))
+    words = ("ida", "--records", tmp_path / "set", "--bearing", case / "bearing.toml", "--pulses", "--json")
+    found = [json.loads(activefail(*words, *more).out) for more in ([], ["--vertical"])]
+    assert [one["vertical"] for one in found] == [False, True]
+    capacities = [[record["capacity"] for record in one["records"]] for one in found]
+    assert capacities[0] != capacities[1]
+    assert capacities[0] == pytest.approx(capacities[1], rel=0.5)
+    assert any("The vertical ones are scaled by the same factors" in note for note in found[1]["notes"])
+    assert any("have no vertical component" in note for note in found[1]["notes"])
+    assert any("which only --vertical uses" in note for note in found[0]["notes"])
 
 
 def test_records_that_are_pulses_have_the_capacities_of_their_equivalent_pulses(case: Path) -> None:

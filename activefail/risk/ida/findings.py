@@ -117,8 +117,9 @@ class IdaFindings:
         """Titles and texts for a terminal."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
         count, records = len(self.found.capacity), self.records
+        vertical = "with vertical components, " if records.has_vertical else ""
         lines = [
-            ("records", f"{count} of {records.events} events, scaled to {self.intensity.name}"),
+            ("records", f"{count} of {records.events} events, {vertical}scaled to {self.intensity.name}"),
             ("runs", f"{self.found.runs} simulations up to {self.highest:.3g}{unit}"),
             (self.outcome, f"{self.failed} of {count} records reach it"),
         ]
@@ -168,6 +169,12 @@ class IdaFindings:
         if self.fragility is not None and self.fragility.fit.median > self.highest:
             notes.append("The median lies above the highest level: it is an extrapolation. Raise the levels with --to.")
         notes += self.records.notes
+        if self.records.has_vertical:
+            notes.append(
+                "Intensities are those of the horizontal components. The vertical ones are scaled by the same factors."
+            )
+            if self.pulses is not None:
+                notes.append("The pulses and the reduced model have no vertical component.")
         if self.failed < len(found.capacity):
             notes.append("Records that never fail enter the fit as capacities above the highest level.")
         if at_lowest:
@@ -220,6 +227,7 @@ class IdaFindings:
             "unit": self.intensity.unit,
             "simulations": found.runs,
             "events": self.records.events,
+            "vertical": self.records.has_vertical,
             "highest_level": self.highest,
             "records": [
                 {
