@@ -237,8 +237,8 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
         row = dict(zip(header, (value.strip() for value in values), strict=True))
         if not row["file"] or Path(row["file"]).name != row["file"]:
             raise InputError(f"{place}: file: must be the name of a file in this folder, got {visible(row['file'])!r}.")
-        if (name := row.get("vertical")) and Path(name).name != name:
-            raise InputError(f"{place}: vertical: must be the name of a file in this folder, got {visible(name)!r}.")
+        if (up := row.get("vertical")) and Path(up).name != up:
+            raise InputError(f"{place}: vertical: must be the name of a file in this folder, got {visible(up)!r}.")
         if row["file"] in seen:
             raise InputError(f"{place}: file: {visible(row['file'])} is in line {seen[row['file']]} already.")
         seen[row["file"]] = line

@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from activefail.accelerogram_sets import read_record_set
@@ -98,7 +99,7 @@ def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(f
     assert "records.csv names 1 vertical components, which only --vertical uses." in plain.notes
     assert plain.left_out == ()
     risen = read_record_set(folder, "m/s2", vertical=True)
-    assert [record.motion.vertical.tolist() for record in risen.records] == [[0.0, 3.0, 2.0, 0.0]] * 2
+    assert [np.asarray(record.motion.vertical).tolist() for record in risen.records] == [[0.0, 3.0, 2.0, 0.0]] * 2
     assert risen.unused == 0
     for text, message in (
         ("file,vertical\na.txt,c.dat\nb.AT2,\n", r"line 3: --vertical needs the file of the vertical component"),
