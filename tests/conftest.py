@@ -41,7 +41,8 @@ def pytest_configure(config: pytest.Config) -> None:
     every = config.getoption("--every-fault")
     # How long an example takes, and its making, depends on the machine.
     timeless = hypothesis.settings(deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
-    hypothesis.settings.register_profile("same", timeless, derandomize=True)
+    examples = 100 if config.getoption("--exhaustive") else 40
+    hypothesis.settings.register_profile("same", timeless, derandomize=True, max_examples=examples)
     hypothesis.settings.register_profile("every fault", timeless, max_examples=1000)
     hypothesis.settings.load_profile("every fault" if every else "same")
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from cases import some
 from commandline import CommandResult, activefail, holding, record, refused, started, table, wait_for
 from patience import PATIENCE, until
 
@@ -124,13 +125,14 @@ def test_the_version_is_the_packages() -> None:
 
 def test_quiet_commands_show_no_progress_and_verbose_ones_the_times_of_their_stages(tmp_path: Path) -> None:
     for name, (before, after) in {"q": (["-q"], []), "v": ([], ["--verbose"]), "n": ([], [])}.items():
-        ran = activefail(*before, "run", "quick", "--out", tmp_path / name, "--budget", "60", "--workers", "1", *after)
-        assert (ran.code, f"results    {tmp_path / name}" in ran.out) == (0, True)
-        assert ("60/60 simulations" in ran.out) == (name != "q")
+        folder = tmp_path / name
+        ran = activefail(*before, "run", "quick", "--out", folder, "--budget", "10", "--workers", "1", *after)
+        assert (ran.code, f"results    {folder}" in ran.out) == (0, True)
+        assert ("10/10 simulations" in ran.out) == (name != "q")
         assert bool(re.search(r"^simulating the initial design: \d+\.\d s$", ran.err, re.MULTILINE)) == (name == "v")
-    pages = [activefail("report", tmp_path / "n", "--out", tmp_path / "page.html", *option) for option in ([], ["-q"])]
-    assert [page.code for page in pages] == [0, 0]
-    assert pages[0].err != "" == pages[1].err
+    shown = [activefail("compare", tmp_path / "n", "--test", "50", *option) for option in ([], ["-q"])]
+    assert [result.code for result in shown] == [0, 0]
+    assert shown[0].err != "" == shown[1].err
 
 
 def test_a_verbose_error_says_where_it_was_raised(tmp_path: Path) -> None:
@@ -1035,7 +1037,7 @@ def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], N
 
 
 @pytest.mark.faults
-@pytest.mark.parametrize("place", ["simulated", "study_draw"])
+@pytest.mark.parametrize("place", some(["simulated", "study_draw"], "simulated"))
 def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, place: str) -> None:
     words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
     with holding(f"activefail.paper.study:{place}", *words) as running:
@@ -1045,6 +1047,7 @@ def test_a_ctrl_c_ends_the_reproduction_with_all_its_processes(tmp_path: Path, p
     assert list((tmp_path / "paper").iterdir()) == []
 
 
+@pytest.mark.exhaustive
 @pytest.mark.faults
 def test_a_worker_process_that_is_killed_ends_the_reproduction_with_a_message(tmp_path: Path) -> None:
     words = ("paper", "--draws", "4", "--fresh", "100", "--out", tmp_path / "paper")
@@ -1076,6 +1079,7 @@ def test_a_ctrl_c_ends_a_comparison_over_seeds_while_its_processes_start_and_the
     assert result.code == 0, result.err
 
 
+@pytest.mark.exhaustive
 @pytest.mark.faults
 def test_a_second_ctrl_c_ends_a_comparison_over_seeds_in_the_middle_of_its_arms(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("seed = 5\nsampling = { initial = 20, budget = 30, batch = 5 }\n")

@@ -29,17 +29,17 @@ def blocks(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def test_every_command_of_the_readme_runs_in_its_order(tmp_path):
+def test_every_command_of_the_readme_runs_in_its_order(tmp_path, monkeypatch):
     shutil.copytree(ROOT / "campaigns", tmp_path / "campaigns")
     (tmp_path / "runs").mkdir()
     commands = [line for block in blocks(ROOT / "README.md", "sh") for line in block.splitlines() if line.strip()]
     assert len(commands) >= 6
-    program = [sys.executable, "-m", "activefail.cli"]
+    monkeypatch.chdir(tmp_path)
     for command in commands:
         name, *arguments = shlex.split(command)
         assert name == "activefail"
-        done = subprocess.run([*program, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+        done = commandline.activefail(*arguments)
+        assert done.code == 0, f"{command}\n{done.out}\n{done.err}"
     assert {"response.png", "bearing.gif", "simulations.csv", "predictions.csv"} <= {p.name for p in tmp_path.iterdir()}
 
 

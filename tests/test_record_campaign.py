@@ -26,8 +26,8 @@ def folder(tmp_path: Path) -> Path:
     settings = (CAMPAIGNS / "records.toml").read_text(encoding="utf-8")
     for old, new in (
         ("record = { low = 0.0, high = 44.0 }", "record = { low = 0.0, high = 6.0 }"),
-        ("initial = 250", "initial = 30"),
-        ("budget = 500", "budget = 50"),
+        ("initial = 250", "initial = 20"),
+        ("budget = 500", "budget = 40"),
         ("size = 500", "size = 0"),
     ):
         assert settings.count(old) == 1
@@ -45,8 +45,8 @@ def test_a_campaign_learns_from_records_and_resumes_to_the_same_bits(folder: Pat
     whole, stopped = folder / "whole", folder / "stopped"
     ran = activefail("run", folder / "records.toml", "--out", whole, "--workers", "1")
     assert ran.code == 0, ran.err
-    assert activefail("run", folder / "records.toml", "--out", stopped, "--workers", "1", "--budget", "40").code == 0
-    assert activefail("resume", stopped, "--budget", "50", "--workers", "1").code == 0
+    assert activefail("run", folder / "records.toml", "--out", stopped, "--workers", "1", "--budget", "30").code == 0
+    assert activefail("resume", stopped, "--budget", "40", "--workers", "1").code == 0
     assert record(stopped) == record(whole)
     rows = table(whole.with_suffix(".csv"))
     assert {row["outcome"] for row in rows} == {"no_impact", "impact", "failure"}

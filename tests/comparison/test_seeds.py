@@ -64,6 +64,7 @@ def test_a_comparison_given_again_is_read_not_computed(folder, scores):
     assert stages == []
 
 
+@pytest.mark.exhaustive
 def test_an_arm_whose_scores_are_lost_is_scored_again_and_alike(folder, scores):
     paths = sorted((folder / "scores").glob("design-static-30-*.json"))
     paths[0].unlink()

@@ -174,6 +174,7 @@ def check_whole(campaign, store: MemoryStore) -> None:
         assert resumed(campaign, store).flight.tobytes() == resumed(campaign, bare).flight.tobytes()
 
 
+@pytest.mark.exhaustive
 def test_a_worker_that_is_killed_without_batches_costs_no_simulation(cluster: Cluster, tmp_path: Path) -> None:
     campaign = plan(tmp_path)
     store = MemoryStore(campaign.schema)
@@ -227,6 +228,7 @@ def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_ba
     assert sorted(worker.poll() or 0 for worker in cluster.workers.values()) == [-signal.SIGKILL, 0]
 
 
+@pytest.mark.exhaustive
 def test_a_worker_that_is_added_is_given_work(cluster: Cluster, tmp_path: Path) -> None:
     campaign = disc(Gathered(folder=str(tmp_path)), initial=12, budget=28, batch=4, asynchronous=True)
     store = MemoryStore(campaign.schema)
@@ -358,6 +360,7 @@ class Grave(str):
         os._exit(1)
 
 
+@pytest.mark.exhaustive
 def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds_up_nobody(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -412,6 +415,7 @@ def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(c
         executor.run(Unknown(), np.array([[0.0, 20.0]]))
 
 
+@pytest.mark.exhaustive
 def test_a_design_that_costs_worker_after_worker_is_given_up(cluster: Cluster, tmp_path: Path) -> None:
     with ExitStack() as stack:
         executor = stack.enter_context(DaskExecutor(cluster.address))
@@ -458,6 +462,7 @@ def run(design):
 """
 
 
+@pytest.mark.exhaustive
 def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cluster: Cluster, tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     (tmp_path / "mine.toml").write_text(TOML)
@@ -558,6 +563,7 @@ def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(
             assert results.outcome.tolist() == [0, int(least < 1.0), 1]
 
 
+@pytest.mark.exhaustive
 def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
     words = ("run", tmp_path / "mine.toml", "--out", tmp_path / "run")

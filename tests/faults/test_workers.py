@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaign.stub import Disc
-from cases import some
+from cases import exhaustive, some
 from commandline import activefail, record, table
 from contracts.test_executor import Acting, Exhausted, Hanging, Killed, bits, designs, given_up, wait_until, within
 from contracts.test_executor import Leaving as Exiting
@@ -40,7 +40,7 @@ def on(simulator: Simulator, extra: float = 0.05) -> Campaign:
     return Campaign.of(settings, simulator=simulator)
 
 
-@pytest.mark.parametrize("fault", [Killed, Exiting, Hanging, Exhausted])
+@pytest.mark.parametrize("fault", some([Killed, Exiting, Hanging, Exhausted], Killed, Exhausted))
 def test_workers_that_die_or_hang_now_and_then_change_no_bit_of_the_campaign(
     fault: type[Disc], uninterrupted: Course, tmp_path: Path, survived: Callable[[int], None]
 ) -> None:
@@ -116,7 +116,7 @@ def test_a_simulator_that_cannot_be_loaded_for_an_error_that_is_no_exception_say
     [
         ("raises", "raised", "ValueError: no convergence"),
         ("nan", "unusable_answer", "got outcome nan"),
-        ("hangs", "time_limit", "it took longer than 2 s, twice"),
+        exhaustive(("hangs", "time_limit", "it took longer than 2 s, twice")),
         ("dies", "worker_died", "its worker process died (SIGKILL, possibly out of memory), twice"),
         ("memory", "out_of_memory", "MemoryError"),
     ],
@@ -362,7 +362,7 @@ def run(d):
 }
 
 
-@pytest.mark.parametrize("how", SPOILING)
+@pytest.mark.parametrize("how", some(SPOILING, "leaks descriptors", "clears its globals"))
 def test_a_simulator_that_spoils_its_process_fails_nowhere_and_resumes_to_the_same_bits(
     how: str, tmp_path: Path, survived: Callable[[int], None]
 ) -> None:
@@ -391,7 +391,7 @@ def gone(folder: Path) -> bool:
 
 
 @LINUX
-@pytest.mark.parametrize("then", ["answers", "raises", "dies", "hangs", "holds"])
+@pytest.mark.parametrize("then", some(["answers", "raises", "dies", "hangs", "holds"], "answers", "dies", "hangs"))
 def test_what_a_simulation_starts_in_a_session_of_its_own_ends_with_its_worker(
     then: str, tmp_path: Path, survived: Callable[[int], None]
 ) -> None:
@@ -450,6 +450,7 @@ def test_nothing_of_a_worker_outlives_a_main_program_that_is_killed(
     survived(1)
 
 
+@pytest.mark.exhaustive
 def test_without_what_only_linux_has_answers_are_checked_and_groups_ended_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -239,6 +239,7 @@ def test_a_rule_that_cannot_be_is_refused(changes, rule) -> None:
         campaign_on(FourBranch(), **{key.replace(".", "__"): value for key, value in changes.items()})
 
 
+@pytest.mark.exhaustive
 def test_a_search_from_outcomes_alone_proposes_designs_of_twice_the_standard_deviation() -> None:
     text = """
     simulator = { python = "limit:branches" }

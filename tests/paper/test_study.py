@@ -270,6 +270,7 @@ def test_the_command_writes_the_page_and_says_every_verdict(study, by_command):
     assert (folder / "reproduction.md").exists()
 
 
+@pytest.mark.exhaustive
 def test_the_page_is_whole_and_the_same_each_time(study, by_command, tmp_path):
     first = by_command[0] / "reproduction.md"
     repeated = write_reproduction(study, tmp_path / "b")

@@ -839,6 +839,7 @@ UNCHANGED = "def run(design):\n    import os\n    assert 'PYTHONSAFEPATH' not in
 """Of a function: what it starts looks for modules as ever."""
 
 
+@pytest.mark.exhaustive
 def test_worker_processes_take_none_of_python_s_own_modules_from_the_current_folder(mine: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert activefail("run", mine / "mine.toml", "--out", run, "--budget", "16").code == 0
@@ -850,6 +851,7 @@ def test_worker_processes_take_none_of_python_s_own_modules_from_the_current_fol
     assert "numerical_failure" not in {row["outcome"] for row in record(run)}
 
 
+@pytest.mark.exhaustive
 def test_nor_do_those_of_a_comparison_over_seeds(mine: Path, tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     (mine / "model.py").write_text(MODEL.replace("def run(design):", UNCHANGED))

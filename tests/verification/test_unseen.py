@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from cases import some
 from commandline import activefail
 from rare import four_branch
 
@@ -63,7 +64,7 @@ def failures(store):
     return np.concatenate([batch.results.outcome for batch in store.batches]).sum()
 
 
-@pytest.mark.parametrize("criterion", ["eavc", "globalmi", "entropy", "sur"])
+@pytest.mark.parametrize("criterion", some(["eavc", "globalmi", "entropy", "sur"], "eavc"))
 def test_a_criterion_that_would_stay_among_the_safe_designs_is_set_aside_until_a_failure_was_seen(criterion):
     store, seen = taken(campaign_on(FourBranch(), criterion))
     first = np.concatenate([batch.results.outcome for batch in store.batches[:6]])
