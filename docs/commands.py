@@ -41,7 +41,9 @@ def command_section(name: str, command: Any) -> str:
         declared, text = parameter.get_help_record(context)
         rows.append(f"| `{declared.replace('|', chr(92) + '|')}` | {linked(' '.join(text.split()))} |")
     table = ["| argument or option | meaning |", "|---|---|", *rows] if rows else ["It takes no arguments."]
-    return "\n".join([f"## {name}", "", f"    {' '.join(usage.split())}", "", linked(command.help), "", *table]) + "\n"
+    example = command.epilog.removeprefix("Example: ")
+    lines = [f"## {name}", "", f"    {' '.join(usage.split())}", "", linked(command.help), "", *table, ""]
+    return "\n".join([*lines, "For example:", "", f"    {example}"]) + "\n"
 
 
 def page() -> str:

@@ -111,6 +111,37 @@ def test_every_command_has_a_help(command: str, option: str) -> None:
     assert f"activefail {command}" in result.out
 
 
+def test_one_design_as_json_has_the_figures_of_its_table_and_nothing_else_on_standard_output(tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text(
+        "T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p\n4,0.06,0.6,0.6,0.1,45,2e9,2.5,0.5\n"
+    )
+    words = (
+        "--t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 --k 2e9 --t-p 2.5 --a-p 0.5".split()
+    )
+    shown = activefail("simulate", *words, "--json", "--plot", tmp_path / "one.png")
+    figures = json.loads(shown.out)
+    assert f"plot       {tmp_path / 'one.png'}" in shown.err
+    assert activefail("simulate", "--csv", tmp_path / "one.csv", "--out", tmp_path / "out.csv").code == 0
+    (row,) = table(tmp_path / "out.csv")
+    assert (figures["outcome"], figures["cause"]) == (row["outcome"], row["cause"])
+    # The motion of one design is followed to its end.
+    for name in ("first_touch_time", "failure_time"):
+        assert figures["margins"][name] == float(row[name])
+    refused(
+        activefail("simulate", "--csv", tmp_path / "one.csv", "--out", tmp_path / "o.csv", "--json"),
+        "--csv cannot be combined with --json, which is for one design",
+    )
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_every_command_ends_with_an_example_that_it_takes(command: str) -> None:
+    last = activefail(command, "--help").out.rstrip().split("\n\n")[-1]
+    example = " ".join(last.split())
+    assert example.startswith(f"Example: activefail {command}")
+    words = shlex.split(example.removeprefix(f"Example: activefail {command}"))
+    assert typer.main.get_command(app).commands[command].make_context(command, words).params
+
+
 def test_the_help_of_simulate_gives_the_unit_of_every_variable_that_has_one() -> None:
     lines = activefail("simulate", "--help").out.splitlines()
     for parameter in TABLE_1.parameters:

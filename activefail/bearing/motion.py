@@ -182,6 +182,16 @@ def _origin(response: Response) -> str:
     return "after the record's first sample" if isinstance(response.pulse, Accelerogram) else "after the pulse's centre"
 
 
+def record_lines(record: Accelerogram) -> list[str]:
+    """A record's size and peaks, as lines for a terminal."""
+    samples = f"{len(record.acceleration)} samples of {record.dt:g} s"
+    peaks = f"PGA {record.peak / GRAVITY:.3g} g, PGV {record.peak_velocity:.3g} m/s"
+    lines = [f"record     {record.name}: {samples}, {peaks}"]
+    if record.vertical is not None:
+        lines.append(f"vertical   PGA {np.abs(record.vertical).max() / GRAVITY:.3g} g")
+    return lines
+
+
 def response_lines(response: Response) -> list[str]:
     """The outcome of a simulated bearing and its margins, as lines for a terminal."""
     margins, statistics = response.margins, response.statistics

@@ -15,33 +15,36 @@ from activefail.cli.sensitivity import sensitivity
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 
-# In the order of `activefail --help`.
-for _command in (
-    simulate,
-    campaigns,
-    run,
-    resume,
-    status,
-    create,
-    ask,
-    tell,
-    drop,
-    add,
-    predict,
-    verify,
-    probability,
-    hazard,
-    design,
-    sensitivity,
-    fragility,
-    ida,
-    export,
-    compare,
-    report,
-    explore,
-    paper,
-    doctor,
-):
-    app.command(cls=Command)(ends_on_ctrl_c(with_verbosity(_command)))
+_EXAMPLES = {
+    simulate: "--t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 --k 2e9 --t-p 2.5 --a-p 0.5",
+    campaigns: "--copy mine",
+    run: "paper --out runs/first",
+    resume: "runs/first --budget 600",
+    status: "runs/first",
+    create: "campaign.toml --out runs/laboratory",
+    ask: "runs/laboratory --n 10 --csv designs.csv",
+    tell: "runs/laboratory --csv results.csv",
+    drop: "runs/laboratory --ids 12,15",
+    add: "runs/laboratory --csv last_year.csv",
+    predict: "runs/first --csv designs.csv --out predictions.csv",
+    verify: "runs/first --simulations 400",
+    probability: "runs/first --question question.toml",
+    hazard: "hazard.toml runs/first --out figures",
+    design: "runs/first --hazard hazard.toml --target 0.02 --free D_tot",
+    sensitivity: "runs/first --hazard hazard.toml --out figures",
+    fragility: "runs/first --hazard hazard.toml --bearing bearing.toml --out figures",
+    ida: "--records farfield --bearing bearing.toml --out figures",
+    export: "runs/first --csv simulations.csv",
+    compare: "runs/first --static 500,1000,2000",
+    report: "runs/first --out report.html",
+    explore: "runs/first",
+    paper: "--draws 4 --fresh 1000",
+    doctor: "",
+}
+"""The commands in the order of `activefail --help`, with the example that each one's help ends with."""
+
+for _command, _words in _EXAMPLES.items():
+    _example = f"Example: activefail {_command.__name__} {_words}".rstrip()
+    app.command(cls=Command, epilog=_example)(ends_on_ctrl_c(with_verbosity(_command)))
 
 __all__ = ["app", "main", "program"]

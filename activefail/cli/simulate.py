@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from activefail.cli.common import (
+    AsJson,
     FrictionVelocity,
     LossOfConfinement,
     RelativeTolerance,
@@ -17,6 +18,7 @@ from activefail.cli.common import (
     SliderDensity,
     SliderDiameter,
     name_of,
+    print_json,
     table_input,
     table_output,
 )
@@ -27,7 +29,7 @@ from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.bearing import Accelerogram, Model, Tolerance
+    from activefail.bearing import Accelerogram, Model, Response, Tolerance
 
 
 def simulate(
@@ -72,6 +74,7 @@ def simulate(
     animate: Annotated[
         Path | None, typer.Option(help="Animate the bearing (.gif or .mp4).", show_default=False)
     ] = None,
+    as_json: AsJson = False,
     slider_diameter: SliderDiameter = 0.30,
     restitution_coefficient: RestitutionCoefficient = 0.65,
     slider_density: SliderDensity = 7850.0,
@@ -106,18 +109,18 @@ def simulate(
                 raise InputError(f"--record cannot be combined with {option}.")
         motion = _read_record(record, unit, scale, dt, vertical)
         _check_single({option: value for option, value in design.items() if option not in ("--t-p", "--a-p")}, out)
-        _simulate_one(list(present.values()), motion, model, integration, plot, animate)
+        _simulate_one(list(present.values()), motion, model, integration, plot, animate, as_json)
         return
     for option, of_record in (("--unit", unit), ("--scale", scale), ("--dt", dt), ("--vertical", vertical)):
         if of_record is not None:
             raise InputError(f"{option} requires --record.")
     if csv is None:
         _check_single(design, out)
-        _simulate_one(list(present.values()), None, model, integration, plot, animate)
+        _simulate_one(list(present.values()), None, model, integration, plot, animate, as_json)
         return
-    if present or plot or animate:
-        single = [*present, "--plot" if plot else "--animate"][0]
-        raise InputError(f"--csv cannot be combined with {single}, which is for one design.")
+    for_one = {"--plot": plot, "--animate": animate, "--json": as_json}
+    if single := [*present, *(option for option, value in for_one.items() if value)]:
+        raise InputError(f"--csv cannot be combined with {single[0]}, which is for one design.")
     _simulate_table(csv, out, model, integration)
 
 
@@ -156,12 +159,11 @@ def _simulate_one(
     tolerance: "Tolerance",
     plot: Path | None,
     animate: Path | None,
+    as_json: bool,
 ) -> None:
-    import numpy as np
-
     from activefail.accelerogram_files import doubts
-    from activefail.bearing.design import GRAVITY, Bearing, Pulse, outside_table_1
-    from activefail.bearing.motion import response_lines
+    from activefail.bearing.design import Bearing, Pulse, outside_table_1
+    from activefail.bearing.motion import record_lines, response_lines
     from activefail.bearing.simulation import simulate_one
 
     check_file(plot, "a plot", (".png", ".svg", ".pdf"))
@@ -170,14 +172,11 @@ def _simulate_one(
     motion = record if record is not None else Pulse.from_table(*design[7:])
     # The plots show the motion beyond the moment that decides the outcome.
     response = simulate_one(bearing, motion, model, tolerance, to_the_end=True)
-    if record is not None:
-        print(
-            f"record     {visible(record.name)}: {len(record.acceleration)} samples of {record.dt:g} s, PGA "
-            f"{record.peak / GRAVITY:.3g} g, PGV {record.peak_velocity:.3g} m/s"
-        )
-        if record.vertical is not None:
-            print(f"vertical   PGA {np.abs(record.vertical).max() / GRAVITY:.3g} g")
-    print("\n".join(response_lines(response)))
+    if as_json:
+        print_json(_as_json(response))
+    else:
+        lines = [] if record is None else record_lines(record)
+        print("\n".join(visible(line) for line in [*lines, *response_lines(response)]))
     notes = [] if record is None else doubts(record)
     for note in [*notes, *outside_table_1(design)]:
         print(f"note: {visible(note)}", file=sys.stderr)
@@ -185,15 +184,30 @@ def _simulate_one(
         from activefail.figures.motion import save_response
 
         save_response(response, plot)
-        print(f"plot       {visible(str(plot))}")
+        _print_file("plot", plot, as_json)
     if animate is not None:
         from activefail.figures.animation import save_animation
 
         with writing_to(animate):
             save_animation(response, animate)
-        print(f"film       {visible(str(animate))}")
+        _print_file("film", animate, as_json)
     if response.outcome_name == "numerical_failure":
         raise typer.Exit(1)
+
+
+def _as_json(response: "Response") -> dict[str, object]:
+    """The outcome of a simulation as JSON values; a margin that does not exist is NaN."""
+    return {
+        "outcome": response.outcome_name,
+        "cause": response.cause_name,
+        "margins": response.margins._asdict(),
+        "statistics": response.statistics._asdict(),
+    }
+
+
+def _print_file(title: str, path: Path, as_json: bool) -> None:
+    """Print the name of a file that was written; with JSON to the error stream."""
+    print(f"{title:<10} {visible(str(path))}", file=sys.stderr if as_json else sys.stdout)
 
 
 def _simulate_table(source: Path, target: Path | None, model: "Model", tolerance: "Tolerance") -> None:

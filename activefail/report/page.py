@@ -293,6 +293,32 @@ def _judging(evidence: Evidence, folder: str, risk: RiskFindings | None) -> list
     return [*commands, f"activefail report {folder}{f' {risk.options}' if risk else ''}"]
 
 
+def _next_step(
+    campaign: Campaign, evidence: Evidence, folder: str, left: int, continues: str, risk: RiskFindings | None
+) -> tuple[str, str]:
+    """What a reader of the page does next: a command, and what it does.
+
+    Args:
+        campaign: that the page is about.
+        evidence: on the page.
+        folder: the run folder, quoted.
+        left: planned simulations that are left.
+        continues: the command that continues the campaign.
+        risk: on the page.
+    """
+    if left:
+        return continues, f"continues the campaign: {left} of the planned simulations are left"
+    if not campaign.is_elsewhere:
+        if "error" in evidence.missing:
+            return f"activefail verify {folder}", "estimates with an interval how much the classifier gets wrong"
+        if "curve" in evidence.missing:
+            return f"activefail compare {folder}", "compares the campaign with static designs"
+    if has_pulse(campaign.space) and risk is None:
+        command = f"activefail report {folder} --hazard HAZARD.toml --fixed DESIGN.toml"
+        return command, "adds the fragility of a design at a site"
+    return f"activefail predict {folder} --csv designs.csv --out predictions.csv", "predicts other designs"
+
+
 def _space(campaign: Campaign) -> dict[str, Any]:
     """The variables and the fixed quantities."""
     space = campaign.space
@@ -335,6 +361,8 @@ def render(
     scales = length_scales(findings.classifier)
     run_folder = quoted(folder)
     stage("drawing")
+    left = max(0, settings.sampling.budget - done) if failure is None or not failure.is_known else 0
+    continues = continue_command(folder, campaign)
     budget = f" --budget {done}" if done != settings.sampling.budget else ""
     versions = provenance()
     numbers: dict[str, Any] = {
@@ -369,13 +397,14 @@ def render(
         "missing": evidence.missing,
         "done": done,
         "unseen": Summary.of(settings.text(), outcomes, store.batches, store.asked).unseen_warning,
-        "left": max(0, settings.sampling.budget - done) if failure is None or not failure.is_known else 0,
+        "left": left,
         "folder": run_folder,
-        "continues": continue_command(folder, campaign),
+        "continues": continues,
+        "next_step": _next_step(campaign, evidence, run_folder, left, continues, risk),
         "is_elsewhere": campaign.is_elsewhere,
         "commands": [
             f"activefail {'create' if campaign.is_elsewhere else 'run'} campaign.toml --out {run_folder}{budget}",
-            *([continue_command(folder, campaign)] if campaign.is_elsewhere else []),
+            *([continues] if campaign.is_elsewhere else []),
             *([f"activefail tell {run_folder} --csv answers.csv"] if campaign.is_elsewhere else []),
             *_judging(evidence, run_folder, risk),
         ],

@@ -183,6 +183,24 @@ def test_without_a_comparison_the_curve_is_of_the_validation_set_and_the_page_sa
 
 
 @pytest.mark.usefixtures("without_pictures")
+def test_the_first_box_says_what_to_do_next(html, folder):
+    def step(text: str) -> str:
+        return re.findall(r"<dt>next</dt><dd><code>(activefail \w+)", text)[0]
+
+    assert step(html) == "activefail verify"
+    with open_campaign(folder, write=False) as (campaign, store), one_thread():
+        classifier = current_classifier(campaign, store, write=False)
+        found = evidence.evidence_of(folder, campaign, store, classifier)
+        findings = findings_of(folder, campaign, store, classifier)
+        assert {"error", "curve"} <= set(found.missing)
+        steps = []
+        for name in ("error", "curve"):
+            found = replace(found, missing={key: why for key, why in found.missing.items() if key != name})
+            steps.append(step(page.render(findings, found, store)))
+    assert steps == ["activefail compare", "activefail report"]
+
+
+@pytest.mark.usefixtures("without_pictures")
 def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
