@@ -115,9 +115,26 @@ def test_one_design_as_json_has_the_figures_of_its_table_and_nothing_else_on_sta
     (tmp_path / "one.csv").write_text(
         "T_b,mu,D_tot,h_sl_ratio,h_rim_ratio,p,k,T_p,A_p\n4,0.06,0.6,0.6,0.1,45,2e9,2.5,0.5\n"
     )
-    words = (
-        ["--t-b", "4", "--mu", "0.06", "--d-tot", "0.6", "--h-sl-ratio", "0.6", "--h-rim-ratio", "0.1", "--p", "45", "--k", "2e9", "--t-p", "2.5", "--a-p", "0.5"]
-    )
+    words = [
+        "--t-b",
+        "4",
+        "--mu",
+        "0.06",
+        "--d-tot",
+        "0.6",
+        "--h-sl-ratio",
+        "0.6",
+        "--h-rim-ratio",
+        "0.1",
+        "--p",
+        "45",
+        "--k",
+        "2e9",
+        "--t-p",
+        "2.5",
+        "--a-p",
+        "0.5",
+    ]
     shown = activefail("simulate", *words, "--json", "--plot", tmp_path / "one.png")
     figures = json.loads(shown.out)
     assert f"plot       {tmp_path / 'one.png'}" in shown.err
