@@ -1,5 +1,7 @@
 """The command line: parse, call, print."""
 
+from collections.abc import Callable
+
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program, with_verbosity
 from activefail.cli.campaigns import campaigns, export, predict, resume, run, status, verify
 from activefail.cli.design import design
@@ -15,7 +17,7 @@ from activefail.cli.sensitivity import sensitivity
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
 
-_EXAMPLES = {
+_EXAMPLES: dict[Callable[..., None], str] = {
     simulate: "--t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 --k 2e9 --t-p 2.5 --a-p 0.5",
     campaigns: "--copy mine",
     run: "paper --out runs/first",
