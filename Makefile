@@ -5,13 +5,14 @@ BIN := $(VENV)/bin
 RUN := runs/paper
 PIP = $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: paper test test-all check faults docs reproduction benchmark clean help
+.PHONY: paper test test-faults test-all check faults docs reproduction benchmark clean help
 
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
-	@echo "make test         install, run all checks"
-	@echo "make test-all     the same with the exhaustive tests: more cases, and claims that take long to test"
-	@echo "make faults       install, try every state of the fault suite (docs/reliability.md)"
+	@echo "make test         install, run the checks: lint, types, imports and tests"
+	@echo "make test-faults  install, try a few states of each fault of the fault suite (docs/reliability.md)"
+	@echo "make test-all     all of them with the exhaustive tests: more cases, and claims that take long to test"
+	@echo "make faults       install, try every state of the fault suite"
 	@echo "make docs         install, build the site of the documentation in build/docs"
 	@echo "make reproduction install, write docs/reproduction.md and its figures anew"
 	@echo "make benchmark    install, measure the simulator against SciPy's solvers"
@@ -40,15 +41,20 @@ check: $(VENV)/.installed
 	$(BIN)/lint-imports
 
 # Slow files have few tests, and come last if the files with most tests come first.
+PYTEST = $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 test: check
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not faults"
+
+# With strace (Debian: apt install strace) the fault suite also kills programs at their system calls.
+test-faults: $(VENV)/.installed
+	$(PYTEST) -m faults
 
 test-all: check
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --exhaustive
+	$(PYTEST) --exhaustive
 
-# Every state, where `make test` tries a few of each kind. With strace (Debian: apt install strace) it also kills.
 faults: $(VENV)/.installed
-	$(BIN)/pytest -n 2 --dist loadfile -m faults --every-fault
+	$(PYTEST) -m faults --every-fault
 
 # A warning is an error. Every page is read again: the reference comes from the code.
 docs: $(VENV)/.installed

@@ -1,4 +1,4 @@
-"""Cases of a claim of which `make test` tests some, and `make test-all` and `make faults` all."""
+"""Cases of a claim of which `make test` or `make test-faults` tests some, and `make test-all` and `make faults` all."""
 
 from collections.abc import Collection, Iterable
 from typing import Any

@@ -174,6 +174,7 @@ def check_whole(campaign, store: MemoryStore) -> None:
         assert resumed(campaign, store).flight.tobytes() == resumed(campaign, bare).flight.tobytes()
 
 
+@pytest.mark.faults
 @pytest.mark.exhaustive
 def test_a_worker_that_is_killed_without_batches_costs_no_simulation(cluster: Cluster, tmp_path: Path) -> None:
     campaign = plan(tmp_path)
@@ -208,6 +209,7 @@ class Ambush(Disc):
         return super().run(X)
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("batch", some([1, 5], 5))  # of the initial design, and of chosen ones
 def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_batches(
     cluster: Cluster, tmp_path: Path, batch: int
@@ -228,6 +230,7 @@ def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_ba
     assert sorted(worker.poll() or 0 for worker in cluster.workers.values()) == [-signal.SIGKILL, 0]
 
 
+@pytest.mark.faults
 @pytest.mark.exhaustive
 def test_a_worker_that_is_added_is_given_work(cluster: Cluster, tmp_path: Path) -> None:
     campaign = disc(Gathered(folder=str(tmp_path)), initial=12, budget=28, batch=4, asynchronous=True)
@@ -243,6 +246,7 @@ def test_a_worker_that_is_added_is_given_work(cluster: Cluster, tmp_path: Path) 
     check_whole(campaign, store)
 
 
+@pytest.mark.faults
 def test_a_simulation_that_ends_its_process_costs_itself_and_not_the_worker(cluster: Cluster) -> None:
     X = np.array([[0.0, 20.0], [2.5, 20.0], [1.0, 20.0], [2.9, 30.0]])
     with DaskExecutor(cluster.address) as executor:
@@ -253,6 +257,7 @@ def test_a_simulation_that_ends_its_process_costs_itself_and_not_the_worker(clus
     assert all(worker.poll() is None for worker in cluster.workers.values())
 
 
+@pytest.mark.faults
 def test_a_hung_simulation_is_ended_by_its_limit_on_the_worker(cluster: Cluster) -> None:
     with DaskExecutor(cluster.address, time_limit=3.0) as executor:
         results = executor.run(Sleeping(), np.array([[-1.9, 11.0], [2.5, 20.0]]))
@@ -360,6 +365,7 @@ class Grave(str):
         os._exit(1)
 
 
+@pytest.mark.faults
 @pytest.mark.exhaustive
 def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds_up_nobody(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -415,6 +421,7 @@ def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(c
         executor.run(Unknown(), np.array([[0.0, 20.0]]))
 
 
+@pytest.mark.faults
 @pytest.mark.exhaustive
 def test_a_design_that_costs_worker_after_worker_is_given_up(cluster: Cluster, tmp_path: Path) -> None:
     with ExitStack() as stack:
@@ -462,6 +469,7 @@ def run(design):
 """
 
 
+@pytest.mark.faults
 @pytest.mark.exhaustive
 def test_a_scheduler_that_is_restarted_stops_the_campaign_which_goes_on_later(cluster: Cluster, tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
@@ -519,6 +527,7 @@ def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) ->
     assert len(messages) == 1
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("asynchronous", some([True, False], True))
 def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_path: Path, asynchronous: bool) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
@@ -563,6 +572,7 @@ def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(
             assert results.outcome.tolist() == [0, int(least < 1.0), 1]
 
 
+@pytest.mark.faults
 @pytest.mark.exhaustive
 def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")

@@ -47,6 +47,7 @@ def test_the_classifiers_probability_is_integrated_to_one_per_cent() -> None:
     assert probability == pytest.approx(ndtr(-3.0), rel=0.04)
 
 
+@pytest.mark.exhaustive
 def test_intervals_cover_and_the_estimate_has_no_bias_though_the_classifier_is_wrong() -> None:
     # Thirty designs leave a classifier of the four branches wrong by tens of per cent.
     latents = [trained(four_branch, 30, seed) for seed in range(3)]

@@ -244,6 +244,7 @@ class MadeEstimator:
         return Sampled(plan, limit(question.designs(plan.designs)) > 0.0, np.ones(simulations, dtype=bool))
 
 
+@pytest.mark.exhaustive
 def test_a_wrong_classifier_is_corrected_by_the_first_look_and_hardly_ever_gives_a_design_that_misses_its_target() -> (
     None
 ):

@@ -127,6 +127,7 @@ def test_training_ends_where_no_hyperparameter_can_be_bettered(kernel):
         assert value(best + 0.2 * direction) < value(best) + 1e-3
 
 
+@pytest.mark.exhaustive
 def test_a_warm_start_reaches_the_optimum_of_a_cold_one_in_fewer_evaluations():
     evaluations = {"warm": 0, "cold": 0}
     for seed in range(4, 10):  # one alone can be lucky

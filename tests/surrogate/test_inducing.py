@@ -135,6 +135,7 @@ def test_the_objective_with_inducing_points_has_the_gradient_that_it_states(kern
     assert value(at).gradient == pytest.approx(numerical, rel=1e-4, abs=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_hyperparameters_learned_with_inducing_points_are_as_good_as_those_learned_without(monkeypatch):
     F, y = points(400, seed=3)
     learned = fitting.fit(F, y, "matern52")
