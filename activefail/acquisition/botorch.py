@@ -68,7 +68,7 @@ class DesignAcquisition(AcquisitionFunction):
     ) -> None:
         if not isinstance(latent, Latent):
             raise TypeError(
-                "These criteria are those of a boundary that is learned from outcomes: set classifier.learns to "
+                "These criteria need a boundary that is learned from outcomes: set classifier.learns to "
                 "'outcomes'. BoTorch's own acquisition functions also work on the model of a margin."
             )
         super().__init__(latent.model)

@@ -131,7 +131,7 @@ def ida(
     if campaign is not None and not pulses:
         raise InputError("--campaign: needs --pulses, because a campaign under pulses knows no records.")
     if out is not None and out.resolve() == records.resolve():
-        raise InputError(f"--out: must be another folder than --records, got {visible(str(out))}.")
+        raise InputError(f"--out: must differ from --records, got {visible(str(out))}.")
     model = Model(
         slider_diameter=slider_diameter,
         restitution_coefficient=restitution_coefficient,
@@ -211,7 +211,7 @@ def _surrogate(folder: Path, outcome: str, model: "Model") -> "Surrogate":
         raise InputError(f"--outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
     with opened_run(folder) as run:
         if run.settings.bearing.model() != model:
-            raise InputError("--campaign: its [bearing] settings differ from this command's options; state the same.")
+            raise InputError("--campaign: its [bearing] settings differ from this command's options. Give this command the same values.")
         return Surrogate(run.campaign, run.classifier, OUTCOMES.index(outcome))
 
 

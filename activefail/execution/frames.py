@@ -118,7 +118,7 @@ def decode_frame(data: bytes, secret: bytes, question: Question, process: int | 
     if not hmac.compare_digest(data[_HEAD.size : begin], _checksum(secret, head, payload)):
         raise BrokenFrameError("its checksum is wrong")
     if (ticket, digest) != question:
-        raise BrokenFrameError("it answers another question")
+        raise BrokenFrameError("it answers another design")
     if process is not None and sender != process:
         raise BrokenFrameError("another process sent it")
     return Frame(FrameKind(kind), payload, sender, len(data) > begin + length)

@@ -165,7 +165,7 @@ class Verifications:
         """
         with self._lock:
             if self._last is not None and self._last.is_running:
-                raise AlreadyRunningError("Another verification is running; wait for its end.")
+                raise AlreadyRunningError("Another verification is running. Wait until it ends.")
             self._last = Verification(work)
             self._last.start()
             return self._last.progress()

@@ -253,7 +253,7 @@ def _check_from_state(campaign: Campaign, known: History, state: Mapping[str, ND
     if len(_without(designs, known.designs)) < len(designs):
         raise DamagedError("holds designs of a check that already have a result")
     if len(np.unique(designs, axis=0)) < len(designs) or len(designs) + int(state[_ANSWERED]) > designs_of:
-        raise DamagedError(f"holds a check of other than {designs_of} designs")
+        raise DamagedError(f"holds a check of duplicate designs, or of more than {designs_of}")
     return _Check(designs, int(state[_ANSWERED]))
 
 

@@ -86,7 +86,7 @@ def risk_options(
     if len(requirements) > 1:
         raise InputError(f"target: must be one target, got {text!r}.")
     if requirements[0].years is not None:
-        raise InputError(f"target: must be a probability given a pulse of the hazard in a report, got {text!r}.")
+        raise InputError(f"target: a report needs a probability given a pulse of the hazard, got {text!r}.")
     site = f"--hazard {quoted(hazard) if isinstance(hazard, Path | str) else 'HAZARD.toml'}"
     if fixed is not None:
         site += f" --fixed {quoted(fixed) if isinstance(fixed, Path | str) else 'DESIGN.toml'}"

@@ -69,9 +69,9 @@ def test_a_frame_of_which_any_bit_is_wrong_is_refused() -> None:
     [
         (
             encode_frame(SECRET, Question.about(b"a design", bytes([1] * 16)), PROCESS, FrameKind.ANSWERED),
-            "another question",
+            "another design",
         ),
-        (encode_frame(SECRET, Question.about(b"?", QUESTION.ticket), PROCESS, FrameKind.ANSWERED), "another question"),
+        (encode_frame(SECRET, Question.about(b"?", QUESTION.ticket), PROCESS, FrameKind.ANSWERED), "another design"),
         (encode_frame(SECRET, QUESTION, PROCESS + 1, FrameKind.ANSWERED), "another process"),
         (encode_frame(bytes(32), QUESTION, PROCESS, FrameKind.ANSWERED), "checksum"),
         (encode_frame(SECRET, QUESTION, PROCESS, 9), "kind is unknown"),  # type: ignore[arg-type]

@@ -280,7 +280,7 @@ def test_one_verification_runs_at_a_time_and_ends_when_it_is_stopped_or_the_serv
         second = ask(server, "verify", REQUEST)
         assert (second.status, second.json["error"]) == (
             409,
-            "Another verification is running; wait for its end.",
+            "Another verification is running. Wait until it ends.",
         )
         name = {"id": first.json["id"]}
         running = ask(server, "progress", name).json

@@ -493,7 +493,7 @@ def test_the_output_folder_is_made_before_any_simulation(case: Path, monkeypatch
     monkeypatch.setattr(module, "simulate_records", lambda *_: pytest.fail("simulated first"))
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--out")
     refused(activefail(*words, case / "bearing.toml"), "bearing.toml: cannot be written: File exists")
-    refused(activefail(*words, case / "set" / ".." / "set"), "--out: must be another folder than --records")
+    refused(activefail(*words, case / "set" / ".." / "set"), "--out: must differ from --records")
 
 
 def test_model_and_tolerance_are_those_of_the_options(case: Path) -> None:
