@@ -163,7 +163,7 @@ def test_the_help_of_simulate_gives_the_unit_of_every_variable_that_has_one() ->
     lines = activefail("simulate", "--help").out.splitlines()
     for parameter in TABLE_1.parameters:
         option = "--" + parameter.name.lower().replace("_", "-") + " "
-        (line,) = [line for line in lines if line.strip().startswith(option)]
+        (line,) = [line for line in lines if line.startswith(f"  {option}<")]
         assert f"[{parameter.unit}]" in line or not parameter.unit, line
 
 
