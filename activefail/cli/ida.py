@@ -211,7 +211,9 @@ def _surrogate(folder: Path, outcome: str, model: "Model") -> "Surrogate":
         raise InputError(f"--outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
     with opened_run(folder) as run:
         if run.settings.bearing.model() != model:
-            raise InputError("--campaign: its [bearing] settings differ from this command's options. Give this command the same values.")
+            raise InputError(
+                "--campaign: its [bearing] settings differ from this command's options. Give this command the same values."
+            )
         return Surrogate(run.campaign, run.classifier, OUTCOMES.index(outcome))
 
 

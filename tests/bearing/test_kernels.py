@@ -231,7 +231,7 @@ for fastmath in (False, True):
 """
 
 
-@pytest.mark.exhaustive
+@pytest.mark.faults
 def test_kernels_give_the_same_bits_whatever_was_compiled_before_them(tmp_path: Path) -> None:
     def answers(code: str, **environment: str) -> str:
         command = [sys.executable, "-c", code]
