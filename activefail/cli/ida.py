@@ -212,7 +212,8 @@ def _surrogate(folder: Path, outcome: str, model: "Model") -> "Surrogate":
     with opened_run(folder) as run:
         if run.settings.bearing.model() != model:
             raise InputError(
-                "--campaign: its [bearing] settings differ from this command's options. Give this command the same values."
+                "--campaign: its [bearing] settings differ from this command's options. Give this command the same "
+                "values."
             )
         return Surrogate(run.campaign, run.classifier, OUTCOMES.index(outcome))
 
