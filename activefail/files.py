@@ -1,4 +1,4 @@
-"""Writes files that get their names only once complete, and reads regular files without following links."""
+"""Durable writes: a new file gets its name only once it is complete and on the disk. Reads of regular files alone."""
 
 import errno
 import os

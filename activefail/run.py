@@ -245,7 +245,7 @@ class Run:
     @property
     def simulations(self) -> "DataFrame":
         """The simulations so far, in the order of the record, with the columns of `activefail export`."""
-        from activefail.findings.frames import simulations_frame
+        from activefail.findings.dataframes import simulations_frame
 
         return simulations_frame(self.campaign, self.store)
 
@@ -256,14 +256,14 @@ class Run:
         The columns are `id`, then `former_outcome`, `former_cause` and `former_<margin>` of the result that was
         replaced, then `outcome`, `cause` and the margins of the one that replaced it.
         """
-        from activefail.findings.frames import corrections_frame
+        from activefail.findings.dataframes import corrections_frame
 
         return corrections_frame(self.campaign, self.store)
 
     @property
     def in_flight(self) -> "DataFrame":
         """The designs in flight: `id`, the variables in their units, and the fixed quantities."""
-        from activefail.findings.frames import designs_frame
+        from activefail.findings.dataframes import designs_frame
 
         return designs_frame(self.campaign, self.handed_out.in_flight)
 
@@ -304,7 +304,7 @@ class Run:
             >>> while len(designs := run.ask(8)):
             ...     run.tell(designs.assign(outcome=[simulate(design) for _, design in designs.iterrows()]))
         """
-        from activefail.findings.frames import designs_frame
+        from activefail.findings.dataframes import designs_frame
         from activefail.loop.asking import ask
 
         check_whole("n", n, 1)
@@ -647,7 +647,7 @@ class Run:
         Raises:
             InputError: if there is no simulation to learn from, a variable is missing or a value is not finite.
         """
-        from activefail.findings.frames import designs_of, predictions_frame
+        from activefail.findings.dataframes import designs_of, predictions_frame
 
         designs, classifier = designs_of(self.campaign, X), self.classifier
         with one_thread():
@@ -842,9 +842,9 @@ class Run:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
         from activefail.risk.design.calculation import search_design
+        from activefail.risk.design.design_task import DEFAULT_FREE, design_task, read_targets
         from activefail.risk.design.risk_target import at_risk
         from activefail.risk.design.stored import designs_text
-        from activefail.risk.design.task import DEFAULT_FREE, design_task, read_targets
 
         check_whole("simulations", simulations, 10)
         names = names_of("free", free)

@@ -41,7 +41,7 @@ import torch
 from scipy.optimize import minimize
 from scipy.special import ndtr
 
-from activefail.acquisition.batch import propose
+from activefail.acquisition.batch_proposal import propose
 from activefail.acquisition.criteria import entropy
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE

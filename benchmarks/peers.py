@@ -28,7 +28,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.acquisition.batch import POOL, propose
+from activefail.acquisition.batch_proposal import POOL, propose
 from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE

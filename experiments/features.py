@@ -14,7 +14,7 @@ import time
 import numpy as np
 import torch
 
-from activefail.acquisition.batch import propose
+from activefail.acquisition.batch_proposal import propose
 from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.bearing.outcome import FAILURE

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from activefail.acquisition.batch import propose_shared
+from activefail.acquisition.batch_proposal import propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.bearing import TABLE_1, simulate
 from activefail.features import feature_map

@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 from rare_problems import FOUR_BRANCH, RP38, RareProblem
 
-from activefail.acquisition.batch import propose_shared
+from activefail.acquisition.batch_proposal import propose_shared
 from activefail.acquisition.criteria import criterion as criterion_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream

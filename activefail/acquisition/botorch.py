@@ -3,7 +3,7 @@
 A design is a point of the unit cube over the physical variables (`DesignSpace.from_unit`). The features are computed in
 torch, which needs a feature map with a `formula`. The criteria are those of `criteria`, on tensors.
 
-The campaign's loop does not use this module: it proposes designs with `activefail.acquisition.batch`, which needs no
+The campaign's loop does not use this module: it proposes designs with `batch_proposal`, which needs no
 gradients. The module is for users of BoTorch. The model is `Latent.model`, a BoTorch `ApproximateGPyTorchModel`.
 """
 
@@ -15,7 +15,7 @@ from botorch.acquisition import AcquisitionFunction
 from botorch.utils.transforms import t_batch_mode_transform
 from torch import Tensor
 
-from activefail.acquisition.batch import REFERENCES, fantasised
+from activefail.acquisition.batch_proposal import REFERENCES, fantasised
 from activefail.acquisition.criteria import Criterion, LookAhead, Pointwise, criterion
 from activefail.acquisition.differentiable import columns
 from activefail.errors import InputError

@@ -90,7 +90,7 @@ def fragility(
         )
         show_unseen(opened.summary)
         outcomes = opened.campaign.simulator.outcomes
-    from activefail.risk.fragility.files import write_curves
+    from activefail.risk.fragility.curve_files import write_curves
     from activefail.risk.fragility.wording import lines
 
     if csv is not None:

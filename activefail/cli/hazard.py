@@ -13,7 +13,7 @@ from activefail.shares import percent
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.risk.hazard import HazardSummary, Outside
+    from activefail.risk.hazard_summary import HazardSummary, Outside
     from activefail.space import DesignSpace
 
 
@@ -39,7 +39,7 @@ def hazard(
     With a run folder, also shows which share of the pulses lies outside the campaign's design space.
     """
     from activefail.campaign.hazard import read_hazard
-    from activefail.risk.hazard import HazardSummary, Outside
+    from activefail.risk.hazard_summary import HazardSummary, Outside
 
     if folder is None and fixed is not None:
         raise InputError("--fixed: needs a run folder, whose variables it fixes.")
@@ -80,7 +80,7 @@ def _draw(summary: "HazardSummary", space: "DesignSpace | None", out: Path) -> N
 
 
 def _show(summary: "HazardSummary") -> None:
-    from activefail.risk.design.task import RISK_CATEGORIES
+    from activefail.risk.design.design_task import RISK_CATEGORIES
 
     read = summary.hazard
     settings = read.settings

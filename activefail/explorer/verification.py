@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from activefail.errors import ActivefailError, InputError
 from activefail.execution.executor import Executor
-from activefail.risk.design.task import LOOKS
+from activefail.risk.design.design_task import LOOKS
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 

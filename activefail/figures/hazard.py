@@ -13,7 +13,7 @@ from activefail.campaign.hazard import Hazard
 from activefail.campaign.pulse_table import velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD
 from activefail.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, ORANGE, VERMILION, styled
-from activefail.risk.hazard import HazardSummary
+from activefail.risk.hazard_summary import HazardSummary
 from activefail.space import Array, DesignSpace
 
 _CONTOURS = (0.5, 0.9, 0.99)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from activefail.acquisition.batch import Search, propose_shared
+from activefail.acquisition.batch_proposal import Search, propose_shared
 from activefail.acquisition.criteria import criterion
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History

@@ -12,7 +12,7 @@ from activefail.files import make_folder, replacing, target_of
 from activefail.findings.quantities import quantity
 from activefail.report.environment import page_environment
 from activefail.report.picture import picture
-from activefail.risk.fragility.files import write_files
+from activefail.risk.fragility.curve_files import write_files
 from activefail.risk.fragility.findings import FragilityFindings
 from activefail.risk.fragility.wording import given, heading, of_boundary, why_no_risk
 from activefail.visible import or_worse, visible

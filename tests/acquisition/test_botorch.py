@@ -5,7 +5,7 @@ from botorch.optim import optimize_acqf
 from cases import some
 from scipy.stats import norm
 
-from activefail.acquisition.batch import REFERENCES, fantasised
+from activefail.acquisition.batch_proposal import REFERENCES, fantasised
 from activefail.acquisition.botorch import TorchFeatures, acquisition_function
 from activefail.acquisition.criteria import LookAhead, criterion
 from activefail.acquisition.differentiable import columns

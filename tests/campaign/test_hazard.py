@@ -23,7 +23,7 @@ from activefail.figures.hazard import plot_hazard
 from activefail.reliability.estimate import Doubt, Plan
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.levels import answer
-from activefail.risk.hazard import HazardSummary, Outside
+from activefail.risk.hazard_summary import HazardSummary, Outside
 from activefail.risk.model import classifier_probability
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability_estimator import Sampled

@@ -15,8 +15,8 @@ from activefail.campaign.hazard import read_hazard
 from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.report.fragility_section import risk_findings, risk_options
+from activefail.risk.design.design_task import Requirement
 from activefail.risk.design.stored import stored_designs
-from activefail.risk.design.task import Requirement
 
 LIMIT = f"""
 import math

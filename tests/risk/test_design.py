@@ -18,9 +18,9 @@ from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.reliability.strata import StratifiedPlan, plan_strata
+from activefail.risk.design.design_task import DesignTask, Requirement, read_targets
 from activefail.risk.design.required import least_value, required_chart
 from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design
-from activefail.risk.design.task import DesignTask, Requirement, read_targets
 from activefail.run import Run
 from activefail.space import Array, DesignSpace
 from activefail.verification.confidence_bounds import largest_unseen_share

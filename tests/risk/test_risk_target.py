@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from activefail.campaign.hazard import Hazard, hazard_of
 from activefail.errors import InputError
+from activefail.risk.design.design_task import Requirement, read_targets
 from activefail.risk.design.risk_target import at_risk, pulses_of_curve
-from activefail.risk.design.task import Requirement, read_targets
 from activefail.risk.fragility.curve import Curve, Ladder
 from activefail.risk.fragility.rates import risk_of
 from activefail.space import Array

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activefail.reliability.estimate import Standardised
-from activefail.risk.design.task import DesignTask
+from activefail.risk.design.design_task import DesignTask
 from activefail.risk.model import classifier_probability
 from activefail.space import Array
 

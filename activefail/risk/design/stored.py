@@ -11,8 +11,8 @@ from activefail.campaign.question import Question
 from activefail.files import read_regular
 from activefail.record.layout import DESIGNS
 from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.risk.design.design_task import LOOKS, Requirement, confidence_of_bound
 from activefail.risk.design.search import Designed, verifies
-from activefail.risk.design.task import LOOKS, Requirement, confidence_of_bound
 from activefail.verification.probability_estimator import Estimator
 
 _LARGEST, _MOST = 1_000_000, 1_000

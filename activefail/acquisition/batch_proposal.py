@@ -11,7 +11,7 @@ from scipy.special import log_ndtr
 
 from activefail.acquisition.by_margin import propose_by_margin
 from activefail.acquisition.criteria import LookAhead, Pointwise, bald
-from activefail.acquisition.search import search
+from activefail.acquisition.unseen_search import search
 from activefail.features import FeatureMap
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent

@@ -13,7 +13,7 @@ from activefail.campaign.hazard import Hazard, check_applies
 from activefail.campaign.hazard_sections import RELATIONS, MagnitudeSection
 from activefail.campaign.pulse_table import velocities
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
-from activefail.risk.design.task import RISK_CATEGORIES
+from activefail.risk.design.design_task import RISK_CATEGORIES
 from activefail.risk.fragility.rates import exceedance
 from activefail.space import Array, DesignSpace
 from activefail.weighted import weighted_quantiles

@@ -5,7 +5,7 @@ import pytest
 from rare import four_branch
 from scipy.spatial.distance import cdist
 
-from activefail.acquisition.search import search
+from activefail.acquisition.unseen_search import search
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from activefail.acquisition import batch
-from activefail.acquisition.batch import (
+from activefail.acquisition import batch_proposal
+from activefail.acquisition.batch_proposal import (
     SEARCH_SHARE,
     Search,
     apportion,
@@ -30,7 +30,7 @@ SPACE = DesignSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
 @pytest.fixture(autouse=True)
 def few_references(monkeypatch):
     """In two variables fewer will do."""
-    monkeypatch.setattr(batch, "REFERENCES", 256)
+    monkeypatch.setattr(batch_proposal, "REFERENCES", 256)
 
 
 def beyond(X):
@@ -158,12 +158,12 @@ def test_bringing_values_up_to_date_lazily_loses_next_to_nothing(name, monkeypat
         after, total = covariance.copy(), 0.0
         for row in chosen:
             total += gains(mean, after, n, name)[row]
-            batch.fantasise(mean, after, row)
+            batch_proposal.fantasise(mean, after, row)
         return total
 
-    monkeypatch.setattr(batch, "LAZY_BLOCK", 20)
+    monkeypatch.setattr(batch_proposal, "LAZY_BLOCK", 20)
     lazy = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
-    monkeypatch.setattr(batch, "LAZY_BLOCK", n)
+    monkeypatch.setattr(batch_proposal, "LAZY_BLOCK", n)
     always = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
     # Eight factors drive all 400 points here: after a choice many a candidate is worth more than before.
     assert worth(lazy) > 0.97 * worth(always)
@@ -329,7 +329,7 @@ def test_designs_for_one_boundary_are_in_flight_for_the_next(nested):
         return np.full((q, 2), 0.1 * len(calls))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "propose", spy)
+        patch.setattr(batch_proposal, "propose", spy)
         designs = shared(nested, {"core": 0.5, "ring": 0.5}, 4, 4, pending=pending)
     assert [q for q, _ in calls] == [2, 2]
     assert np.array_equal(calls[0][1], pending)
@@ -351,7 +351,7 @@ def test_a_design_that_was_simulated_or_is_in_flight_is_not_proposed_again(monke
         assert len(set(chosen(q))) == q
         assert not known & set(chosen(q))
     # The searches do end in corners: nothing else keeps these from being proposed.
-    monkeypatch.setattr(batch, "new_rows", lambda X, F, latent, failed: np.arange(len(F)))
+    monkeypatch.setattr(batch_proposal, "new_rows", lambda X, F, latent, failed: np.arange(len(F)))
     assert known & set(chosen(40))
 
 
@@ -382,7 +382,7 @@ def test_designs_that_search_take_turns_in_their_widths_whatever_the_size_of_a_b
         numbers.extend(range(first, first + count))
         return space.latin_hypercube(count, rng)
 
-    monkeypatch.setattr(batch, "search", noted)
+    monkeypatch.setattr(batch_proposal, "search", noted)
     X = SPACE.latin_hypercube(20, np.random.default_rng(0))
     classifier = learned
     if known_side == "one":
