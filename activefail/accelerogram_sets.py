@@ -81,7 +81,7 @@ class RecordSet:
         """What to know of the set, as sentences."""
         notes = []
         if self.without_event:
-            which = "No table names the events, so each record counts as one."
+            which = "No table names the events, so each record counts as an event of its own."
             if self.without_event < len(self.records):
                 each = "it counts as an event of its own" if self.without_event == 1 else "each of them counts as one"
                 which = f"The table names no event for {self.without_event} of the records, so {each}."

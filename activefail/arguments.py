@@ -1,9 +1,10 @@
-"""Checks of what a Python user passes: paths, tables, names and numbers."""
+"""What a Python user passes, checked: paths, tables, names, numbers, hazards and questions."""
 
 import io
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex, cast
@@ -11,8 +12,12 @@ from typing import TYPE_CHECKING, Any, SupportsIndex, cast
 from activefail.errors import InputError
 
 if TYPE_CHECKING:
+    from activefail.campaign.assembly import Campaign
+    from activefail.campaign.hazard import Hazard
+    from activefail.campaign.question import Question
     from activefail.campaign.results_table import ResultTable, Table
     from activefail.csv_table import Source, Target
+    from activefail.space import DesignSpace
 
 
 def _file(file: Any) -> Any:
@@ -123,3 +128,86 @@ def check_confidence(confidence: float) -> None:
     """
     if not 0.0 < confidence < 1.0:
         raise InputError(f"confidence: must be between 0 and 1, got {confidence}.")
+
+
+def values_of(space: "DesignSpace", fixed: "Mapping[str, float] | Path | str | None") -> dict[str, float]:
+    """Values of variables in an argument: by name, or in a TOML file.
+
+    Raises:
+        InputError: if a name is not a variable, or a value is not a number.
+    """
+    from activefail.campaign.question import checked_values, read_fixed
+
+    if fixed is None:
+        return {}
+    if isinstance(fixed, str | Path):
+        return read_fixed(Path(fixed), space)
+    if not isinstance(fixed, Mapping):
+        raise InputError(f"fixed: must be values by name, or a path, got {type(fixed).__name__}.")
+    return checked_values(fixed, space)
+
+
+def question_asked(
+    campaign: "Campaign",
+    question: "Question | Path | str | None",
+    fixed: "Mapping[str, float] | Path | str | None",
+) -> "Question":
+    """A question in an argument (see `Run.asked`).
+
+    Raises:
+        InputError: naming the file, the key, the rule and the value.
+    """
+    from activefail.campaign.question import Question, question_of
+    from activefail.campaign.question_files import check_designs_of, read_question
+
+    values = values_of(campaign.space, fixed)
+    if isinstance(question, Question):
+        # Without values a campaign's own design measure stays what it is, with its stored simulations.
+        asked = question.at(values) if values else question
+    elif question is not None:
+        asked = read_question(path_of("question", question), campaign.settings, campaign.space, values)
+    else:
+        asked = question_of(campaign.settings, campaign.space, values) if values else campaign.question
+    source = next((str(given) for given in (fixed, question) if isinstance(given, str | Path)), "")
+    check_designs_of(asked, campaign.simulator, source)
+    return asked
+
+
+def site_and_question(
+    campaign: "Campaign",
+    hazard: "Hazard | Path | str | None",
+    question: "Question | Path | str | None",
+    fixed: "Mapping[str, float] | Path | str | None",
+    free: Collection[str] = (),
+) -> "tuple[Hazard | None, Question]":
+    """The hazard in an argument and the question that it asks, or a question alone.
+
+    Args:
+        campaign: the campaign that is asked.
+        hazard, question, fixed: as for `Run.design`.
+        free: variables that get their values later. Under rows of pulses they have none in the question.
+
+    Raises:
+        InputError: if both are given, or a file is invalid.
+    """
+    from activefail.campaign.hazard import Hazard, hazard_question, is_hazard, read_hazard
+    from activefail.campaign.question_files import check_designs_of, middles
+
+    if hazard is not None and question is not None:
+        raise InputError("question: cannot be combined with hazard.")
+    if isinstance(question, Path | str) and is_hazard(Path(question)):
+        hazard, question = question, None
+    if hazard is None:
+        return None, question_asked(campaign, question, fixed)
+    space = campaign.space
+    site = hazard if isinstance(hazard, Hazard) else read_hazard(path_of("hazard", hazard))
+    values, file = values_of(space, fixed), str(hazard) if isinstance(hazard, Path | str) else ""
+    # The pulses of a file have no distribution of other variables beside them.
+    meanwhile = middles(space, [name for name in free if name not in values]) if site.rows is not None else {}
+    try:
+        asked = hazard_question(site, campaign.settings, space, {**meanwhile, **values})
+    except InputError as error:
+        raise InputError(f"{file}: {error}" if file else str(error)) from None
+    check_designs_of(asked, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
+    given = {name: value for name, value in asked.fixed.items() if name not in meanwhile}
+    return site, replace(asked, fixed=given)

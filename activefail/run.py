@@ -5,7 +5,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import replace
 from html import escape
 from operator import index
 from pathlib import Path
@@ -18,10 +17,13 @@ from activefail.arguments import (
     check_whole,
     names_of,
     path_of,
+    question_asked,
     rows_named,
+    site_and_question,
     source_of,
     table_of,
     target_of,
+    values_of,
 )
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
@@ -34,7 +36,6 @@ from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
 from activefail.record.layout import COMPARISON, CURVES, DESIGNS, ESTIMATE, REPORT, SCORES
-from activefail.shares import percent
 from activefail.surrogate.threads import one_thread
 from activefail.visible import visible
 
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from activefail.csv_table import Source, Target
     from activefail.execution.executor import AsynchronousExecutor, Executor
     from activefail.features import FeatureMap
+    from activefail.findings.ending import StopMessages
     from activefail.findings.failure import FailureFindings
     from activefail.findings.probability import ProbabilityFindings
     from activefail.findings.results import Findings
@@ -95,22 +97,6 @@ class Taken(NamedTuple):
     def warning(self) -> str:
         """The warning about abandoned simulations; empty if there are none."""
         return self.first_fault and f"simulations were abandoned; the first failed with: {self.first_fault}"
-
-
-class StopMessages(NamedTuple):
-    """What becomes of running simulations when a campaign stops: on request, after an orderly and an immediate stop."""
-
-    requested: str
-    orderly: str
-    immediate: str
-
-
-_IN_BATCHES = StopMessages("stopping after this batch", "after a complete batch", "recorded batches are safe")
-_ASYNCHRONOUS = StopMessages(
-    "stopping: waiting for the simulations in flight",
-    "with nothing in flight",
-    "recorded simulations are safe, those in flight will be simulated again",
-)
 
 
 class Run:
@@ -195,29 +181,18 @@ class Run:
         return self.settings.classifier.learns != "outcomes" and bool(self.campaign.simulator.margins)
 
     @property
-    def stop_messages(self) -> StopMessages:
+    def stop_messages(self) -> "StopMessages":
         """The messages about a stop of the campaign."""
-        return _ASYNCHRONOUS if self.settings.sampling.asynchronous else _IN_BATCHES
+        from activefail.findings.ending import stop_messages
+
+        return stop_messages(self.settings)
 
     @property
     def stop_rule_warning(self) -> str:
         """Why the stop rule cannot be met, or not at its first look; empty if it can."""
-        from activefail.verification.confidence_bounds import largest_unseen_share
-        from activefail.verification.error import confidence_of_look, least_simulations
+        from activefail.findings.ending import stop_rule_warning
 
-        if self.settings.probability_rule is not None and not self.learns_from_margins:
-            return (
-                "stop.probability: a boundary that is learned from outcomes alone never meets this rule; the campaign "
-                "ends at its budget. Let the simulator report a margin (docs/probability.md)"
-            )
-        rule = self.settings.error_rule
-        if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
-            return ""
-        bound = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
-        return (
-            f"stop.simulations: with {rule.simulations} simulations the first look cannot show an error below "
-            f"{percent(bound)}, even if none is misclassified; {100 * rule.error:g} % takes at least {least}"
-        )
+        return stop_rule_warning(self.settings, self.learns_from_margins)
 
     def check_budget(self, budget: int | None) -> None:
         """Check a budget that replaces the campaign's; None is valid.
@@ -504,6 +479,7 @@ class Run:
         observer: Observer,
         executor_options: str,
     ) -> Taken:
+        from activefail.findings.ending import how_stop_rule_was_met
         from activefail.loop.batches import run
 
         target = self.settings.sampling.budget if budget is None else budget
@@ -525,22 +501,8 @@ class Run:
                 # The loop recorded results and saved newer states, also if it failed later.
                 self._learned = self._memory = None
         progress = standing(self.campaign, self.store.batches, target)
-        stop_rule = self._met_after(progress.done) if finished and progress.done < target else ""
+        stop_rule = how_stop_rule_was_met(self.settings, progress.done) if finished and progress.done < target else ""
         return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
-
-    def _met_after(self, simulations: int) -> str:
-        if (rule := self.settings.error_rule) is not None:
-            return (
-                f"met after {simulations} simulations: the error at the {self.boundary} boundary is at most "
-                f"{100 * rule.error:g} %, with {100 * rule.confidence:g} % confidence over all looks"
-            )
-        if (goal := self.settings.probability_rule) is not None:
-            return (
-                f"met after {simulations} simulations: the classifier is sure of the probability of {goal.probability} "
-                f"and a check far from all other designs did not contradict it. `activefail probability` estimates it "
-                "with an interval"
-            )
-        return ""
 
     @property
     def classifier(self) -> "Classifier":
@@ -801,7 +763,7 @@ class Run:
         check_whole("verify", verify, 0)
         outcome = self._boundary_named(outcome)
         check_confidence(confidence)
-        site, asked = self._at_site(hazard, question, fixed)
+        site, asked = site_and_question(self.campaign, hazard, question, fixed)
         ladder = checked_ladder(site, asked, self.space, intensity, against, bounds, verify)
         with self._estimator(executor, stage, simulates=bool(verify)) as estimator:
             return fragility(estimator, site, asked, intensity, ladder, outcome, verify, confidence, stage)
@@ -849,11 +811,11 @@ class Run:
         check_whole("simulations", simulations, 10)
         names = names_of("free", free)
         requirements = read_targets(str(target), self.campaign.simulator.outcomes, self.boundary)
-        site, asked = self._at_site(hazard, question, fixed, names or (DEFAULT_FREE,))
+        site, asked = site_and_question(self.campaign, hazard, question, fixed, names or (DEFAULT_FREE,))
         rate = None
         if any(one.years is not None for one in requirements):
             site, requirements, rate = at_risk(site, requirements)
-            site, asked = self._at_site(site, None, fixed, names or (DEFAULT_FREE,))
+            site, asked = site_and_question(self.campaign, site, None, fixed, names or (DEFAULT_FREE,))
         task = design_task(self.campaign, asked, requirements, names, cost, confidence, simulations, rate)
         with self._estimator(executor, stage) as estimator:
             found = search_design(estimator, task, site, chart, stage)
@@ -902,7 +864,7 @@ class Run:
             check_whole("samples", samples, 1)
         outcome = self._boundary_named(outcome)
         check_confidence(confidence)
-        site, asked = self._at_site(hazard, question, fixed, self.space.names)
+        site, asked = site_and_question(self.campaign, hazard, question, fixed, self.space.names)
         latent = self.classifier.latent(outcome)
         standardised = standardised_latent(latent, self.features)
         with one_thread():
@@ -931,20 +893,7 @@ class Run:
         Raises:
             InputError: naming the file, the key, the rule and the value.
         """
-        from activefail.campaign.question import Question, question_of
-        from activefail.campaign.question_files import check_designs_of, read_question
-
-        values = self.fixed_values(fixed)
-        if isinstance(question, Question):
-            # Without values a campaign's own design measure stays what it is, with its stored simulations.
-            asked = question.at(values) if values else question
-        elif question is not None:
-            asked = read_question(path_of("question", question), self.settings, self.space, values)
-        else:
-            asked = question_of(self.settings, self.space, values) if values else self.campaign.question
-        source = next((str(given) for given in (fixed, question) if isinstance(given, str | Path)), "")
-        check_designs_of(asked, self.campaign.simulator, source)
-        return asked
+        return question_asked(self.campaign, question, fixed)
 
     def fixed_values(self, fixed: "Mapping[str, float] | Path | str | None") -> dict[str, float]:
         """Values of variables, by name or from a TOML file.
@@ -952,15 +901,7 @@ class Run:
         Raises:
             InputError: if a name is not a variable, or a value is not a number.
         """
-        from activefail.campaign.question import checked_values, read_fixed
-
-        if fixed is None:
-            return {}
-        if isinstance(fixed, str | Path):
-            return read_fixed(Path(fixed), self.space)
-        if not isinstance(fixed, Mapping):
-            raise InputError(f"fixed: must be values by name, or a path, got {type(fixed).__name__}.")
-        return checked_values(fixed, self.space)
+        return values_of(self.space, fixed)
 
     def _save_estimate(self, outcome: str, numbers: dict[str, Any]) -> None:
         """Save an estimate beside those of other outcomes from the same record."""
@@ -969,43 +910,6 @@ class Run:
         outcomes = read_estimates(self.folder, self.store.digest, self.campaign.simulator.outcomes) | {outcome: numbers}
         saved = {"record": self.store.digest, "outcomes": outcomes}
         self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
-
-    def _at_site(
-        self,
-        hazard: "Hazard | Path | str | None",
-        question: "Question | Path | str | None",
-        fixed: "Mapping[str, float] | Path | str | None",
-        free: "Sequence[str]" = (),
-    ) -> "tuple[Hazard | None, Question]":
-        """The hazard and the question that it asks, or a question alone.
-
-        Args:
-            hazard, question, fixed: as for `design`.
-            free: variables that get their values later. Under rows of pulses they have none in the question.
-
-        Raises:
-            InputError: if both are given, or a file is invalid.
-        """
-        from activefail.campaign.hazard import Hazard, hazard_question, is_hazard, read_hazard
-        from activefail.campaign.question_files import check_designs_of, middles
-
-        if hazard is not None and question is not None:
-            raise InputError("question: cannot be combined with hazard.")
-        if isinstance(question, Path | str) and is_hazard(Path(question)):
-            hazard, question = question, None
-        if hazard is None:
-            return None, self.asked(question, fixed)
-        site = hazard if isinstance(hazard, Hazard) else read_hazard(path_of("hazard", hazard))
-        values, file = self.fixed_values(fixed), str(hazard) if isinstance(hazard, Path | str) else ""
-        # The pulses of a file have no distribution of other variables beside them.
-        meanwhile = middles(self.space, [name for name in free if name not in values]) if site.rows is not None else {}
-        try:
-            asked = hazard_question(site, self.settings, self.space, {**meanwhile, **values})
-        except InputError as error:
-            raise InputError(f"{file}: {error}" if file else str(error)) from None
-        check_designs_of(asked, self.campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
-        given = {name: value for name, value in asked.fixed.items() if name not in meanwhile}
-        return site, replace(asked, fixed=given)
 
     @contextmanager
     def _estimator(
@@ -1140,7 +1044,7 @@ class Run:
         risk = None
         if hazard is not None:
             asked = risk_options(hazard, fixed, design_target, self.campaign.simulator.outcomes, self.boundary)
-            site, question = self._at_site(hazard, None, fixed)
+            site, question = site_and_question(self.campaign, hazard, None, fixed)
             assert site is not None
             with self._estimator(None, stage, simulates=False) as estimator:
                 risk = risk_findings(estimator, self.folder, site, question, asked, stage)

@@ -317,9 +317,9 @@ def entries(fit_seconds: float) -> dict[str, Entry]:
     return {
         "activefail": Entry("activefail, entropy", ours),
         "activefail-eavc": Entry("activefail, EAVC", lambda seed: Activefail("eavc")),
-        "random": Entry("random designs, our classifier", ours, static=uniform),
-        "lhs": Entry("static LHS, our classifier", ours, static=TABLE_1.latin_hypercube),
-        "sobol": Entry("static Sobol', our classifier", ours, static=sobol),
+        "random": Entry("random designs, activefail's classifier", ours, static=uniform),
+        "lhs": Entry("static LHS, activefail's classifier", ours, static=TABLE_1.latin_hypercube),
+        "sobol": Entry("static Sobol', activefail's classifier", ours, static=sobol),
         "boosting": Entry("gradient boosting, entropy", lambda seed: UncertaintySampling(seed, boosted_trees), skl),
         "gpc": Entry("Laplace GP, entropy", lambda seed: UncertaintySampling(seed, laplace_classifier), skl),
         "ak": Entry("AK-MCS on the margin, U", AdaptiveKriging, ("UQpy", "sklearn")),

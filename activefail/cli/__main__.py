@@ -1,4 +1,4 @@
-"""`python -m activefail.cli`: the same as `activefail`."""
+"""`python -m activefail.cli`: the same as `activefail`, under an older name."""
 
 from activefail.cli import program
 

@@ -1,12 +1,11 @@
 """`activefail design`: the cheapest design that meets a target."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_stage, show_unseen
+from activefail.cli.common import AsJson, Code, Fixed, RunFolder, opened_run, print_json, show_stage, show_unseen
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.record.layout import check_output
@@ -53,7 +52,7 @@ def design(
         ),
     ] = 500,
     chart: Annotated[bool, typer.Option(help="Compute the chart of required values, with --out.")] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -90,7 +89,7 @@ def design(
         with writing_to(out):
             written = write_design(findings, out)
     if as_json:
-        print(json.dumps(findings.as_json(), indent=2))
+        print_json(findings.as_json())
     else:
         for title, text in findings.lines():
             print(visible(f"{title:<10} {text}"))

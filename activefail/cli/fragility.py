@@ -1,6 +1,5 @@
 """`activefail fragility`: probabilities against an intensity or a variable."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -8,11 +7,13 @@ import typer
 
 from activefail.cli.common import (
     STANDARD,
+    AsJson,
     Code,
     Fixed,
     RunFolder,
     name_of,
     opened_run,
+    print_json,
     show_stage,
     show_unseen,
     table_output,
@@ -60,7 +61,7 @@ def fragility(
         str | None,
         typer.Option(help="Outcome whose curve is verified; that of the target boundary by default."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     csv: Annotated[
         Path | None, typer.Option(help="Table of the curves to write; - is standard output.", show_default=False)
     ] = None,
@@ -103,7 +104,7 @@ def fragility(
         with writing_to(out):
             written = write_fragility(found, outcomes, out)
     if as_json:
-        print(json.dumps(found.as_json(), indent=2))
+        print_json(found.as_json())
         return
     if csv == STANDARD:
         return

@@ -1,12 +1,11 @@
 """`activefail hazard`: what a hazard file says."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import Code, Fixed, opened_run
+from activefail.cli.common import AsJson, Code, Fixed, opened_run, print_json
 from activefail.errors import InputError
 from activefail.record.layout import check_output
 from activefail.shares import percent
@@ -30,7 +29,7 @@ def hazard(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the figure: hazard.png and hazard.svg.", show_default=False)
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     fixed: Fixed = None,
     code: Code = None,
 ) -> None:
@@ -56,7 +55,7 @@ def hazard(
     if out is not None:
         _draw(summary, space, out)
     if as_json:
-        print(json.dumps(summary.as_json() | {"outside": outside.as_json() if outside else None}, indent=2))
+        print_json(summary.as_json() | {"outside": outside.as_json() if outside else None})
         return
     _show(summary)
     if outside is not None:
@@ -76,7 +75,7 @@ def _draw(summary: "HazardSummary", space: "DesignSpace | None", out: Path) -> N
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
         save_figure(figure, out / "hazard.png")
-        save_figure(figure, out / "hazard.svg", metadata={"Date": None})
+        save_figure(figure, out / "hazard.svg")
 
 
 def _show(summary: "HazardSummary") -> None:

@@ -232,4 +232,4 @@ def _write(found: "IdaFindings", out: Path) -> None:
             write([["" if row[name] is None else row[name] for name in columns] for row in numbers["records"]])
         figure = plot_ida(found)
         save_figure(figure, out / "ida.png")
-        save_figure(figure, out / "ida.svg", metadata={"Date": None})
+        save_figure(figure, out / "ida.svg")

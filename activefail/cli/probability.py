@@ -1,12 +1,11 @@
 """`activefail probability`: the probability of an outcome, with an interval from fresh simulations."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from activefail.cli.common import Code, Fixed, RunFolder, opened_run, show_unseen
+from activefail.cli.common import AsJson, Code, Fixed, RunFolder, opened_run, print_json, show_unseen
 from activefail.shares import percent
 from activefail.visible import or_worse, visible
 
@@ -20,7 +19,7 @@ def probability(
     outcome: Annotated[
         str | None, typer.Option(help="Outcome; that of the target boundary by default.", show_default=False)
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     question: Annotated[
         Path | None,
         typer.Option(
@@ -44,7 +43,7 @@ def probability(
         boundaries = opened.campaign.simulator.outcomes
     show_unseen(summary)
     if as_json:
-        print(json.dumps({"outcomes": {findings.outcome: findings.as_json()}}, indent=2))
+        print_json({"outcomes": {findings.outcome: findings.as_json()}})
         return
     estimate = findings.estimate
     name = visible(or_worse(findings.outcome, boundaries))

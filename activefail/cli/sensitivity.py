@@ -1,6 +1,5 @@
 """`activefail sensitivity`: which variables move a probability."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -8,11 +7,13 @@ import typer
 
 from activefail.cli.common import (
     STANDARD,
+    AsJson,
     Code,
     Fixed,
     RunFolder,
     name_of,
     opened_run,
+    print_json,
     show_note,
     show_unseen,
     table_output,
@@ -52,7 +53,7 @@ def sensitivity(
         ),
     ] = None,
     confidence: Annotated[float, typer.Option(help="Confidence of the intervals.", min=0.5, max=0.999)] = 0.95,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     csv: Annotated[
         Path | None, typer.Option(help="CSV table to write; - is standard output.", show_default=False)
     ] = None,
@@ -83,7 +84,7 @@ def sensitivity(
     if csv == STANDARD:
         return
     if as_json:
-        print(json.dumps(words.as_json(found), indent=2))
+        print_json(words.as_json(found))
         return
     print(visible(words.heading(found, campaign.simulator.outcomes)))
     if found.moves:

@@ -41,7 +41,7 @@ function begin() {
     const accuracy = isRefined ? `From ${answer.points} points` : `Roughly, from ${answer.points} points; more follow`;
     const period = plain(Number(answer.median_period.toPrecision(3)));
     const outside = `${answer.outside_text} of the pulses and bearings lie outside the campaign's design space, where the classifier extrapolates`;
-    find("accuracy").replaceChildren(withSubscripts(`${accuracy}, without interval. Median T_p ${period} s. ${outside}.`));
+    find("accuracy").replaceChildren(withSubscripts(`${accuracy}, without an interval. Median T_p ${period} s. ${outside}.`));
     showDrawing(find("curve"), answer.svg);
     listed("notes", answer.notes);
   }

@@ -3,7 +3,7 @@
 Importing this module does not import matplotlib; entering `styled` does.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,11 +68,14 @@ def styled() -> Iterator[None]:
         yield
 
 
-def save_figure(figure: "Figure", path: Path, metadata: Mapping[str, Any] | None = None) -> None:
+def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure in the format of the path's suffix; the file appears under its name only when complete.
+
+    An SVG has no date, so that the same figure gives the same bytes.
 
     Raises:
         OSError: if it cannot be written.
     """
+    kind = path.suffix.removeprefix(".").lower()
     with replacing(target_of(path), "xb") as file:
-        figure.savefig(file, format=path.suffix.removeprefix(".").lower(), metadata=metadata)
+        figure.savefig(file, format=kind, metadata={"Date": None} if kind == "svg" else None)

@@ -352,7 +352,7 @@ def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = l
         folder.mkdir(parents=True, exist_ok=True)
         with styled():
             for name, figure in figures.items():
-                save_figure(figure, folder / f"{name}.svg", metadata={"Date": None})
+                save_figure(figure, folder / f"{name}.svg")
                 save_figure(figure, folder / f"{name}.png")
         with replacing(folder / "numbers.json") as file:
             file.write(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")

@@ -9,6 +9,7 @@ from commandline import activefail, refused
 from report.browser import NO_BROWSER, browser, console_errors, photograph, screenshots
 from report.test_report import self_contained
 
+from activefail.arguments import site_and_question
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
 from activefail.campaign.hazard import read_hazard
@@ -181,7 +182,7 @@ def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: P
     wanted = [Requirement("failure", 0.05)]
     with open_run(folder, code=verified) as opened:
         hazard = read_hazard(verified / "site.toml")
-        _, question = opened._at_site(hazard, None, verified / "bearing.toml")
+        _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
         with opened._estimator(None, simulates=False) as estimator:
             assert len(stored_designs(estimator, folder, question, "D_tot", wanted)) == 1
             assert not stored_designs(estimator, folder, question.at({"mu": 0.07}), "D_tot", wanted)
@@ -195,13 +196,13 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
         asked = risk_options(Path("a site.toml"), None, 0.2, ("safe", "damage", "failure"), "failure")
         hazard = read_hazard(verified / "site.toml")
         with opened._estimator(None, simulates=False) as estimator:
-            _, question = opened._at_site(hazard, None, verified / "bearing.toml")
+            _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
             found = risk_findings(estimator, verified / "run", hazard, question, asked)
             assert found.chart is not None
             assert found.chart.targets.tolist() == [0.2]
             assert found.options == "--hazard 'a site.toml' --target 0.2"
             assert found.designs == ()
-            _, question = opened._at_site(hazard, None, {"mu": 0.06})
+            _, question = site_and_question(opened.campaign, hazard, None, {"mu": 0.06})
             found = risk_findings(estimator, verified / "run", hazard, question, asked)
             assert found.chart is None
             assert "two variables besides D_tot" in found.why_no_chart

@@ -36,7 +36,7 @@ def why_no_exports(ladder: Ladder) -> str:
     """Why the curves have no exports; empty if they have."""
     if ladder.name in {name for name, _ in UNITS.values()} and ladder.is_log:
         return ""
-    return "both programs know curves against a ground motion's intensity only"
+    return "both programs accept only curves against the intensity of a ground motion"
 
 
 def nested(curves: Mapping[str, Array]) -> dict[str, Array]:

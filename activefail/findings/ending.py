@@ -1,0 +1,62 @@
+"""How a campaign ends, in words: on a request, by its stop rule, or never by its stop rule."""
+
+from typing import NamedTuple
+
+from activefail.campaign.settings import CampaignSettings
+from activefail.shares import percent
+from activefail.verification.confidence_bounds import largest_unseen_share
+from activefail.verification.error import confidence_of_look, least_simulations
+
+
+class StopMessages(NamedTuple):
+    """What becomes of running simulations when a campaign stops: on request, after an orderly and an immediate stop."""
+
+    requested: str
+    orderly: str
+    immediate: str
+
+
+_IN_BATCHES = StopMessages("stopping after this batch", "after a complete batch", "recorded batches are safe")
+_ASYNCHRONOUS = StopMessages(
+    "stopping: waiting for the simulations in flight",
+    "with nothing in flight",
+    "recorded simulations are safe, those in flight will be simulated again",
+)
+
+
+def stop_messages(settings: CampaignSettings) -> StopMessages:
+    """The messages about a stop of a campaign."""
+    return _ASYNCHRONOUS if settings.sampling.asynchronous else _IN_BATCHES
+
+
+def stop_rule_warning(settings: CampaignSettings, learns_from_margins: bool) -> str:
+    """Why the stop rule cannot be met, or not at its first look; empty if it can."""
+    if settings.probability_rule is not None and not learns_from_margins:
+        return (
+            "stop.probability: a boundary that is learned from outcomes alone never meets this rule; the campaign "
+            "ends at its budget. Let the simulator report a margin (docs/probability.md)"
+        )
+    rule = settings.error_rule
+    if rule is None or (least := least_simulations(rule.error, rule.confidence)) <= rule.simulations:
+        return ""
+    bound = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
+    return (
+        f"stop.simulations: with {rule.simulations} simulations the first look cannot show an error below "
+        f"{percent(bound)}, even if none is misclassified; {100 * rule.error:g} % takes at least {least}"
+    )
+
+
+def how_stop_rule_was_met(settings: CampaignSettings, simulations: int) -> str:
+    """How the stop rule ended a campaign after this many simulations; empty without a rule."""
+    if (rule := settings.error_rule) is not None:
+        return (
+            f"met after {simulations} simulations: the error at the {settings.acquisition.main_boundary} boundary is "
+            f"at most {100 * rule.error:g} %, with {100 * rule.confidence:g} % confidence over all looks"
+        )
+    if (goal := settings.probability_rule) is not None:
+        return (
+            f"met after {simulations} simulations: the classifier is sure of the probability of {goal.probability} "
+            "and a check far from all other designs did not contradict it. `activefail probability` estimates it with "
+            "an interval"
+        )
+    return ""
