@@ -578,7 +578,7 @@ class Run:
     @property
     def learned_from(self) -> list[str]:
         """What each boundary is learned from, and why; empty without a choice, or before the initial design is done."""
-        from activefail.findings.choices import choices_in_words
+        from activefail.findings.learned_from import choices_in_words
 
         history = self.history
         if not self._is_past_initial_design or not self.learns_from_margins:

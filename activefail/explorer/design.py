@@ -20,11 +20,11 @@ from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain, significant
 from activefail.record.memory import MemoryStore
 from activefail.reliability.estimate import Standardised, standardised_latent
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, SIMULATIONS, Requirement, design_task
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required import least_value
 from activefail.risk.design.search import find_design
-from activefail.risk.model import classifier_probability
 from activefail.shares import percent
 from activefail.space import Array
 from activefail.verification.probability_estimator import Estimator

@@ -11,9 +11,9 @@ from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
 from activefail.shares import percent
 from activefail.space import REACH
-from activefail.surrogate.choice import OUTCOMES
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.margin_choice import OUTCOMES
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability_estimator import EstimateOfRows
 from activefail.visible import visible

@@ -11,7 +11,7 @@ from typing import Any
 from activefail.campaign.known_code import known_code
 from activefail.errors import DamagedError, StoreError
 from activefail.files import read_regular
-from activefail.findings.choices import sentence
+from activefail.findings.learned_from import sentence
 from activefail.findings.summary import Summary, is_verified, read_summary
 from activefail.record.attachments import decode_state
 from activefail.record.layout import ESTIMATE, state_file

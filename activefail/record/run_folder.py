@@ -16,7 +16,7 @@ import itertools
 import os
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
@@ -586,14 +586,23 @@ class FolderStore:
             )
         except StoreError as error:
             return error
-        known = self._segments[-1].provenance.get(ASKED_ENTRY, "") if self._segments else ""
-        count = known.partition(" ")[0]
-        if known and not (re.fullmatch("[0-9]{1,9}", count) and asked.digest_of(int(count)) == known):
+        if not self._continues(ASKED_ENTRY, asked.digest_of):
             return StoreError(
                 f"{path} does not match the last batch: it was removed, or replaced by an older or a different list. "
                 "Restore it from a copy; without it, designs in flight would be handed out again."
             )
         return asked
+
+    def _continues(self, entry: str, digest: Callable[[int], str]) -> bool:
+        """Whether a list still begins as the last batch recorded it.
+
+        Args:
+            entry: of the list in the provenance: its length, a space and a digest; missing without a list.
+            digest: the entry for the first so many rows of the list.
+        """
+        known = self._segments[-1].provenance.get(entry, "") if self._segments else ""
+        count = known.partition(" ")[0]
+        return not known or bool(re.fullmatch("[0-9]{1,9}", count) and digest(int(count)) == known)
 
     def write_asked(self, asked: Asked) -> None:
         """Keep the designs that were handed out (see Store)."""
@@ -627,9 +636,7 @@ class FolderStore:
             pass
         except (DamagedError, ValueError) as error:
             raise StoreError(f"{path} {error}. It lists corrected results. Restore it from a copy.") from None
-        known = self._segments[-1].provenance.get(CORRECTED_ENTRY, "") if self._segments else ""
-        count = known.partition(" ")[0]
-        if known and not (re.fullmatch("[0-9]{1,9}", count) and corrections.entry(int(count)) == known):
+        if not self._continues(CORRECTED_ENTRY, corrections.entry):
             raise StoreError(
                 f"{path} does not match the last batch: it was removed, or replaced by an older or a different list. "
                 "Restore it from a copy; without it, results that were corrected would be wrong again."

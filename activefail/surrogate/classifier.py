@@ -20,9 +20,9 @@ from torch import Tensor
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
 from activefail.surrogate.fitting import Fit, Readout, fit, leave_one_out, predict, predict_jointly, readout
 from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.margin_choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
 from activefail.surrogate.moments import Moments as Moments
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from activefail.errors import DamagedError
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.choice import OUTCOMES, Choice, defined, usable
 from activefail.surrogate.classifier import Classifier, Kernel, Latent, LearnableMargins
 from activefail.surrogate.covariance import Hyperparameters
 from activefail.surrogate.fitting import EXACT, Fit
 from activefail.surrogate.inducing import MOST
 from activefail.surrogate.margin import WARPINGS, CensoredSites, MarginFit, MarginLatent
+from activefail.surrogate.margin_choice import OUTCOMES, Choice, defined, usable
 from activefail.surrogate.sites import Sites
 
 AnyLatent = TypeVar("AnyLatent", Latent, MarginLatent)

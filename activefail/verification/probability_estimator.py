@@ -1,4 +1,4 @@
-"""Estimates the probability beyond a boundary from fresh simulations, and keeps them in the run folder.
+"""Estimates the probability beyond a boundary from fresh simulations, and keeps them; thins large tables of pulses.
 
 `reliability.estimate` and `reliability.strata` compute the intervals.
 """

@@ -21,10 +21,10 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
 from activefail.reliability.estimate import Doubt, Plan
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.levels import answer
 from activefail.risk.hazard_summary import HazardSummary, Outside
-from activefail.risk.model import classifier_probability
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability_estimator import Sampled
 from activefail.weighted import WeightedRows, weighted_quantiles

@@ -28,8 +28,8 @@ from activefail.loop.learning import current_classifier
 from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore
 from activefail.reliability.estimate import standardised_latent
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.required import least_value
-from activefail.risk.model import classifier_probability
 from activefail.simulators.interface import Results
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread

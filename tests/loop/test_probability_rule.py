@@ -10,7 +10,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.settings import CampaignSettings, parse_settings
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
-from activefail.findings.choices import choices_in_words
+from activefail.findings.learned_from import choices_in_words
 from activefail.loop.asking import add, ask, drop, tell
 from activefail.loop.asynchronous import learned_so_far
 from activefail.loop.batches import run

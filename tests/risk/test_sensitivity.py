@@ -21,7 +21,7 @@ from activefail.campaign.question_files import read_question
 from activefail.errors import InputError
 from activefail.loop.history import History
 from activefail.paper.p_values import variable_p_values
-from activefail.risk.model import classifier_probability
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.sensitivity.findings import (
     default_samples,
     hazard_sensitivity,

@@ -7,8 +7,8 @@ from rare import four_branch
 from scipy import stats
 
 from activefail.surrogate import margin as m
-from activefail.surrogate.choice import fit_defined
 from activefail.surrogate.margin import MarginLatent, fit_margin, is_truncated
+from activefail.surrogate.margin_choice import fit_defined
 
 RNG = np.random.default_rng(5)
 Z = RNG.standard_normal((24, 2)) * 1.6

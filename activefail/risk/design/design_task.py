@@ -12,7 +12,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.errors import InputError
 from activefail.expressions import parse_expression
-from activefail.risk.model import POINTS
+from activefail.risk.classifier_probability import POINTS
 from activefail.space import Array
 from activefail.visible import visible
 

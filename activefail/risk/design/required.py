@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from activefail.reliability.estimate import Standardised
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import DesignTask
-from activefail.risk.model import classifier_probability
 from activefail.space import Array
 
 _POINTS = 256

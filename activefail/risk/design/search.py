@@ -10,8 +10,8 @@ import numpy as np
 
 from activefail.campaign.question import Question
 from activefail.reliability.estimate import ProbabilityEstimate, Standardised
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import LOOKS, DesignTask
-from activefail.risk.model import classifier_probability
 from activefail.space import Array
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability_estimator import Estimator, Sampled

@@ -17,7 +17,7 @@ from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.reliability.estimate import Standardised
-from activefail.risk.model import POINTS
+from activefail.risk.classifier_probability import POINTS
 from activefail.risk.sensitivity.sobol import Decomposition, Index, check_samples, decomposed, require_salib
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Latent

@@ -41,8 +41,8 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
 
     A boundary has no sentence if the simulator has several margins and none of them gives its side.
     """
-    from activefail.surrogate.choice import OUTCOMES, usable
     from activefail.surrogate.margin import MarginLatent
+    from activefail.surrogate.margin_choice import OUTCOMES, usable
 
     known, names = history.training, campaign.simulator.margins
     learns = campaign.settings.classifier.learns

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rare import four_branch
 
-from activefail.surrogate.choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
+from activefail.surrogate.margin_choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
 
 RNG = np.random.default_rng(0)
 X = 2.0 * RNG.standard_normal((60, 2))
