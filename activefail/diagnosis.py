@@ -70,8 +70,8 @@ def _cores() -> Finding:
 
 def _extra(extra: str) -> Finding:
     """Whether the packages of an extra are installed."""
-    wanted = (line for line in importlib.metadata.requires("activefail") or () if f"extra == '{extra}'" in line)
-    names = [re.split(r"[^\w.-]", line.replace('"', "'"))[0] for line in wanted]
+    requirements = (line for line in importlib.metadata.requires("activefail") or () if f"extra == '{extra}'" in line)
+    names = [re.split(r"[^\w.-]", line.replace('"', "'"))[0] for line in requirements]
     missing = [name for name in names if _version(name) == "missing"]
     if missing:
         return Finding(extra, f"missing ({_EXTRAS[extra]}): pip install 'activefail[{extra}]'")

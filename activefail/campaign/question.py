@@ -270,13 +270,15 @@ def has_pulse(space: DesignSpace) -> bool:
 
 
 def _question(
-    asked: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace, more: Mapping[str, float]
+    asked: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace, further: Mapping[str, float]
 ) -> Question:
     for name, entry in asked.space.items():
         _check_variable(name, entry, settings, space)
-    if PGV in asked.space and AMPLITUDE in {*asked.space, *more}:
+    if PGV in asked.space and AMPLITUDE in {*asked.space, *further}:
         raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
-    fixed = {name: entry.value for name, entry in asked.space.items() if isinstance(entry, FixedVariable)} | dict(more)
+    fixed = {name: entry.value for name, entry in asked.space.items() if isinstance(entry, FixedVariable)} | dict(
+        further
+    )
     entries = {name: entry for name, entry in asked.space.items() if isinstance(entry, Variable) and name not in fixed}
     unbounded = sum(not variable.is_bounded for variable in entries.values())
     distance = radius(asked.reach, unbounded) if unbounded else np.inf

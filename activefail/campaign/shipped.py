@@ -33,7 +33,7 @@ def description_of(file: Path) -> str:
     return str(tomllib.loads(read_text(file)).get("description", ""))
 
 
-def campaign_file(given: Path) -> Path:
+def campaign_file(name_or_path: Path) -> Path:
     """The campaign file that a user means: a file, or else the shipped campaign of this name.
 
     A file of the user takes precedence.
@@ -41,12 +41,12 @@ def campaign_file(given: Path) -> Path:
     Raises:
         InputError: if a name without a suffix is neither.
     """
-    if given.suffix or given.name != str(given) or given.exists():
-        return given
+    if name_or_path.suffix or name_or_path.name != str(name_or_path) or name_or_path.exists():
+        return name_or_path
     shipped = shipped_campaigns()
-    if given.name not in shipped:
-        raise InputError(f"{given}: is neither a campaign file nor a shipped campaign ({', '.join(shipped)}).")
-    return shipped[given.name]
+    if name_or_path.name not in shipped:
+        raise InputError(f"{name_or_path}: is neither a campaign file nor a shipped campaign ({', '.join(shipped)}).")
+    return shipped[name_or_path.name]
 
 
 def copy_shipped(folder: Path) -> list[Path]:

@@ -179,19 +179,19 @@ class DesignAnswers:
             "steps": STEPS,
         }
 
-    def asked(self, request: dict[str, Any], more: tuple[str, ...] = ()) -> Asked:
+    def asked(self, request: dict[str, Any], optional: tuple[str, ...] = ()) -> Asked:
         """Check a request.
 
         Args:
             request: its values.
-            more: further keys that it may have.
+            optional: further keys that it may have.
 
         Raises:
             InputError: naming the key, the rule and the value.
         """
         if self.missing:
             raise InputError(self.missing)
-        _check_keys("request", request, ("site", "bearing", "target"), more)
+        _check_keys("request", request, ("site", "bearing", "target"), optional)
         site, bearing = request["site"], request["bearing"]
         for name, values in (("site", site), ("bearing", bearing)):
             if not isinstance(values, dict):
@@ -396,9 +396,9 @@ def _checked(name: str, values: dict[str, Any], sliders: tuple[Slider, ...]) -> 
     )
 
 
-def _check_keys(name: str, values: dict[str, Any], needed: tuple[str, ...], more: tuple[str, ...] = ()) -> None:
+def _check_keys(name: str, values: dict[str, Any], needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
     for key in values:
-        if key not in (*needed, *more):
+        if key not in (*needed, *optional):
             raise InputError(f"{name}: has the unknown key {visible(key)[:40]!r}; it takes {', '.join(needed)}.")
     for key in needed:
         if key not in values:

@@ -14,18 +14,18 @@ from activefail.report.environment import page_environment
 from activefail.report.picture import picture
 from activefail.risk.fragility.curve_files import write_files
 from activefail.risk.fragility.findings import FragilityFindings
-from activefail.risk.fragility.wording import given, heading, of_boundary, why_no_risk
+from activefail.risk.fragility.wording import fixed_in_words, heading, of_boundary, why_no_risk
 from activefail.visible import or_worse, visible
 
 PAGE, PICTURE = "fragility.html", "fragility"
 """Names of the page, and of the picture without its suffix."""
 
 
-def write_fragility(found: FragilityFindings, outcomes: Sequence[str], folder: Path) -> list[Path]:
+def write_fragility(findings: FragilityFindings, outcomes: Sequence[str], folder: Path) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files.
 
     Args:
-        found: the findings.
+        findings: the findings.
         outcomes: of the simulator, the least severe first.
         folder: is made if it is missing.
 
@@ -37,18 +37,18 @@ def write_fragility(found: FragilityFindings, outcomes: Sequence[str], folder: P
     make_folder(folder)
     files = [folder / PAGE]
     with replacing(target_of(files[0])) as file:
-        file.write(render_fragility(found, outcomes))
-    files += write_files(found, folder)
-    figure = plot_fragility_findings(found)
+        file.write(render_fragility(findings, outcomes))
+    files += write_files(findings, folder)
+    figure = plot_fragility_findings(findings)
     for suffix in ("png", "svg"):
         files.append(folder / f"{PICTURE}.{suffix}")
         save_figure(figure, files[-1])
     return files
 
 
-def render_fragility(found: FragilityFindings, outcomes: Sequence[str]) -> str:
+def render_fragility(findings: FragilityFindings, outcomes: Sequence[str]) -> str:
     """The page."""
-    shown = curves_shown(found, outcomes)
+    shown = curves_shown(findings, outcomes)
     return (
         page_environment()
         .get_template("fragility.html.j2")
@@ -56,32 +56,33 @@ def render_fragility(found: FragilityFindings, outcomes: Sequence[str]) -> str:
     )
 
 
-def curves_shown(found: FragilityFindings, outcomes: Sequence[str]) -> dict[str, Any]:
+def curves_shown(findings: FragilityFindings, outcomes: Sequence[str]) -> dict[str, Any]:
     """The texts and the picture of the curves, for the template `curves.html.j2`."""
-    title = heading(found)
+    title = heading(findings)
     title = title[0].upper() + title[1:]
     rows = [
-        (visible(or_worse(one.outcome, outcomes)), _rows(of_boundary(found, one))) for one in reversed(found.boundaries)
+        (visible(or_worse(one.outcome, outcomes)), _rows(of_boundary(findings, one)))
+        for one in reversed(findings.boundaries)
     ]
     return {
         "heading": title,
-        "variable": quantity(found.ladder.name, found.ladder.unit).text,
-        "given": given(found),
-        "picture": picture(plot_fragility_findings(found), "curves", title),
+        "variable": quantity(findings.ladder.name, findings.ladder.unit).text,
+        "given": fixed_in_words(findings),
+        "picture": picture(plot_fragility_findings(findings), "curves", title),
         "boundaries": rows,
-        "has_alone": any(one.alone is not None for one in found.boundaries),
-        "has_lognormal": any(one.lognormal is not None for one in found.boundaries),
-        "has_pulses": (parts := found.boundaries[-1].deaggregation) is not None and parts.of_failures is not None,
-        "has_verification": found.has_verification,
-        "no_risk": why_no_risk(found),
-        "notes": [visible(sentence) for sentence in found.assumptions],
+        "has_alone": any(one.alone is not None for one in findings.boundaries),
+        "has_lognormal": any(one.lognormal is not None for one in findings.boundaries),
+        "has_pulses": (parts := findings.boundaries[-1].deaggregation) is not None and parts.of_failures is not None,
+        "has_verification": findings.has_verification,
+        "no_risk": why_no_risk(findings),
+        "notes": [visible(sentence) for sentence in findings.assumptions],
     }
 
 
-def _rows(said: list[tuple[str, str]]) -> list[tuple[str, list[str]]]:
+def _rows(titled: list[tuple[str, str]]) -> list[tuple[str, list[str]]]:
     """Titles, each with its texts; an empty title continues the one before."""
     rows: list[tuple[str, list[str]]] = []
-    for title, text in said:
+    for title, text in titled:
         if rows and title in ("", rows[-1][0]):
             rows[-1][1].append(text)
         else:

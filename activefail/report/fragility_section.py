@@ -120,30 +120,30 @@ def risk_findings(
     if chart is None:
         why = f"a chart needs values of two variables besides {DEFAULT_FREE}; --fixed gives them."
         return RiskFindings(asked, campaign.space, curves, None, why, ())
-    wanted = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
-    designs = stored_designs(estimator, folder, question, DEFAULT_FREE, wanted)
+    requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
+    designs = stored_designs(estimator, folder, question, DEFAULT_FREE, requirements)
     return RiskFindings(asked, campaign.space, curves, chart, "", tuple(designs))
 
 
-def fragility_section(found: RiskFindings | None, outcomes: Sequence[str]) -> dict[str, Any] | None:
+def fragility_section(findings: RiskFindings | None, outcomes: Sequence[str]) -> dict[str, Any] | None:
     """The numbers and pictures of the section; None without a hazard."""
-    if found is None:
+    if findings is None:
         return None
-    chart = found.chart
+    chart = findings.chart
     drawn = None
     if chart is not None:
-        figure = plot_required(chart, found.space, marks_of_stored(chart, found.designs))
+        figure = plot_required(chart, findings.space, marks_of_stored(chart, findings.designs))
         drawn = picture(figure, "required", f"Required {chart.name} against {chart.across}")
-    unit = next((one.unit for one in found.space.parameters if one.name == DEFAULT_FREE), "")
+    unit = next((one.unit for one in findings.space.parameters if one.name == DEFAULT_FREE), "")
     return {
-        "at_site": found.asked.site,
-        "target": found.asked.target or found.asked.requirement.target,
+        "at_site": findings.asked.site,
+        "target": findings.asked.target or findings.asked.requirement.target,
         "targets": [] if chart is None else [f"{100.0 * target:g} %" for target in chart.targets.tolist()],
-        "outcome": found.asked.requirement.outcome,
-        "curves": curves_shown(found.fragility, outcomes),
+        "outcome": findings.asked.requirement.outcome,
+        "curves": curves_shown(findings.fragility, outcomes),
         "required": DEFAULT_FREE,
         "chart": drawn,
-        "why_no_chart": found.why_no_chart,
+        "why_no_chart": findings.why_no_chart,
         "designs": [
             {
                 "target": f"P({one.requirement.outcome}) ≤ {100.0 * one.requirement.target:g} %",
@@ -153,6 +153,6 @@ def fragility_section(found: RiskFindings | None, outcomes: Sequence[str]) -> di
                 "confidence": f"{100.0 * one.confidence:g} %",
                 "simulations": one.estimate.simulations,
             }
-            for one in found.designs
+            for one in findings.designs
         ],
     }

@@ -88,8 +88,8 @@ def about(sensitivity: Sensitivity) -> list[tuple[str, str]]:
             )
         )
     if others := {name: x for name, x in sensitivity.length_scales.items() if name not in sensitivity.units}:
-        told = ", ".join(f"{visible(name)} {scale:.3g}" for name, scale in others.items())
-        lines.append(("features", f"length scales of other features: {told}"))
+        scales = ", ".join(f"{visible(name)} {scale:.3g}" for name, scale in others.items())
+        lines.append(("features", f"length scales of other features: {scales}"))
     sampled = f"{sensitivity.samples} samples, " if sensitivity.samples else ""
     lines.append(("from", f"{sampled}{sensitivity.evaluations} evaluations of the classifier, no simulation"))
     share = percent(sensitivity.outside)

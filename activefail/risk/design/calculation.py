@@ -50,28 +50,28 @@ def search_design(
     )
 
 
-def _at_upper_bounds(estimator: Estimator, found: Designed, hazard: Hazard | None) -> tuple[float, ...]:
+def _at_upper_bounds(estimator: Estimator, designed: Designed, hazard: Hazard | None) -> tuple[float, ...]:
     """The classifier's probabilities at the upper property bounds; nothing without such bounds."""
     if hazard is None or not hazard.at_bound("upper").factors:
         return ()
-    return _probabilities(estimator, found, hazard.at_bound("upper"))
+    return _probabilities(estimator, designed, hazard.at_bound("upper"))
 
 
-def _at_least_velocity(estimator: Estimator, found: Designed, hazard: Hazard | None) -> tuple[float, ...]:
+def _at_least_velocity(estimator: Estimator, designed: Designed, hazard: Hazard | None) -> tuple[float, ...]:
     """The classifier's probabilities at the least velocity of a hazard's curve; nothing unless targets are risks."""
-    if hazard is None or found.task.rate is None:
+    if hazard is None or designed.task.rate is None:
         return ()
-    return _probabilities(estimator, found, hazard, found.task.rate.velocity)
+    return _probabilities(estimator, designed, hazard, designed.task.rate.velocity)
 
 
 def _probabilities(
-    estimator: Estimator, found: Designed, hazard: Hazard, pgv: float | None = None
+    estimator: Estimator, designed: Designed, hazard: Hazard, pgv: float | None = None
 ) -> tuple[float, ...]:
     campaign = estimator.campaign
-    values = {name: value for name, value in found.question.fixed.items() if name in campaign.space.names}
+    values = {name: value for name, value in designed.question.fixed.items() if name in campaign.space.names}
     question = hazard_question(hazard, campaign.settings, campaign.space, values, pgv)
     return tuple(
-        classifier_probability(estimator.standardised(one.outcome), question) for one in found.task.requirements
+        classifier_probability(estimator.standardised(one.outcome), question) for one in designed.task.requirements
     )
 
 

@@ -18,27 +18,27 @@ _COMPONENT = "isolation_bearing"
 """The bearing in other programs."""
 
 
-def write_curves(found: FragilityFindings, target: Target) -> None:
+def write_curves(findings: FragilityFindings, target: Target) -> None:
     """Write the curves: a row for each level of the ladder and for each verified level.
 
     Columns: the variable; `kind`, ladder or verified; the share outside the design space; for each outcome the
     curve `p_<outcome>`, that of the pulses alone, the lognormal one, and the verified probability with its interval.
     Cells are empty where there is no number.
     """
-    header = [found.ladder.name, "kind", "outside_design_space"]
-    for one in found.boundaries:
+    header = [findings.ladder.name, "kind", "outside_design_space"]
+    for one in findings.boundaries:
         header += [f"p_{one.outcome}"]
         header += [f"p_{one.outcome}_{kind}" for kind in ("pulses_alone", "lognormal", "verified", "low", "high")]
-    levels = [(float(level), "ladder") for level in found.ladder.levels]
-    levels += [(checked.level, "verified") for one in found.boundaries for checked in one.verified]
+    levels = [(float(level), "ladder") for level in findings.ladder.levels]
+    levels += [(checked.level, "verified") for one in findings.boundaries for checked in one.verified]
     with writing(target, header) as write:
-        write([_row(found, level, kind) for level, kind in sorted(levels)])
+        write([_row(findings, level, kind) for level, kind in sorted(levels)])
 
 
-def _row(found: FragilityFindings, level: float, kind: str) -> list[Any]:
-    outside = dict(zip(found.ladder.levels.tolist(), found.outside.tolist(), strict=True))
+def _row(findings: FragilityFindings, level: float, kind: str) -> list[Any]:
+    outside = dict(zip(findings.ladder.levels.tolist(), findings.outside.tolist(), strict=True))
     row: list[Any] = [level, kind, outside.get(level, "")]
-    for one in found.boundaries:
+    for one in findings.boundaries:
         row.append(float(one.curve.at(level)))
         row.append("" if one.alone is None else float(one.alone.at(level)))
         row.append("" if one.lognormal is None else float(one.lognormal.at(level)))
@@ -55,20 +55,20 @@ def _rows_of(outcome: str, parts: Deaggregation) -> Iterator[list[Any]]:
             yield [outcome, *edges, share, float(parts.of_pulses[row, column])]
 
 
-def write_files(found: FragilityFindings, folder: Path) -> list[Path]:
+def write_files(findings: FragilityFindings, folder: Path) -> list[Path]:
     """Write the findings as JSON, the tables, and the curves for pelicun and OpenQuake; returns the files.
 
     Raises:
         InputError, OSError: if a file cannot be written.
     """
-    texts = {FINDINGS: json.dumps(found.as_json(), indent=2) + "\n"}
-    if not why_no_exports(found.ladder):
-        curves = {one.outcome: one.curve.probability for one in found.boundaries}
-        texts[PELICUN] = pelicun_table(found.ladder, curves, _COMPONENT)
-        texts[OPENQUAKE] = openquake_model(found.ladder, curves, _COMPONENT)
+    texts = {FINDINGS: json.dumps(findings.as_json(), indent=2) + "\n"}
+    if not why_no_exports(findings.ladder):
+        curves = {one.outcome: one.curve.probability for one in findings.boundaries}
+        texts[PELICUN] = pelicun_table(findings.ladder, curves, _COMPONENT)
+        texts[OPENQUAKE] = openquake_model(findings.ladder, curves, _COMPONENT)
     files = [folder / CURVES]
-    write_curves(found, files[0])
-    parts = [(one.outcome, one.deaggregation) for one in found.boundaries if one.deaggregation is not None]
+    write_curves(findings, files[0])
+    parts = [(one.outcome, one.deaggregation) for one in findings.boundaries if one.deaggregation is not None]
     if parts:
         files.append(folder / DEAGGREGATION)
         header = ["outcome", "T_p_from", "T_p_to", "PGV_from", "PGV_to", "share_of_failures", "share_of_pulses"]
