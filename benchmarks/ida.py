@@ -21,7 +21,7 @@ from activefail.accelerogram_sets import read_record_set
 from activefail.bearing import simulate_records
 from activefail.bearing.design import Tolerance
 from activefail.bearing.outcome import FAILURE
-from activefail.risk.ida.findings import analyse, ladder
+from activefail.risk.ida.calculation import analyse, ladder
 from activefail.risk.ida.intensity import Intensity
 from activefail.risk.ida.predictions import Surrogate
 

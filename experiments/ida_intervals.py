@@ -11,8 +11,8 @@ import argparse
 
 import numpy as np
 
+from activefail.risk.ida.calculation import BISECTIONS, ladder
 from activefail.risk.ida.collapse import fit_lognormal, fitted
-from activefail.risk.ida.findings import BISECTIONS, ladder
 from activefail.risk.ida.intensity import Intensity
 
 MEDIAN, DISPERSION = 1.5, 0.4
@@ -50,7 +50,7 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     print(f"{'events':>6} {'shared':>6} {'method':<10} {'median':>8} {'dispersion':>10}   cover of 95 % intervals")
-    for count in (5, 8, 22):
+    for count in (5, 8, 14, 22):
         for shared in (0.0, 0.7):
             rng = np.random.default_rng([options.seed, count, int(10 * shared)])
             hits = {"jackknife": [], "bootstrap": []}

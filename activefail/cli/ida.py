@@ -1,7 +1,10 @@
 """`activefail ida`: at which intensity of each record of a set a bearing fails."""
 
 import json
+import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,26 +12,33 @@ import typer
 
 from activefail.cli.common import (
     AsJson,
+    ExecutorName,
     FrictionVelocity,
     LossOfConfinement,
     RelativeTolerance,
     Restitution,
     RestitutionCoefficient,
+    Scheduler,
     SliderDensity,
     SliderDiameter,
     Workers,
+    make_executor,
     opened_run,
     print_json,
 )
 from activefail.display import progress_bar
 from activefail.errors import InputError
 from activefail.files import replacing, writing_to
+from activefail.interrupts import INTERRUPTED
 from activefail.record.layout import check_output
 from activefail.visible import visible
 
 if TYPE_CHECKING:
-    from activefail.bearing import Model
+    from activefail.accelerogram_sets import RecordSet
+    from activefail.bearing import Model, Tolerance
     from activefail.risk.ida.findings import IdaFindings
+    from activefail.risk.ida.intensity import Intensity
+    from activefail.risk.ida.p695 import MarginRequest
     from activefail.risk.ida.predictions import Surrogate
     from activefail.space import Array
 
@@ -45,7 +55,9 @@ def ida(
     bearing: Annotated[
         Path,
         typer.Option(
-            help="TOML file with the bearing: T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k.", show_default=False
+            help="TOML file with the bearing: T_b, mu, D_tot, h_sl_ratio, h_rim_ratio, p, k. With --simulator: the "
+            "campaign's variables.",
+            show_default=False,
         ),
     ],
     scale_to: Annotated[
@@ -55,7 +67,13 @@ def ida(
         float | None,
         typer.Option(help="Highest level. Default: 8 (factor), 3 g (pga), 4 m/s (pgv), 2 g (sa).", show_default=False),
     ] = None,
-    outcome: Annotated[str, typer.Option(help="Outcome that is sought: failure or impact.")] = "failure",
+    outcome: Annotated[
+        str | None,
+        typer.Option(
+            help="Outcome that is sought: failure or impact, or one of the campaign's. Default: the most severe.",
+            show_default=False,
+        ),
+    ] = None,
     unit: Annotated[
         str | None, typer.Option(help="Unit of records without one: g, m/s2 or cm/s2.", show_default=False)
     ] = None,
@@ -104,6 +122,15 @@ def ida(
             show_default=False,
         ),
     ] = None,
+    simulator: Annotated[
+        Path | None,
+        typer.Option(
+            help="Campaign file under records, such as building_records, whose simulator replaces the bearing model; "
+            "activefail executes its code.",
+            metavar="CAMPAIGN.toml",
+            show_default=False,
+        ),
+    ] = None,
     slider_diameter: SliderDiameter = 0.30,
     restitution_coefficient: RestitutionCoefficient = 0.65,
     slider_density: SliderDensity = 7850.0,
@@ -112,9 +139,16 @@ def ida(
     friction_velocity: FrictionVelocity = 1e-3,
     tolerance: RelativeTolerance = 1e-4,
     workers: Workers = None,
+    executor: ExecutorName = "local",
+    scheduler: Scheduler = None,
     as_json: AsJson = False,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for ida.json, ida.csv, ida.png and ida.svg.", show_default=False)
+        Path | None,
+        typer.Option(
+            help="Folder for ida.json, ida.csv, ida.png, ida.svg, and the simulations, so that the same command "
+            "continues after an interruption.",
+            show_default=False,
+        ),
     ] = None,
 ) -> None:
     """Find the intensity at which a bearing fails, for each record.
@@ -122,8 +156,7 @@ def ida(
     The intensities give a fragility curve.
     """
     from activefail.accelerogram_sets import read_record_set
-    from activefail.bearing.design import Model, Tolerance, outside_table_1
-    from activefail.risk.ida.findings import BISECTIONS, LEVELS, analyse
+    from activefail.bearing.design import Model, Tolerance
     from activefail.risk.ida.intensity import Intensity
     from activefail.risk.ida.p695 import MarginRequest
 
@@ -140,23 +173,31 @@ def ida(
         friction_velocity=friction_velocity,
         loss_of_confinement=loss_of_confinement,
     )
-    integration = Tolerance(relative=tolerance)
-    intensity, row = Intensity.of(scale_to), _bearing(bearing, model)
+    integration, intensity = Tolerance(relative=tolerance), Intensity.of(scale_to)
     request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
-    read = read_record_set(records, unit, dt, vertical)
-    options = request.options(float(row[0]), read.of_p695)
-    surrogate = None if campaign is None else _surrogate(campaign, outcome, model)
-    if out is not None:
-        # Before the simulations, which would be lost.
-        with writing_to(out):
-            out.mkdir(parents=True, exist_ok=True)
-    for note in outside_table_1(row.tolist()):
-        print(f"note: {note}", file=sys.stderr)
-    with progress_bar("simulating") as begin:
-        noted = begin(len(read.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
-        found = analyse(
-            row, read, intensity, outcome, to, options, pulses, surrogate, model, integration, workers, noted
-        )
+    if simulator is None:
+        if executor != "local" or scheduler is not None:
+            raise InputError("--executor and --scheduler require --simulator; the bearing model runs in threads.")
+        row = _bearing(bearing, model)
+        read = read_record_set(records, unit, dt, vertical)
+        surrogate = None if campaign is None else _surrogate(campaign, outcome, model)
+        with _kept_in(out):
+            found = _of_bearing(
+                row, read, intensity, outcome, to, request, pulses, surrogate, model, integration, workers, out
+            )
+    else:
+        if vertical or pulses:
+            raise InputError(f"--simulator cannot be combined with {'--vertical' if vertical else '--pulses'}.")
+        if (model, integration) != (Model(), Tolerance()):
+            raise InputError(
+                "--simulator cannot be combined with options of the bearing model or --tolerance, which the campaign's "
+                "code sets."
+            )
+        if intensity.kind != "pgv":
+            raise InputError(f"--scale-to: must be pgv with --simulator, got {visible(scale_to)!r}.")
+        read = read_record_set(records, unit, dt)
+        with _kept_in(out):
+            found = _of_campaign(simulator, bearing, read, outcome, to, request, workers, executor, scheduler, out)
     if out is not None:
         _write(found, out)
     if as_json:
@@ -168,6 +209,98 @@ def ida(
         print(f"note: {visible(note)}")
     if out is not None:
         print(f"written     {visible(str(out))}: ida.json, ida.csv, ida.png, ida.svg")
+
+
+@contextmanager
+def _kept_in(out: Path | None) -> Iterator[None]:
+    """Make the folder before the simulations, and say after Ctrl-C what is kept in it."""
+    if out is not None:
+        with writing_to(out):
+            out.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except KeyboardInterrupt:
+        how = "nothing is kept without --out" if out is None else "the same command continues"
+        print(f"activefail: stopped; {how}", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _of_bearing(
+    bearing: "Array",
+    records: "RecordSet",
+    intensity: "Intensity",
+    outcome: str | None,
+    to: float | None,
+    request: "MarginRequest",
+    pulses: bool,
+    surrogate: "Surrogate | None",
+    model: "Model",
+    tolerance: "Tolerance",
+    workers: int | None,
+    out: Path | None,
+) -> "IdaFindings":
+    """The analysis of the bearing model."""
+    from activefail.bearing.design import outside_table_1
+    from activefail.bearing.outcome import OUTCOMES
+    from activefail.risk.ida.calculation import BISECTIONS, LEVELS, analyse
+
+    options = request.options(float(bearing[0]), records.of_p695)
+    for note in outside_table_1(bearing.tolist()):
+        print(f"note: {note}", file=sys.stderr)
+    with progress_bar("simulating") as begin:
+        noted = begin(len(records.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
+        return analyse(
+            bearing,
+            records,
+            intensity,
+            OUTCOMES[-1] if outcome is None else outcome,
+            to,
+            options,
+            pulses,
+            surrogate,
+            model,
+            tolerance,
+            workers,
+            noted,
+            out,
+        )
+
+
+def _of_campaign(
+    file: Path,
+    bearing: Path,
+    records: "RecordSet",
+    outcome: str | None,
+    to: float | None,
+    request: "MarginRequest",
+    workers: int | None,
+    executor: str,
+    scheduler: str | None,
+    out: Path | None,
+) -> "IdaFindings":
+    """The analysis of what a campaign's simulator simulates.
+
+    Raises:
+        InputError: if file, values or options break a rule.
+    """
+    from activefail.campaign.on_disk import read_campaign
+    from activefail.campaign.question import read_fixed
+    from activefail.campaign.shipped import campaign_file
+    from activefail.risk.ida.calculation import BISECTIONS, LEVELS, analyse_campaign
+    from activefail.risk.ida.simulations import CampaignUnderRecords, check_under_records
+
+    file = campaign_file(file)
+    campaign = read_campaign(file, code=file.absolute().parent, features=False)
+    values = read_fixed(bearing, campaign.space)
+    # Before workers start.
+    check_under_records(campaign, values, len(records.records))
+    period = {**campaign.space.fixed, **values}.get("T_b", math.nan)
+    options = request.options(period, records.of_p695)
+    motions = [record.motion for record in records.records]
+    with make_executor(campaign, workers, executor, scheduler) as pool, progress_bar("simulating") as begin:
+        noted = begin(len(motions) * (LEVELS + BISECTIONS))
+        simulate = CampaignUnderRecords(campaign, values, motions, pool, noted)
+        return analyse_campaign(simulate, file.name, records, outcome, to, options, out)
 
 
 def _bearing(file: Path, model: "Model") -> "Array":
@@ -198,7 +331,7 @@ def _bearing(file: Path, model: "Model") -> "Array":
     return np.array(row)
 
 
-def _surrogate(folder: Path, outcome: str, model: "Model") -> "Surrogate":
+def _surrogate(folder: Path, outcome: str | None, model: "Model") -> "Surrogate":
     """The classifier of a run folder.
 
     Raises:
@@ -207,6 +340,7 @@ def _surrogate(folder: Path, outcome: str, model: "Model") -> "Surrogate":
     from activefail.bearing.outcome import OUTCOMES
     from activefail.risk.ida.predictions import Surrogate
 
+    outcome = OUTCOMES[-1] if outcome is None else outcome
     if outcome not in OUTCOMES:
         raise InputError(f"--outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
     with opened_run(folder) as run:

@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,18 +16,19 @@ from scipy.stats import norm
 
 from activefail import create_run, open_run
 from activefail.bearing import TABLE_1, Accelerogram, simulate_records
-from activefail.bearing.design import GRAVITY
+from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.outcome import CAUSES
 from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
-from activefail.risk.ida import capacity as module
-from activefail.risk.ida.capacity import Capacities, capacities
+from activefail.risk.ida import simulations as module
+from activefail.risk.ida.calculation import ladder
+from activefail.risk.ida.capacity import Answers, Asked, Capacities, capacities
 from activefail.risk.ida.collapse import collapse_margin, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
-from activefail.risk.ida.findings import ladder
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.predictions import Agreement
+from activefail.risk.ida.simulations import BearingUnderRecords, Kept
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
@@ -85,64 +87,48 @@ def test_a_record_without_motion_has_no_intensity() -> None:
 # --- capacities --------------------------------------------------------------------------------------------------
 
 
-def answers(outcome_at, monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Have a made-up simulator answer by the factor on a record; the factors that it was asked."""
-    asked: list[float] = []
-
-    def simulated(X, records, *_):
-        factors = [float(record.acceleration[1]) for record in records]
-        asked.extend(factors)
-        given = np.array([outcome_at(x) for x in factors], dtype=np.int8)
-        return SimpleNamespace(outcome=np.where(given == LIFTED, -1, given), cause=np.where(given == LIFTED, 7, 0))
-
-    monkeypatch.setattr(module, "simulate_records", simulated)
-    return asked
-
-
-LIFTED = 99
-UNIT = Accelerogram(np.array([0.0, 1.0, 0.0]), 0.01, "unit")
 LEVELS = np.array([1.0, 2.0, 4.0, 8.0])
 
 
-def found(severity: int = 2, bisections: int = 6):
-    return capacities(BEARING, [UNIT], np.ones(1), LEVELS, bisections, severity)
+def found(outcome_at: Callable[[float], int], severity: int = 2, bisections: int = 6) -> tuple[Capacities, list[float]]:
+    """The capacities of one record with made-up outcomes, and the levels that were asked."""
+    asked: list[float] = []
+
+    def simulate(pairs: Asked) -> Answers:
+        levels = [level for _, level in pairs]
+        asked.extend(levels)
+        return Answers(np.array([outcome_at(x) for x in levels], dtype=np.int8), np.zeros(len(levels), dtype=bool))
+
+    return capacities(simulate, 1, LEVELS, bisections, severity), asked
 
 
-def test_the_capacity_is_bracketed_by_the_ladder_and_halved_by_each_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = answers(lambda x: 2 if x >= 2.7 else 0, monkeypatch)
-    one = found()
+def test_the_capacity_is_bracketed_by_the_ladder_and_halved_by_each_bisection() -> None:
+    one, asked = found(lambda x: 2 if x >= 2.7 else 0)
     assert one.below[0] < 2.7 <= one.capacity[0]
     assert one.capacity[0] - one.below[0] == pytest.approx(2.0 / 2**6)
     assert one.runs == len(asked) == len(set(asked)) == 10
     assert (one.resurrections[0], one.numerical_failures[0]) == (0, 0)
 
 
-def test_an_outcome_that_is_worse_counts_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers(lambda x: 0 if x < 1.5 else 2, monkeypatch)
-    assert 1.0 < found(severity=1).capacity[0] <= 1.6
+def test_an_outcome_that_is_worse_counts_too() -> None:
+    assert 1.0 < found(lambda x: 0 if x < 1.5 else 2, severity=1)[0].capacity[0] <= 1.6
 
 
-def test_a_bearing_that_survives_a_higher_level_is_counted_and_has_the_lowest_failing_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    answers(lambda x: 2 if 1.7 <= x < 3.0 else 1, monkeypatch)
-    one = found()
+def test_a_bearing_that_survives_a_higher_level_is_counted_and_has_the_lowest_failing_one() -> None:
+    one, _ = found(lambda x: 2 if 1.7 <= x < 3.0 else 1)
     assert one.below[0] < 1.7 <= one.capacity[0]
     assert one.resurrections[0] == 2  # the levels 4 and 8
 
 
-def test_records_that_never_fail_and_that_always_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers(lambda _: 0, monkeypatch)
-    never = found()
+def test_records_that_never_fail_and_that_always_fail() -> None:
+    never, _ = found(lambda _: 0)
     assert (never.below[0], never.capacity[0], never.runs) == (8.0, math.inf, 4)
-    answers(lambda _: 2, monkeypatch)
-    always = found(bisections=3)
+    always, _ = found(lambda _: 2, bisections=3)
     assert (always.below[0], always.capacity[0], always.runs) == (0.0, 0.125, 7)
 
 
-def test_a_numerical_failure_is_neither_survived_nor_failed(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers(lambda x: -1 if x in (2.0, 3.0) else 2 if x >= 2.5 else 0, monkeypatch)
-    one = found(bisections=2)
+def test_a_numerical_failure_is_neither_survived_nor_failed() -> None:
+    one, _ = found(lambda x: -1 if x in (2.0, 3.0) else 2 if x >= 2.5 else 0, bisections=2)
     # The ladder gives 1 and 4; the first bisection, 2.5, fails, the second, 1.75, is survived.
     assert (one.below[0], one.capacity[0], one.numerical_failures[0]) == (1.75, 2.5, 1)
 
@@ -150,8 +136,13 @@ def test_a_numerical_failure_is_neither_survived_nor_failed(monkeypatch: pytest.
 def test_a_plate_that_lifts_above_its_rim_before_a_touch_is_a_failure_and_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    answers(lambda x: LIFTED if x >= 2.7 else 0, monkeypatch)
-    one = found()
+    def lifting(X, records, *_):
+        lifts = np.array([record.acceleration[1] >= 2.7 for record in records])
+        return SimpleNamespace(outcome=np.where(lifts, -1, 0), cause=np.where(lifts, 7, 0))
+
+    monkeypatch.setattr(module, "simulate_records", lifting)
+    unit = Accelerogram(np.array([0.0, 1.0, 0.0]), 0.01, "unit")
+    one = capacities(BearingUnderRecords(BEARING, [unit], np.ones(1), Model(), Tolerance()), 1, LEVELS, 6, 2)
     assert one.below[0] < 2.7 <= one.capacity[0]
     assert (one.lifted[0], one.numerical_failures[0]) == (5, 0)
     assert CAUSES[7] == "failure_without_rim_touch"
@@ -160,7 +151,7 @@ def test_a_plate_that_lifts_above_its_rim_before_a_touch_is_a_failure_and_counte
 def test_capacities_of_a_bearing_lie_where_its_simulations_say() -> None:
     motions, intensity = [pulse(1.5), pulse(2.5)], Intensity.of("pgv")
     own = np.array([intensity.of_record(motion) for motion in motions])
-    one = capacities(BEARING, motions, own, ladder(intensity), 4, 2)
+    one = capacities(BearingUnderRecords(BEARING, motions, own, Model(), Tolerance()), 2, ladder(intensity), 4, 2)
     assert np.isfinite(one.capacity).all()
     for motion, below, above in zip(motions, one.below, one.capacity, strict=True):
         scaled = [motion.scaled(level / intensity.of_record(motion)) for level in (below, above)]
@@ -168,11 +159,64 @@ def test_capacities_of_a_bearing_lie_where_its_simulations_say() -> None:
         assert simulate_records(BEARING[None], scaled[:1]).outcome[0] < 2
 
 
-def test_a_numerical_failure_in_the_middle_is_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = answers(lambda x: -1 if x == 3.0 else 2 if x >= 3.0 else 0, monkeypatch)
-    one = found(bisections=6)
+def test_a_numerical_failure_in_the_middle_is_not_simulated_again() -> None:
+    one, asked = found(lambda x: -1 if x == 3.0 else 2 if x >= 3.0 else 0)
     assert (one.below[0], one.capacity[0], one.numerical_failures[0]) == (2.0, 4.0, 1)
     assert sorted(asked) == [1.0, 2.0, 3.0, 4.0, 8.0]
+
+
+# --- kept simulations --------------------------------------------------------------------------------------------
+
+
+class Counting:
+    """A made-up simulation that counts what it is asked, and may stop after some of it."""
+
+    def __init__(self, outcome: int = 1, stop_after: int = 10**9) -> None:
+        self.asked: list[tuple[int, float]] = []
+        self.outcome, self.stop_after = outcome, stop_after
+
+    def __call__(self, asked: Asked) -> Answers:
+        if len(self.asked) >= self.stop_after:
+            raise KeyboardInterrupt
+        self.asked += asked
+        return Answers(np.full(len(asked), self.outcome, dtype=np.int8), np.array([k == 3 for k, _ in asked]))
+
+
+MANY = [(k, 0.1 * k) for k in range(250)]
+
+
+def test_simulations_before_an_interruption_are_kept(tmp_path: Path) -> None:
+    first, second, shown = Counting(stop_after=200), Counting(), list[int]()
+    with pytest.raises(KeyboardInterrupt):
+        Kept(first, tmp_path / "kept", {"a": 1})(MANY)
+    answers = Kept(second, tmp_path / "kept", {"a": 1}, shown.append)(MANY)
+    assert first.asked + second.asked == MANY
+    assert shown == [200]
+    assert answers.outcome.tolist() == [1] * 250
+    assert np.flatnonzero(answers.lifted).tolist() == [3]
+
+
+def test_kept_simulations_of_another_question_and_damaged_ones_are_not_used(tmp_path: Path) -> None:
+    file = tmp_path / "kept"
+    Kept(Counting(), file, {"a": 1})(MANY)
+    assert len(Kept(Counting(), file, {"a": 1}).read()) == 250
+    assert Kept(Counting(), file, {"a": 2}).read() == {}
+    whole = file.read_bytes()
+    for damaged in (b"", b"[]", b"{", whole[:-9], whole.replace(b"0.1, 1,", b"0.1, 0,"), b"[" * 100_000):
+        assert damaged != whole
+        file.write_bytes(damaged)
+        assert Kept(Counting(), file, {"a": 1}).read() == {}
+    file.unlink()
+    file.mkdir()
+    with pytest.raises(InputError, match="kept: cannot be written"):
+        Kept(Counting(), file, {"a": 1})(MANY)
+
+
+def test_numerical_failures_are_simulated_again(tmp_path: Path) -> None:
+    Kept(Counting(outcome=-1), tmp_path / "kept", {})(MANY)
+    again = Counting()
+    assert Kept(again, tmp_path / "kept", {})(MANY).outcome.tolist() == [1] * 250
+    assert again.asked == MANY
 
 
 # --- the fragility -----------------------------------------------------------------------------------------------
@@ -340,7 +384,8 @@ def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path,
     assert result.code == 0, result.err
     assert "8 of 4 events, scaled to PGV" in result.out
     assert "95 % interval" in result.out
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"ida.json", "ida.csv", "ida.png", "ida.svg"}
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written == {"ida.json", "ida.csv", "ida.png", "ida.svg", "simulations.json"}
     numbers = json.loads(activefail(*words, "--json").out)
     assert json.loads((tmp_path / "out" / "ida.json").read_text()) == numbers
     levels = np.sort([one["capacity"] for one in numbers["records"]])
@@ -487,6 +532,107 @@ def test_a_median_above_the_levels_is_named_an_extrapolation(case: Path) -> None
 def test_the_margin_of_an_impact_is_named_so(case: Path) -> None:
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--outcome", "impact", "--mce", "1")
     assert "The margin is that of the outcome impact, which is not a collapse." in activefail(*words).out
+
+
+def test_an_interrupted_analysis_continues_to_the_same_numbers(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--out")
+    assert activefail(*words, tmp_path / "whole").code == 0
+    real, asked = module.simulate_records, list[int]()
+
+    def stopping(X, *arguments):
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        asked.append(len(X))
+        return real(X, *arguments)
+
+    monkeypatch.setattr(module, "simulate_records", stopping)
+    stopped = activefail(*words, tmp_path / "stopped")
+    assert (stopped.code, stopped.err) == (130, "activefail: stopped; the same command continues\n")
+    assert "nothing is kept without --out" in activefail(*words[:-1]).err
+    monkeypatch.setattr(module, "simulate_records", lambda X, *rest: asked.append(len(X)) or real(X, *rest))
+    assert activefail(*words, tmp_path / "stopped").code == 0
+    assert (tmp_path / "stopped" / "ida.json").read_bytes() == (tmp_path / "whole" / "ida.json").read_bytes()
+    assert sum(asked) == json.loads((tmp_path / "whole" / "ida.json").read_text())["simulations"]
+    # Another outcome of the same simulations needs only those of its own bisections.
+    asked.clear()
+    assert activefail(*words, tmp_path / "stopped", "--outcome", "impact").code == 0
+    assert sum(asked) <= 5 * 8
+
+
+@pytest.fixture
+def plate(case: Path, tmp_path: Path) -> Path:
+    """A campaign under the eight records, whose plate bends by its own rule."""
+    (tmp_path / "plate.toml").write_text(
+        'simulator = { python = "plate:run", outcomes = ["fine", "bent", "broken"] }\n'
+        "[space]\nstrength = { low = 0.5, high = 2.0 }\nmass = { value = 2.0 }\n"
+        "record = { low = 0.0, high = 8.0 }\nPGV = { low = 0.1, high = 3.0 }\n"
+        "[sampling]\ninitial = 8\nbudget = 16\n"
+    )
+    (tmp_path / "plate.py").write_text(
+        "def run(design):\n"
+        "    if design['PGV'] > 3.9:\n"
+        "        raise ValueError('too strong')\n"
+        "    x = design['PGV'] * design['mass'] / design['strength'] / (1.0 + 0.1 * int(design['record']))\n"
+        "    return 'broken' if x > 2.0 else 'bent' if x > 1.0 else 'fine'\n"
+    )
+    (tmp_path / "strength.toml").write_text("strength = 1.5\n")
+    return tmp_path
+
+
+def test_the_simulator_of_a_campaign_under_records_takes_the_bearings_place(case: Path, plate: Path) -> None:
+    words = ("ida", "--records", case / "set", "--simulator", plate / "plate.toml", "--bearing", plate)
+    words = (*words[:-1], plate / "strength.toml", "--workers", "1", "--out", plate / "out")
+    result = activefail(*words, "--json", "--outcome", "bent")
+    assert result.code == 0, result.err
+    numbers = json.loads(result.out)
+    # The rule's own capacities: PGV = strength / mass times the record's factor.
+    capacities = [record["capacity"] for record in numbers["records"]]
+    assert capacities == pytest.approx(0.75 * (1.0 + 0.1 * np.arange(8)), rel=0.03)
+    assert (numbers["bearing"], numbers["simulator"]) == ({"mass": 2.0, "strength": 1.5}, "plate.toml")
+    assert (numbers["model"], numbers["events"], numbers["records"][7]["event"]) == (None, 4, "3")
+    assert [record["numerical_failures"] for record in numbers["records"]] == [1] * 8
+    assert [note for note in numbers["notes"] if "too strong" in note]
+    # The most severe outcome is the default, and needs no level of the ladder again but those without an outcome.
+    worst = activefail(*words)
+    assert "broken      8 of 8 records reach it" in worst.out, worst.err
+
+
+def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: Path) -> None:
+    words = ("ida", "--records", case / "set", "--bearing", plate / "strength.toml", "--simulator")
+    settings = (plate / "plate.toml").read_text()
+    for old, new, message in (
+        ("high = 8.0", "high = 7.0", "--records: must be the 7 records of the campaign, got 8."),
+        ("PGV", "velocity", "--simulator: must be a campaign under records, with the variables record and PGV"),
+        ("mass = { value", "mass = { low = 1, high", "--bearing: needs mass."),
+        ("strength", "record", "TOML"),
+    ):
+        (plate / "other.toml").write_text(settings.replace(old, new))
+        refused(activefail(*words, plate / "other.toml"), message)
+    for options, message in (
+        (("--pulses",), "--simulator cannot be combined with --pulses."),
+        (("--tolerance", "1e-6"), "--simulator cannot be combined with options of the bearing model"),
+        (("--scale-to", "pga"), "--scale-to: must be pgv with --simulator, got 'pga'."),
+        (("--executor", "dask"), "--executor dask requires --scheduler."),
+        (("--outcome", "failure"), "--outcome: must be one of bent, broken, got 'failure'."),
+    ):
+        refused(activefail(*words, plate / "plate.toml", *options), message)
+    (plate / "strength.toml").write_text("strength = 1.5\nPGV = 1.0\n")
+    refused(activefail(*words, plate / "plate.toml"), "--bearing: PGV belongs to the ground motion; leave it out.")
+    refused(
+        activefail("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--executor", "dask"),
+        "--executor and --scheduler require --simulator",
+    )
+
+
+def test_a_simulator_that_never_answers_is_named(case: Path, plate: Path) -> None:
+    (plate / "plate.py").write_text("def run(design):\n    raise ValueError('no licence')\n")
+    words = ("--bearing", plate / "strength.toml", "--simulator", plate / "plate.toml", "--workers", "1")
+    result = activefail("ida", "--records", case / "set", *words)
+    assert result.code == 1
+    assert "None of 80 simulations gave an outcome." in result.err
+    assert "no licence" in result.err
 
 
 def test_the_output_folder_is_made_before_any_simulation(case: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,20 +1,27 @@
-"""The lowest intensity of each record at which a bearing reaches an outcome: a ladder of levels, then bisection."""
+"""The lowest intensity of each record at which an outcome is reached: a ladder of levels, then bisection."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import Model, Tolerance
-from activefail.bearing.outcome import CAUSES, OUTCOMES
-from activefail.bearing.simulation import simulate_records
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 
-_LIFTED = CAUSES.index("failure_without_rim_touch")
-_FAILURE = len(OUTCOMES) - 1
+Asked = Sequence[tuple[int, float]]
+"""Simulations: of each the record, by its place in the set, and the level."""
+
+
+class Answers(NamedTuple):
+    """What n simulations showed."""
+
+    outcome: NDArray[np.int8]  # (n,) severity, or NUMERICAL_FAILURE
+    lifted: NDArray[np.bool_]  # (n,) whether a plate lifted off by more than the rim's height before any rim touch
+
+
+Simulate = Callable[[Asked], Answers]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +29,9 @@ class Capacities:
     """What the levels of each of n records showed.
 
     Attributes:
-        below: (n,) highest level below the capacity that the bearing survived; 0 if it failed at the lowest.
+        below: (n,) highest level below the capacity that was survived; 0 if the lowest one was not.
         capacity: (n,) lowest level with the outcome; infinite if none has it.
-        resurrections: (n,) levels above the capacity that the bearing survived.
+        resurrections: (n,) levels above the capacity that were survived.
         numerical_failures: (n,) levels without an outcome.
         lifted: (n,) levels at which a plate lifted off the slider by more than the rim's height before any rim touch.
         levels, outcomes: for each record its levels, rising, and their outcomes.
@@ -44,52 +51,29 @@ class Capacities:
         return sum(map(len, self.levels))
 
 
-def capacities(
-    bearing: Array,
-    records: Sequence[Accelerogram],
-    own: Array,
-    ladder: Array,
-    bisections: int,
-    severity: int,
-    model: Model | None = None,
-    tolerance: Tolerance | None = None,
-    threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> Capacities:
-    """Simulate a bearing under records at the levels of a ladder, then between the two levels that hold its capacity.
+def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int, severity: int) -> Capacities:
+    """Simulate records at the levels of a ladder, then between the two levels that hold each capacity.
 
-    The whole ladder is simulated, because a bearing may survive a higher level than one at which it fails. A level
-    without an outcome, a numerical failure, is neither survived nor failed.
-
-    Under a pulse of Table 1 no bearing fails before a rim touch, so `simulate` takes that for a numerical failure.
-    Under records of some 3 g the slider rocks until a plate is above its rim: a failure by the model's own criterion,
-    with an energy imbalance of 1e-6. Left out, it would bias the fragility, so it is a failure here, and counted.
+    The whole ladder is simulated, because a higher level may be survived than one that is not. A level without an
+    outcome, a numerical failure, is neither survived nor failed.
 
     Args:
-        bearing: (7,) a row of `simulate_records`.
-        records: n records.
-        own: (n,) intensity of the records as they are.
+        simulate: the outcomes of records at levels.
+        records: their number n.
         ladder: (k,) rising levels of the intensity.
         bisections: levels between the last survived and the first failed one of the ladder.
         severity: of the outcome that is sought, or a worse one.
-        model, tolerance, threads: as for `simulate_records`.
-        progress: called with the numbers of simulations that ended; their total is n (k + bisections) at most.
-
-    Raises:
-        InputError: as `simulate_records` does.
     """
-    levels = [ladder.copy() for _ in records]
-    lifted = np.zeros(len(records), dtype=np.int64)
+    levels = [ladder.copy() for _ in range(records)]
+    lifted = np.zeros(records, dtype=np.int64)
 
-    def outcomes_at(asked: Sequence[tuple[int, float]]) -> NDArray[np.int8]:
-        moved = [records[k].scaled(level / own[k]) for k, level in asked]
-        answers = simulate_records(np.tile(bearing, (len(asked), 1)), moved, model, tolerance, threads, progress)
-        is_lifted = answers.cause == _LIFTED
-        np.add.at(lifted, [k for k, _ in asked], is_lifted)
-        return np.where(is_lifted, _FAILURE, answers.outcome).astype(np.int8)
+    def outcomes_at(asked: Asked) -> NDArray[np.int8]:
+        answers = simulate(asked)
+        np.add.at(lifted, [k for k, _ in asked], answers.lifted)
+        return answers.outcome
 
-    first = outcomes_at([(k, level) for k in range(len(records)) for level in ladder.tolist()])
-    outcomes = list(first.reshape(len(records), -1))
+    first = outcomes_at([(k, level) for k in range(records) for level in ladder.tolist()])
+    outcomes = list(first.reshape(records, -1))
     for _ in range(bisections):
         brackets = [_bracket(*one, severity) for one in zip(levels, outcomes, strict=True)]
         middles = [(k, 0.5 * (below + above)) for k, (below, above) in enumerate(brackets) if np.isfinite(above)]

@@ -1,7 +1,7 @@
-"""Incremental dynamic analysis of one bearing: the findings in numbers and words."""
+"""The findings of an incremental dynamic analysis in numbers and words."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,38 +9,17 @@ import numpy as np
 from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
-from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import TABLE_1, Model, Tolerance
-from activefail.bearing.outcome import OUTCOMES
-from activefail.errors import InputError
-from activefail.risk.ida.capacity import Capacities, capacities, on_ladder
-from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin, collapse_margin, fitted
-from activefail.risk.ida.equivalent_pulse import EquivalentPulse, PulseComparison, compare_pulses, equivalent_pulse
+from activefail.bearing.design import Model, Tolerance
+from activefail.risk.ida.capacity import Capacities
+from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin
+from activefail.risk.ida.equivalent_pulse import PulseComparison
 from activefail.risk.ida.intensity import Intensity
 from activefail.risk.ida.p695 import MarginOptions
-from activefail.risk.ida.predictions import Agreement, Prediction, Surrogate, predicted_by_reduced_model
+from activefail.risk.ida.predictions import Prediction
 from activefail.space import Array
 
-LEVELS, BISECTIONS = 10, 5
-"""Levels of the ladder, and of the bisection after it."""
-
-_LARGEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
-"""Highest level of the ladder by default, by the kind of the intensity."""
-
-_LOWEST = 1.0 / 16.0
-"""The lowest level over the highest."""
-
-
-def ladder(intensity: Intensity, highest: float | None = None) -> Array:
-    """The rising levels of an analysis, with equal ratios between them.
-
-    Raises:
-        InputError: if the highest level is not positive.
-    """
-    top = _LARGEST[intensity.kind] if highest is None else highest
-    if not (np.isfinite(top) and top > 0.0):
-        raise InputError(f"--to: must be positive, got {top:g}.")
-    return np.geomspace(_LOWEST * top, top, LEVELS)
+LOWEST = 1.0 / 16.0
+"""The lowest level of the ladder over the highest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +27,11 @@ class IdaFindings:
     """What an incremental dynamic analysis found.
 
     Attributes:
-        bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
-        model, tolerance: of all simulations.
+        values: of the bearing's variables, by name.
+        model, tolerance: of all simulations; None for a campaign's simulator.
         records: the set.
         intensity: of all levels.
+        outcomes: from least to most severe.
         outcome: the outcome that is sought.
         found: the capacities.
         fragility: of the outcome, or a worse one; None if fewer than two records have a capacity.
@@ -59,13 +39,16 @@ class IdaFindings:
         predictions: what predicts the outcomes at the ladder's levels, with `pulses`.
         margin: of FEMA P695; None if it was not asked for, or there is no fragility.
         options: of the margin.
+        simulator: the campaign whose simulator made the simulations; empty for the bearing model.
+        fault: why the first numerical failure of a campaign's simulator happened; empty without one.
     """
 
-    bearing: Array
-    model: Model
-    tolerance: Tolerance
+    values: Mapping[str, float]
+    model: Model | None
+    tolerance: Tolerance | None
     records: RecordSet
     intensity: Intensity
+    outcomes: tuple[str, ...]
     outcome: str
     found: Capacities
     fragility: Fragility | None
@@ -73,6 +56,8 @@ class IdaFindings:
     options: MarginOptions | None
     pulses: PulseComparison | None = None
     predictions: tuple[Prediction, ...] = ()
+    simulator: str = ""
+    fault: str = ""
 
     @property
     def failed(self) -> int:
@@ -87,7 +72,7 @@ class IdaFindings:
     @property
     def lowest(self) -> float:
         """The lowest level of the ladder; bisection may have gone lower."""
-        return _LOWEST * self.highest
+        return LOWEST * self.highest
 
     @property
     def empirical(self) -> tuple[Array, Array]:
@@ -123,6 +108,8 @@ class IdaFindings:
             ("runs", f"{self.found.runs} simulations up to {self.highest:.3g}{unit}"),
             (self.outcome, f"{self.failed} of {count} records reach it"),
         ]
+        if self.simulator:
+            lines.insert(0, ("simulator", f"of {self.simulator}"))
         if self.fragility is not None:
             fit, m, d = self.fragility.fit, self.fragility.median, self.fragility.dispersion
             lines += [
@@ -184,8 +171,8 @@ class IdaFindings:
             )
         if risen := int((found.resurrections > 0).sum()):
             notes.append(
-                f"Under {risen} of the records the bearing survives a level above its capacity. The capacity is the "
-                "lowest level that fails among those that were simulated."
+                f"Under {risen} of the records a level above the capacity is survived. The capacity is the lowest "
+                "level that fails among those that were simulated."
             )
         if lifted := int(found.lifted.sum()):
             notes.append(
@@ -195,7 +182,7 @@ class IdaFindings:
         if failures := int(found.numerical_failures.sum()):
             notes.append(
                 f"{failures} of the simulations failed numerically. They count as neither survived nor failed, so the "
-                "capacities of their records are less certain than the fit assumes."
+                f"capacities of their records are less certain than the fit assumes. {self.fault}".rstrip()
             )
         if self.pulses is not None and self.pulses.compared < len(found.capacity):
             left_out = len(found.capacity) - self.pulses.compared
@@ -203,13 +190,18 @@ class IdaFindings:
                 f"{left_out} of the records, or their pulses, never fail or fail at every level, and are not in the "
                 "ratio. If it is the pulses that never fail, the ratio is probably too small."
             )
+        if self.simulator:
+            notes.append(
+                "The campaign's code reads and scales the records. Their names and events are those of --records, in "
+                "the same order."
+            )
         notes.append("Capacities, shares of records, counts of levels and the misfit have no interval.")
         notes.append(
             f"The {100 * CONFIDENCE:g} % intervals are for other records of the same kind. They do not cover the "
             "model, the scaling of records, or a lognormal curve that does not fit."
         )
         if self.margin is not None and self.options is not None:
-            if self.outcome != OUTCOMES[-1]:
+            if self.outcome != self.outcomes[-1]:
                 notes.append(f"The margin is that of the outcome {self.outcome}, which is not a collapse.")
             notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
         return notes
@@ -219,9 +211,10 @@ class IdaFindings:
         found, fragility, margin = self.found, self.fragility, self.margin
         rows = zip(self.records.records, found.below, found.capacity, strict=True)
         return {
-            "bearing": dict(zip(TABLE_1.names, self.bearing.tolist(), strict=False)),
-            "model": asdict(self.model),
-            "tolerance": self.tolerance.relative,
+            "bearing": dict(self.values),
+            "simulator": self.simulator or None,
+            "model": None if self.model is None else asdict(self.model),
+            "tolerance": None if self.tolerance is None else self.tolerance.relative,
             "outcome": self.outcome,
             "intensity": self.intensity.name,
             "unit": self.intensity.unit,
@@ -312,86 +305,3 @@ def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
 
 def _interval(ends: tuple[float, ...]) -> str:
     return f" ({100 * CONFIDENCE:g} % interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
-
-
-def analyse(
-    bearing: Array,
-    records: RecordSet,
-    intensity: Intensity,
-    outcome: str = OUTCOMES[-1],
-    highest: float | None = None,
-    options: MarginOptions | None = None,
-    pulses: bool = False,
-    surrogate: Surrogate | None = None,
-    model: Model | None = None,
-    tolerance: Tolerance | None = None,
-    threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> IdaFindings:
-    """The incremental dynamic analysis of a bearing under a set of records.
-
-    Args:
-        bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
-        records: the set.
-        intensity: by which records are scaled.
-        outcome: "impact" or "failure"; worse outcomes count too.
-        highest: level of the ladder; by default 8, 3 g, 4 m/s or 2 g.
-        options: of the collapse margin; None for none.
-        pulses: whether to compare the records with their equivalent pulses, and with predictions.
-        surrogate: a campaign's classifier, to predict the outcomes under the equivalent pulses.
-        model, tolerance, threads, progress: as for `simulate_records`.
-
-    Raises:
-        InputError: if an argument is invalid.
-    """
-    if outcome not in OUTCOMES[1:]:
-        raise InputError(f"outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
-    model, tolerance = model or Model(), tolerance or Tolerance()
-    motions, severity = [record.motion for record in records.records], OUTCOMES.index(outcome)
-    levels = ladder(intensity, highest)
-    own = np.array([intensity.of_record(motion) for motion in motions])
-
-    def capacities_under(ground: Sequence[Accelerogram]) -> Capacities:
-        return capacities(bearing, ground, own, levels, BISECTIONS, severity, model, tolerance, threads, progress)
-
-    found = capacities_under(motions)
-    events = [record.event for record in records.records]
-    fragility = fitted(found.below, found.capacity, events)
-    margin = compared = None
-    predictions: tuple[Prediction, ...] = ()
-    if options is not None and fragility is not None:
-        margin = collapse_margin(fragility.fit.median, options.mce, options.shape_factor, options.total_dispersion)
-    if pulses:
-        nearest = [equivalent_pulse(motion) for motion in motions]
-        of_pulses = capacities_under([one.motion for one in nearest])
-        compared = compare_pulses(nearest, of_pulses, found, events, levels, severity)
-        predictions = _predictions(bearing, motions, nearest, surrogate, found, own, levels, severity, model)
-    return IdaFindings(
-        bearing, model, tolerance, records, intensity, outcome, found, fragility, margin, options, compared, predictions
-    )
-
-
-def _predictions(
-    bearing: Array,
-    motions: Sequence[Accelerogram],
-    pulses: Sequence[EquivalentPulse],
-    surrogate: Surrogate | None,
-    found: Capacities,
-    own: Array,
-    levels: Array,
-    severity: int,
-    model: Model,
-) -> tuple[Prediction, ...]:
-    """What predicts the outcomes at the ladder's levels without simulating them."""
-    outcome = on_ladder(found, levels).ravel()
-    which, factors = np.repeat(np.arange(len(motions)), len(levels)), (levels / own[:, None]).ravel()
-    answered = outcome >= 0
-    fails, which, factors = outcome[answered] >= severity, which[answered], factors[answered]
-    predictions = []
-    if surrogate is not None:
-        period, amplitude = (np.array([getattr(one, name) for one in pulses]) for name in ("period", "amplitude"))
-        predicted, outside = surrogate.under_pulses(bearing, period[which], factors * amplitude[which])
-        predictions.append(Prediction("classifier", "classifier at the pulse", Agreement.of(fails, predicted), outside))
-    predicted = predicted_by_reduced_model(bearing, motions, which, factors, severity, model)
-    predictions.append(Prediction("reduced", "reduced model", Agreement.of(fails, predicted)))
-    return tuple(predictions)
