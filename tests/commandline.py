@@ -1,4 +1,4 @@
-"""The program at work: in this process or in one of its own."""
+"""Runs the program: in this process, or in a separate one."""
 
 import csv
 import io
@@ -32,7 +32,7 @@ class CommandResult:
 
 
 def activefail(*words: str | Path) -> CommandResult:
-    """What the program says to a command line, in this process; an exception that it lets through is a failure."""
+    """The output of a command line, in this process; an exception that the program does not catch is a failure."""
     out, err = io.StringIO(), io.StringIO()
     code: object = 0
     with (

@@ -57,7 +57,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Fail what is skipped for want of a tool that ACTIVEFAIL_REQUIRE names: a word of the reason, as in `.ci/run`."""
+    """Fail a test that is skipped for lack of a tool that ACTIVEFAIL_REQUIRE names (a word of the reason; see `.ci/run`)."""
     report = yield
     if report.skipped and isinstance(report.longrepr, tuple):
         reason = report.longrepr[2].removeprefix("Skipped: ")
@@ -70,7 +70,7 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 
 @contextmanager
 def _ended_if_it_hangs(item: pytest.Item) -> Iterator[None]:
-    """Fail what hangs, at the place where it does; no claim about speed (see `patience`)."""
+    """Fail a test that hangs, and show where; this is no claim about speed (see `patience`)."""
 
     def ring(number: int, frame: object) -> None:
         pytest.fail(f"this hangs: it is not done after {3 * PATIENCE:.0f} s")
@@ -139,7 +139,7 @@ def survived(request: pytest.FixtureRequest) -> Callable[[int], None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Tell how many faults were tried, survived and skipped."""
+    """Report how many faults were tried, survived and skipped."""
     reports = [
         (status, report)
         for status in ("passed", "failed", "skipped")

@@ -1,7 +1,7 @@
-"""How long tests wait for what must come about.
+"""How long tests wait for an event that must happen.
 
-No test says how fast anything is: `benchmarks/` measures that. A test waits for an event, and gives up only so that it
-does not hang where the event never comes.
+No test says how fast anything is: `benchmarks/` measures that. A test waits for an event, and fails after a limit
+only so that it does not hang if the event never comes.
 """
 
 import time

@@ -69,7 +69,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def ran(tiny: Path) -> tuple[Path, CommandResult]:
-    """The run folder of the tiny campaign, not to be changed, and what was said when it was run."""
+    """The run folder of the tiny campaign, not to be changed, and the output of its run."""
     folder = tiny.with_name("ran")
     return folder, activefail("run", tiny, "--out", folder)
 
@@ -618,7 +618,7 @@ def test_the_command_to_go_on_can_be_pasted_whatever_the_name_of_the_folder(tiny
 
 
 def test_the_status_of_a_campaign_that_ended_by_its_stop_rule_says_how_to_go_on_all_the_same(tmp_path: Path) -> None:
-    # So easy a rule that the first look ends it.
+    # An easy rule: the first look ends the campaign.
     rule = "stop = { error = 0.49, confidence = 0.5, simulations = 10, every = 1 }\n"
     (tmp_path / "easy.toml").write_text(rule + TINY)
     folder = tmp_path / "run"
@@ -867,7 +867,7 @@ def test_a_campaign_is_reported_on_one_page_that_shows_what_was_verified_and_com
 
 @contextmanager
 def ended(process: subprocess.Popen[str]) -> Iterator[None]:
-    """A process ends with the block: nobody waits for ever for what a failed test has left running."""
+    """The process ends with the block, so that none is left running by a failed test."""
     try:
         yield
     finally:
@@ -1066,7 +1066,7 @@ def test_a_ctrl_c_that_meets_a_call_from_compiled_code_comes_again(
 
 
 def struck_as_by_a_terminal(process: subprocess.Popen[str], then: Callable[[], None] = lambda: None) -> str:
-    """Send Ctrl-C to a process and all that it has started; what it says then. None of them may be left."""
+    """Send Ctrl-C to a process and all that it has started; its output then. None of them may be left."""
     os.killpg(process.pid, signal.SIGINT)
     then()
     _, err = process.communicate(timeout=PATIENCE)

@@ -1,4 +1,4 @@
-"""What the documentation says can be done is done here."""
+"""The commands and code of the documentation run here."""
 
 import ast
 import importlib.util

@@ -692,7 +692,7 @@ def test_simulations_that_were_given_are_no_initial_design_to_verify(tmp_path: P
         assert run.take(progress=False, workers=1).progress.done == 20
 
 
-def test_faults_are_quoted_and_cured_although_a_design_is_in_flight(tmp_path: Path) -> None:
+def test_faults_are_quoted_and_can_be_fixed_although_a_design_is_in_flight(tmp_path: Path) -> None:
     (tmp_path / "plate.py").write_text(
         "from pathlib import Path\ndef run(d):\n    if Path(__file__).with_name('bad').exists():\n"
         "        raise ValueError('no licence')\n    return 'failure' if d['x'] > 0.5 else 'safe'\n"

@@ -1,4 +1,4 @@
-"""Commands that only read a run folder load no library that they do not use; a fresh interpreter tells."""
+"""Commands that only read a run folder load no library that they do not use, in a fresh interpreter."""
 
 import shutil
 import subprocess

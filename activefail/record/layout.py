@@ -94,7 +94,7 @@ _NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
 def _link_error(path: Path) -> StoreError:
-    # Without these files a record says something else.
+    # Without these files the record would have other results.
     removing = "" if path.name in (ASKED, CORRECTIONS) else ", or remove it"
     return StoreError(
         f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it with "

@@ -29,7 +29,7 @@ SPACE = DesignSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
 
 @pytest.fixture(autouse=True)
 def few_references(monkeypatch):
-    """In two variables fewer will do."""
+    """In two variables fewer are enough."""
     monkeypatch.setattr(batch_proposal, "REFERENCES", 256)
 
 
@@ -165,7 +165,7 @@ def test_bringing_values_up_to_date_lazily_loses_next_to_nothing(name, monkeypat
     lazy = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
     monkeypatch.setattr(batch_proposal, "LAZY_BLOCK", n)
     always = greedy_look_ahead(mean, covariance, n, 12, criterion(name))
-    # Eight factors drive all 400 points here: after a choice many a candidate is worth more than before.
+    # Eight factors drive all 400 points here: after a choice many candidates are worth more than before.
     assert worth(lazy) > 0.97 * worth(always)
     assert len(set(lazy.tolist())) == 12
 
@@ -363,7 +363,7 @@ def test_a_design_that_failed_is_not_proposed_again():
         return {row.tobytes() for row in shared(few, {"in": 1.0}, 40, 3, failed=failed)}
 
     corners = np.array([[0.0, 1.0], [1.0, 1.0]])
-    # The searches do end there.
+    # The searches end there.
     assert {row.tobytes() for row in corners} <= chosen(None)
     assert chosen(np.empty((0, 2))) == chosen(None)
     spared = chosen(corners)

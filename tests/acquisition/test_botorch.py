@@ -70,7 +70,7 @@ def test_values_are_those_of_the_functions(learned, name):
 def test_gradients_are_finite_differences_of_the_values(learned, name):
     rng = np.random.default_rng(4)
     function = by_torch(name, learned)
-    # Where the criterion is alive: far from the boundary values and slopes are both next to nothing.
+    # Near the boundary: far from it, values and slopes are almost zero.
     U = rng.random((400, 9)) * 0.96 + 0.02
     mean, sd = learned.latent("failed").moments(learned.features(TABLE_1.from_unit(U)))
     U = U[np.argsort(norm.cdf(np.abs(mean) / np.sqrt(1.0 + sd**2)))[3:9]]

@@ -48,7 +48,7 @@ def test_proposals_lie_where_the_side_is_in_doubt_and_differ() -> None:
     assert len(np.unique(designs, axis=0)) == 6
     moments = surrogate.moments(FEATURES(designs))
     assert (np.abs(moments.standardised) < 3.5).all()
-    # In units of the margin's knowledge they are apart: none repeats what another tells.
+    # In units of the posterior they are apart: none repeats another.
     _, covariance = surrogate.joint(FEATURES(designs))
     correlation = covariance / np.sqrt(np.outer(covariance.diagonal(), covariance.diagonal()))
     assert (np.abs(correlation - np.eye(6)) < 0.98).all()

@@ -1,4 +1,4 @@
-"""The reduced model of the collision: its geometry, its symmetry, and how well and cheaply it foretells the bearing."""
+"""The reduced model of the collision: its geometry and symmetry, and how well and at what cost it predicts the bearing."""
 
 import math
 

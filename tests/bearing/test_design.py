@@ -1,4 +1,4 @@
-"""What a user states, and what is said when it cannot be."""
+"""Bearings, pulses and models as a user states them, and the messages about invalid ones."""
 
 import math
 import subprocess

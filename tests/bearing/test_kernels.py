@@ -162,7 +162,7 @@ def test_wherever_numba_would_keep_kernels_none_of_other_sources_or_options_runs
     pulse = tmp_path / "activefail" / "bearing" / "pulse.py"
     pulse.write_text(pulse.read_text().replace("PEAK = 1.38\n", "PEAK = 2.76\n"))
     assert on_a_copy(**environment) == (before / 2.0, 0)
-    # None lies where numba looks by itself.
+    # None is in the folder that numba uses by default.
     assert not list(tmp_path.glob("**/__pycache__/*.nbi"))
     survived(3)
 

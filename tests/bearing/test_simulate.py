@@ -297,7 +297,7 @@ def test_too_many_steps_are_a_numerical_failure_with_its_cause_and_never_a_beari
     assert (some.outcome_name[gave_up] == "numerical_failure").all()
     assert np.isnan(some.margin("failure_time")[gave_up]).all()
     assert (some.statistic("steps")[gave_up] == 300).all()
-    # What did finish is what it was.
+    # Designs that finished have the same results.
     kept = ~gave_up
     np.testing.assert_array_equal(some.columns[kept], production.columns[:200][kept])
     np.testing.assert_array_equal(some.outcome[kept], production.outcome[:200][kept])
@@ -408,7 +408,7 @@ def test_rigid_sliding_without_rims_is_that_of_a_one_dimensional_friction_pendul
         made = bearing_of(row)
         made = replace(made, dish_diameter=1.999 * made.radius, stiffness=1e4 * row[6])
         response = simulate_one(made, pulse_of(row), Model(loss_of_confinement=False))
-        # Beyond 0.4 of the length the plate is thrown off its dish, which one angle cannot tell.
+        # Beyond 0.4 of the length the plate is thrown off its dish, which one angle cannot describe.
         if np.abs(response.q[:, 3]).max() > 0.4 * pendulum(made)[0]:
             continue
         assert response.outcome == o.NO_IMPACT

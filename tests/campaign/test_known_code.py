@@ -1,4 +1,4 @@
-"""A user names the folder of custom code once; for any other folder, file or code activefail asks again."""
+"""A user names the folder of custom code once; for any other folder, file or code activefail requires it again."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Settings: what is written is what is run, and every mistake is named with file, key path, rule and value."""
+"""Settings: the campaign runs what they state, and every mistake is named with file, key path, rule and value."""
 
 import hashlib
 import math
@@ -87,7 +87,7 @@ def test_the_order_of_the_variables_is_the_files() -> None:
     assert parse_settings(text, "mine.toml").design_space().names == TABLE_1.names[::-1]
 
 
-# What breaks a rule, and what the message must say of it: key path, rule and value.
+# Settings that break a rule, and what the message must contain: key path, rule and value.
 BROKEN = {
     "unknown key": ("sead = 1", ["sead: unknown key; did you mean 'seed'?"]),
     "unknown key below": ("[sampling]\nbatches = 3", ["sampling.batches: unknown key; did you mean 'batch'?"]),
@@ -227,7 +227,7 @@ BROKEN = {
         "space.mu = {low = 0.1, high = 0.2, distribution = 'log_uniform', sd = 0.1}",
         ["space.mu: a log-uniform distribution takes only `low` and `high`; got `sd = 0.1`"],
     ),
-    "no variables of a simulator of one's own": (
+    "no variables with a custom simulator": (
         'simulator.python = "a:b"',
         ["space: required with a custom simulator"],
     ),

@@ -1,4 +1,4 @@
-"""What every Executor must do, whoever does the work."""
+"""The contract of every Executor."""
 
 import os
 import signal
@@ -250,14 +250,14 @@ def started_here() -> set[str]:
 
 
 def wait_until(holds: Callable[[], bool]) -> None:
-    """Wait for what must come about; the caller limits the time."""
+    """Wait for an event that must happen; the caller limits the time."""
     while not holds():
         time.sleep(0.01)
 
 
 @contextmanager
 def within(seconds: int) -> Iterator[None]:
-    """Fail where the body takes longer, in place of waiting for ever."""
+    """Fail if the body takes longer, instead of waiting forever."""
 
     def ring(number: int, frame: object) -> None:
         raise TimeoutError(f"not done after {seconds} s")
@@ -506,7 +506,7 @@ def test_a_worker_that_dies_or_hangs_twice_costs_one_simulation(
     X = designs(40)
     X[rows, 0] = 0.0
     before = started_here()
-    # Short only where it is reached: on a busy machine a process takes a while to die.
+    # Short only where it is reached: on a busy machine a process needs time to die.
     with within(600), ProcessExecutor(2, time_limit=2.0 if cause == "time_limit" else 300.0) as executor:
         results = executor.run(simulator, X)
         given_up(results, X, rows, cause)

@@ -1,4 +1,4 @@
-"""What every Simulator must do, whatever it simulates."""
+"""The contract of every Simulator."""
 
 import pickle
 from collections.abc import Callable

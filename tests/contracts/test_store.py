@@ -1,4 +1,4 @@
-"""What every Store must do, whatever it is made of."""
+"""The contract of every Store."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -334,7 +334,7 @@ def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time
 
 
 def test_a_batch_is_answered_while_single_designs_are_in_flight(cluster: Cluster) -> None:
-    # As a rule about the error asks for, where a campaign goes on without batches.
+    # As a stop rule for an error does in an asynchronous campaign.
     X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
     with DaskExecutor(cluster.address) as executor:
         for ticket in range(4):
@@ -348,7 +348,7 @@ def test_a_batch_is_answered_while_single_designs_are_in_flight(cluster: Cluster
 
 
 class Grave(str):
-    """Words that end, the first time that they are read from it, the worker that has them."""
+    """Text that ends the worker that reads it, the first time."""
 
     __slots__ = ("folder",)
 
@@ -407,7 +407,7 @@ def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds
 
 
 class Unknown(Disc):
-    """A disc that no worker can load, as where activefail is not the same there."""
+    """A disc that no worker can load, as if the worker had another version of activefail."""
 
     def __reduce__(self) -> tuple[object, ...]:
         return operator.attrgetter("no_such_thing"), (0,)
@@ -536,7 +536,7 @@ def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_pa
     dask = ("--executor", "dask", "--scheduler", alone.address)
     with started("run", tmp_path / "mine.toml", "--out", folder, *dask) as process:
         hear(process, waiting)
-        # Whoever would not wait: nothing is running, so that the first Ctrl-C may wait for ever, and says so.
+        # Nothing is running, so the first Ctrl-C may wait forever, and the message says so.
         process.send_signal(signal.SIGINT)
         hear(process, "stopping")
         process.send_signal(signal.SIGINT)
@@ -549,7 +549,7 @@ def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_pa
         alone.add("one")
         until(lambda: (folder / "segments").is_dir() and len(list((folder / "segments").iterdir())) > 1)
         alone.workers["one"].kill()
-        # Told anew, and but once.
+        # Reported again, once.
         hear(process, waiting)
         (tmp_path / "open").touch()
         alone.add("two")
@@ -591,7 +591,7 @@ def test_an_address_that_cannot_be_is_told_without_a_traceback(tmp_path: Path) -
     with started(
         "run", tmp_path / "mine.toml", "--out", tmp_path / "run", "--executor", "dask", "--scheduler", "foo"
     ) as process:
-        # Where the message is the end of it, so is the process.
+        # The process ends with this message.
         wait_for(process.stderr, "activefail: --scheduler: no Dask scheduler answers at 'foo'")
         _, rest = process.communicate(timeout=PATIENCE)
     assert (process.returncode, rest) == (2, "")

@@ -1,4 +1,4 @@
-"""What the explorer answers is what the classifier and the simulator say."""
+"""The explorer's answers are those of the classifier and the simulator."""
 
 import json
 import shlex

@@ -1,4 +1,4 @@
-"""The page Design answers what the classifier says, and verifies it as the command `design` does."""
+"""The page Design shows the classifier's answers, and verifies them as the command `design` does."""
 
 import json
 import shutil

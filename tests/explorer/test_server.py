@@ -1,4 +1,4 @@
-"""The explorer's server answers its own page on this machine, and nobody else."""
+"""The explorer's server answers only its own page on this machine."""
 
 import http.client
 import json
@@ -337,7 +337,7 @@ def test_a_connection_that_makes_room_while_it_is_answered_still_gets_its_answer
         asking = stack.enter_context(connected(server))
         asking.sendall(question(server, "predict", {"point": POINT}))
         assert held.begun.acquire(timeout=PATIENCE)
-        # The first two fill the room; of those that follow each sends away the one that has been quiet longest.
+        # The first two take all the room; each later one replaces the connection that has been quiet longest.
         silent = [stack.enter_context(connected(server)) for _ in range(5)]
         assert silent[0].recv(1) == b""
         held.released.set()

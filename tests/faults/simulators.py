@@ -27,7 +27,7 @@ class OnceAt(Disc):
     """Does what another disc does to its worker at some designs, the first time that they are simulated.
 
     Attributes:
-        every: one design in so many, told by its digits.
+        every: one design in so many, selected by its digits.
     """
 
     fault: Disc | None = None
@@ -140,7 +140,7 @@ def forks_and_stays(X: Array) -> None:
 
 
 def answers_late(X: Array) -> None:
-    """A child in a session of its own answers as soon as its parent is no more; which never ends by itself."""
+    """A child in a session of its own answers as soon as its parent, which never ends by itself, is killed."""
     line = _line()
     parent = os.getpid()
     if os.fork() == 0:
@@ -175,7 +175,7 @@ def answers_at_all_times(X: Array) -> None:
 
 
 def writes(X: Array) -> None:
-    """What is no frame, to every descriptor."""
+    """Bytes that are no frame, to every descriptor."""
     _to_all(lambda descriptor: os.write(descriptor, b"\0\0\0\5AAAAA"))
 
 

@@ -1,4 +1,4 @@
-"""Run folders from someone else: their links are not followed, their text forges nothing, their files stop nothing."""
+"""Run folders from someone else: their links are not followed, their text forges no line, their files stop nothing."""
 
 import os
 import re
@@ -626,7 +626,7 @@ def test_a_file_of_a_run_folder_is_known_by_the_file_system_and_not_by_its_spell
     sent: Path, tmp_path: Path, survived: Survived
 ) -> None:
     folder = Path(shutil.copytree(sent, tmp_path / "run"))
-    # As where capital letters are the same as small ones: another name of the same file or folder.
+    # As on a file system that ignores case: another name of the same file or folder.
     os.link(folder / "campaign.toml", folder / "Campaign.toml")
     assert run_folder_owning(folder / "Campaign.toml") == folder
     (tmp_path / "elsewhere").mkdir()

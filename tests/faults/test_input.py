@@ -1,4 +1,4 @@
-"""Mistakes in what a user gives: each is refused by file, key or row and column, rule and value, with exit code 2."""
+"""User errors: each is refused, naming file, key or row and column, rule and value, with exit code 2."""
 
 import json
 import keyword
@@ -47,7 +47,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def refused(result: CommandResult, *parts: str) -> None:
-    """Assert that the program refused what it was given, with all these parts and no traceback."""
+    """Assert that the program refused its input, with all these parts and no traceback."""
     assert (result.code, result.out) == (2, ""), result
     assert result.err.startswith("activefail: ")
     assert "Traceback" not in result.err

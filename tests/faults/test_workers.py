@@ -69,7 +69,7 @@ class Base(Acting):
 
 
 class Panic(BaseException):
-    """As Rust code raises it in Python."""
+    """An error like those that Rust code raises in Python."""
 
 
 @pytest.mark.parametrize(

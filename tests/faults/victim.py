@@ -2,7 +2,7 @@
 
 `python -m faults.victim` reads commands, one JSON object a line. For a task it prints the process that does it; asked
 to wait for a process, it prints its exit code. At the place that the task names the process waits until something comes
-through its fifo, so that it can be traced from there on. It tells in its log what it was told: a line for each commit,
+through its fifo, so that it can be traced from there on. Its log has a line for each commit,
 state and set that the record acknowledged. Names under `/-/`, which do not exist, mark in a trace where each of these
 begins and ends.
 """
@@ -92,8 +92,8 @@ class Gate:
         os.read(os.open(self.fifo, os.O_RDONLY), 1)
 
 
-class Telling(FolderStore):
-    """A record that tells what it acknowledges."""
+class Logging(FolderStore):
+    """A record that logs what it acknowledges."""
 
     gate = Gate()
     log = -1
@@ -122,25 +122,25 @@ class Telling(FolderStore):
         self.tell(f"set {name}")
 
     def tell(self, line: str) -> None:
-        """Tell a line to the log."""
+        """Write a line to the log."""
         if self.log >= 0:
             os.write(self.log, f"{line}\n".encode())
 
 
-def opened(folder: Path) -> Telling:
+def opened(folder: Path) -> Logging:
     """The victim's record, made if it is not there."""
     one = campaign()
     if (folder / "campaign.toml").exists():
-        with Telling.gate.marked("opening"):
-            return Telling.open(folder, one.schema, write=True)
-    with Telling.gate.marked("creation"):
-        return Telling.create(folder, one.settings.text(), one.schema)
+        with Logging.gate.marked("opening"):
+            return Logging.open(folder, one.schema, write=True)
+    with Logging.gate.marked("creation"):
+        return Logging.create(folder, one.settings.text(), one.schema)
 
 
 def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int:
     """Take the campaign in a folder on, to its budget or a number of commits; the exit code as the command line's."""
     compaction.COMPACT_AT, store.STATES_KEPT = COMPACT_AT, STATES_KEPT
-    Telling.log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    Logging.log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     match (fault or "").split():
         case ["small", "files", limit]:
             small_files(int(limit))
@@ -156,12 +156,12 @@ def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int
             observer = Observer(stop=lambda: commits is not None and len(record.batches) >= commits)
             run(campaign(), record, Inline(), BUDGET, observer)
             for warning in record.warnings:
-                os.write(Telling.log, f"warning {warning}\n".encode())
+                os.write(Logging.log, f"warning {warning}\n".encode())
     except ActivefailError as error:
-        os.write(Telling.log, f"error {error}\n".encode())
+        os.write(Logging.log, f"error {error}\n".encode())
         return 1
     except BaseException:
-        os.write(Telling.log, f"traceback {traceback.format_exc()!r}\n".encode())
+        os.write(Logging.log, f"traceback {traceback.format_exc()!r}\n".encode())
         return 70
     return 0
 
@@ -173,13 +173,13 @@ WRONG = (2, 6)
 """The ids of simulations whose result is corrected: one of the initial design, and the one that was given."""
 
 
-def elsewhere(record: Telling) -> None:
+def elsewhere(record: Logging) -> None:
     """Take the campaign to its budget by `ask`, `tell`, `drop`, `add` and corrections.
 
     Every step follows from the record alone.
     """
     one, gate = campaign(), record.gate
-    # A line that is told within a command would be one more system call of it.
+    # A line written within a command would be one more system call of it.
     record.lists_commits = False
     while True:
         handed_out = HandedOut.of(record)
@@ -245,7 +245,7 @@ def links_are_marked() -> None:
     real = os.link
 
     def link(*arguments: Any) -> None:
-        with Telling.gate.marked("link"):
+        with Logging.gate.marked("link"):
             real(*arguments)
 
     os.link = link  # type: ignore[assignment]
@@ -262,11 +262,11 @@ def serve() -> None:
         else:
             answer = os.fork()
             if answer == 0:
-                Telling.gate = Gate(command["place"], command["fifo"])
+                Logging.gate = Gate(command["place"], command["fifo"])
                 if command["place"].startswith("link"):
                     links_are_marked()
                 if not command["place"]:
-                    Telling.gate.wait()
+                    Logging.gate.wait()
                 os._exit(work(Path(command["folder"]), Path(command["log"]), command["commits"], command["fault"]))
         sys.stdout.write(f"{answer}\n")
         sys.stdout.flush()

@@ -691,7 +691,7 @@ def test_a_correction_after_proposals_gives_the_same_bits_whoever_is_interrupted
             current(campaign, store, True, memory)
             correct(campaign, store, *right(campaign, store, [3, 14]))
             if number == 0:
-                # The process that corrects goes on; the other one ends, and its successors learn in two parts.
+                # The process that corrects continues; the other one ends, and its successors learn in two parts.
                 asked_and_told(campaign, whole, store)
                 current(campaign, store, write=True)
                 continue

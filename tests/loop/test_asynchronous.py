@@ -42,7 +42,7 @@ def plan(
 
 
 class Arbitrary:
-    """Answers some of the designs that it has, in an order that looks like chance and hangs on the designs alone."""
+    """Answers some of the designs that it has, in an order that looks random and depends on the designs alone."""
 
     def __init__(self) -> None:
         self.waiting: dict[int, Array] = {}
@@ -87,7 +87,7 @@ def bits(course: Course) -> tuple[int, bytes, dict[str, bytes]]:
 
 
 def replayed(campaign: Campaign, store: Store) -> Course:
-    """Where a record stands, by the record alone."""
+    """The state of a campaign, from its record alone."""
     bare = MemoryStore(campaign.schema)
     for batch in store.batches:
         bare.commit(batch)

@@ -255,7 +255,7 @@ def test_too_many_numerical_failures_stop_the_campaign_with_counts_limit_and_a_r
 
 
 class Broken(Disc):
-    """A disc before its simulator was mended."""
+    """A disc before its simulator was fixed."""
 
     def run(self, X: Array) -> Results:
         raise ZeroDivisionError("the stiffness vanished")
@@ -364,7 +364,7 @@ def test_a_budget_that_is_too_small_for_other_initial_designs_is_told(initial: i
         take(campaign, store, budget=budget)
     assert "the stiffness vanished" in str(stopped.value)
     if budget == initial:
-        # Nothing is simulated now, but the record says what befell.
+        # Nothing is simulated now, but the record has the causes.
         with pytest.raises(SimulationError, match=f"The first failed with cause `raised`.*{words}") as stopped:
             take(campaign, store, budget=budget)
         assert "the stiffness vanished" not in str(stopped.value)
@@ -496,7 +496,7 @@ def test_shares_that_a_batch_cannot_hold_are_carried_over_an_interruption(criter
 
 
 class Struck:
-    """A disc on which Ctrl-C is struck, once, while the simulation of that number is under way."""
+    """A disc that receives Ctrl-C once, during the simulation with this number."""
 
     outcomes, causes, margins, releases_gil = Disc.outcomes, Disc.causes, Disc.margins, True
 

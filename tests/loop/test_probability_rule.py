@@ -28,10 +28,10 @@ PROBABILITY = 2.2225e-3
 
 @dataclass(frozen=True)
 class FourBranch:
-    """Fails rarely, and tells its margin.
+    """Fails rarely, and reports its margin.
 
     Attributes:
-        lowest, highest: range to which the margins that it tells are clipped.
+        lowest, highest: range to which its margins are clipped.
         hidden: the middle of a disc whose designs fail too.
     """
 
@@ -146,7 +146,7 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
     results = hidden.simulator.run(where)
     batch = History(where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins)
     assert contradictions(hidden, known.classifier, batch).tolist() == [True]
-    # On the right side, but with a margin that the classifier held for impossible.
+    # On the right side, but with a margin that the classifier considered impossible.
     odd = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=np.array([[50.0]]))
     assert contradictions(hidden, known.classifier, odd).tolist() == [True]
     failed = replace(batch, outcome=np.full(1, -1, dtype=np.int8))

@@ -69,12 +69,12 @@ def printed(driver: Any) -> bytes:
 
 
 def console_errors(driver: Any) -> list[str]:
-    """What the console has complained of since this was last asked."""
+    """The console's complaints since the last call."""
     return [entry["message"] for entry in driver.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
 
 
 def requested(driver: Any) -> list[str]:
-    """Addresses that were requested since this was last asked."""
+    """Addresses that were requested since the last call."""
     import json
 
     messages = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]

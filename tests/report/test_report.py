@@ -1,4 +1,4 @@
-"""The report: one file that stands for itself, whose numbers are the campaign's, whatever the campaign is."""
+"""The report: one self-contained file with the campaign's numbers, for any campaign."""
 
 import re
 import shutil

@@ -74,7 +74,7 @@ def program(folder: Path, source: str, **other: object) -> CommandSimulator:
 
 
 def ended(pid: str) -> bool:
-    """Whether a process is there no more."""
+    """Whether a process has ended."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
     except OSError:
@@ -682,7 +682,7 @@ def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
     result = activefail("run", mine / "mine.toml", "--out", run, "--budget", "20")
     assert (result.code, result.err) == (0, "")
     assert "simulator  model:run, 2 variables" in activefail("status", run).out
-    # What needs none of the campaign's own code does without it.
+    # Commands that need no custom code work without it.
     assert activefail("export", run, "--csv", tmp_path / "all.csv").code == 0
     rows = table(tmp_path / "all.csv")
     assert list(rows[0])[3:] == ["drift", "T", "outcome", "cause", "gap", "seconds"]
@@ -741,7 +741,7 @@ OPENING = {
 
 @pytest.fixture
 def received(mine: Path, tmp_path: Path) -> Path:
-    """A run folder with code in it, that tells when it is run; the campaign's own code is gone."""
+    """A run folder with code in it that reports when it is run; the campaign's own code was removed."""
     run = tmp_path / "runs" / "received"
     run.parent.mkdir()
     physics = "def physics(X, space):\n    return X[:, :1] ** 2\n"
@@ -817,7 +817,7 @@ STRANGE = ("multiprocessing", "threading", "numpy", "activefail")
 
 
 def as_installed(here: Path, ran: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    """The program in a folder with modules that are called as Python's own, and which tell when they are run."""
+    """The program in a folder with modules with the names of Python's own, which report when they are run."""
     for name in STRANGE:
         (here / f"{name}.py").write_text(f"open({str(ran)!r}, 'w').close()\n")
     # As the installed command does, which does not look in the current folder itself.

@@ -193,7 +193,7 @@ def test_a_design_that_cannot_be_built_is_refused(
 # --- the campaign ------------------------------------------------------------------------------------------------
 
 
-def test_the_campaign_names_the_margins_that_the_program_tells(opensees: str) -> None:
+def test_the_campaign_names_the_margins_that_the_program_reports(opensees: str) -> None:
     names = {name for d_tot in (0.1, 0.8) for name in answer_of(opensees, d_tot=d_tot)["margins"]}  # type: ignore[attr-defined]
     named = read_settings(CAMPAIGNS / "opensees.toml").simulator
     assert names == set(named.margins)  # type: ignore[union-attr]

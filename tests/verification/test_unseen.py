@@ -1,4 +1,4 @@
-"""Campaigns that never saw an outcome: they search for it, are never good enough, and every command says so."""
+"""Campaigns that never saw an outcome: they search for it, never meet their stop rule, and every command says so."""
 
 import html
 import json

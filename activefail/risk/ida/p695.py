@@ -1,4 +1,4 @@
-"""What FEMA P695 asks for beside the capacities: spectral shape factor and total dispersion."""
+"""What FEMA P695 needs besides the capacities: spectral shape factor and total dispersion."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _LONGEST = 5.0
 
 @dataclass(frozen=True)
 class MarginOptions:
-    """What FEMA P695 asks for beside the analysis.
+    """What FEMA P695 needs besides the analysis.
 
     Attributes:
         mce: intensity of the maximum considered earthquake, in the unit of the analysis.
