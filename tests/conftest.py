@@ -57,7 +57,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Fail a test that is skipped for lack of a tool that ACTIVEFAIL_REQUIRE names (a word of the reason; see `.ci/run`)."""
+    """Fail a test that is skipped without a tool that ACTIVEFAIL_REQUIRE names: a word of the reason (`.ci/run`)."""
     report = yield
     if report.skipped and isinstance(report.longrepr, tuple):
         reason = report.longrepr[2].removeprefix("Skipped: ")

@@ -1,4 +1,4 @@
-"""The reduced model of the collision: its geometry and symmetry, and how well and at what cost it predicts the bearing."""
+"""The reduced model of the collision: its geometry and symmetry, how well it predicts the bearing, and at what cost."""
 
 import math
 
