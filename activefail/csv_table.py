@@ -118,6 +118,11 @@ def _designs(texts: list[list[str]], columns: list[int]) -> Array:
     return np.array([[float(cells[column]) for column in columns] for cells in texts])
 
 
+def number_of(text: str) -> float:
+    """The number in a cell; a ValueError if there is none, as in 1_000, which only Python reads as a number."""
+    return float(text.replace("_", "?"))
+
+
 def _problem(cells: list[str], header: Sequence[str], columns: list[int], check: Check) -> str | None:
     if len(cells) != len(header):
         return f"must have {len(header)} cells, like the header, has {len(cells)}"
@@ -125,8 +130,7 @@ def _problem(cells: list[str], header: Sequence[str], columns: list[int], check:
     for index, column in enumerate(columns):
         text = cells[column].strip()
         try:
-            # Reject 1_000, which only Python reads as a number.
-            design[index] = float(text.replace("_", "?"))
+            design[index] = number_of(text)
         except ValueError:
             return f"column {header[column]}: must be a number, got {text!r}"
         if not math.isfinite(design[index]):

@@ -988,7 +988,7 @@ class Run:
         """
         from activefail.comparison.static import compare, write_scores
         from activefail.figures.curves import plot_learning_curves
-        from activefail.figures.style import save_figure
+        from activefail.figures.style import save_png_and_svg
 
         check_whole("hypercubes", hypercubes, 1)
         with nullcontext(executor) if executor else self._local_executor() as pool:
@@ -998,8 +998,7 @@ class Run:
         with writing_to(results):
             results.mkdir(exist_ok=True)
             write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / SCORES)
-            for suffix in ("png", "svg"):
-                save_figure(figure, results / f"{CURVES}.{suffix}")
+            save_png_and_svg(figure, results, CURVES)
         return scores
 
     def failure(self, stage: Callable[[str], None] = lambda _: None) -> "FailureFindings | None":

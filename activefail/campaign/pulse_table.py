@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from activefail.bearing.pulse import velocity_of
 from activefail.campaign.hazard_sections import LARGEST_VELOCITY, LONGEST, SHORTEST
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV
-from activefail.csv_table import read_cells
+from activefail.csv_table import number_of, read_cells
 from activefail.errors import InputError
 from activefail.space import Array
 from activefail.weighted import WeightedRows
@@ -74,8 +74,7 @@ def _numbers(path: Path, rows: list[list[str]], lines: list[int], name: str, ind
     for row, cells in enumerate(rows):
         text = cells[index].strip()
         try:
-            # Reject 1_000, which only Python reads as a number.
-            values[row] = float(text.replace("_", "?"))
+            values[row] = number_of(text)
         except ValueError:
             place = f"{path}: row {row + 1} (line {lines[row]}), column {name}"
             raise InputError(f"{place}: must be a number, got {text!r}.") from None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
-from activefail.csv_table import Source, name_of, read_cells, rereadable
+from activefail.csv_table import Source, name_of, number_of, read_cells, rereadable
 from activefail.errors import InputError
 from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError
 from activefail.simulators.returned import read_answer
@@ -117,8 +117,7 @@ class Table:
         try:
             if isinstance(value, bool | np.bool_):
                 raise ValueError
-            # 1_000 is a number in Python alone.
-            number = float(value.replace("_", "?") if isinstance(value, str) else value)
+            number = number_of(value) if isinstance(value, str) else float(value)
         except (TypeError, ValueError, ArithmeticError):
             raise self.broken(row, name, "must be a number", value) from None
         if math.isinf(number) and isinstance(value, str) and value.lower().strip("+-") not in ("inf", "infinity"):

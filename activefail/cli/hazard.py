@@ -68,14 +68,13 @@ def hazard(
 
 def _draw(summary: "HazardSummary", space: "DesignSpace | None", out: Path) -> None:
     from activefail.figures.hazard import plot_hazard
-    from activefail.figures.style import save_figure
+    from activefail.figures.style import save_png_and_svg
     from activefail.files import writing_to
 
     figure = plot_hazard(summary, space)
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
-        save_figure(figure, out / "hazard.png")
-        save_figure(figure, out / "hazard.svg")
+        save_png_and_svg(figure, out, "hazard")
 
 
 def _show(summary: "HazardSummary") -> None:

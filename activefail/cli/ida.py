@@ -1,6 +1,5 @@
 """`activefail ida`: at which intensity of each record of a set a bearing fails."""
 
-import json
 import math
 import sys
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ from activefail.cli.common import (
 )
 from activefail.display import progress_bar
 from activefail.errors import InputError
-from activefail.files import replacing, writing_to
+from activefail.files import writing_to
 from activefail.interrupts import INTERRUPTED
 from activefail.record.layout import check_output
 from activefail.visible import visible
@@ -157,12 +156,13 @@ def ida(
     """
     from activefail.accelerogram_sets import read_record_set
     from activefail.bearing.design import Model, Tolerance
+    from activefail.risk.ida.bearing_file import read_bearing
     from activefail.risk.ida.intensity import Intensity
     from activefail.risk.ida.p695 import MarginRequest
 
     check_output("--out", out)
     if campaign is not None and not pulses:
-        raise InputError("--campaign: needs --pulses, because a campaign under pulses knows no records.")
+        raise InputError("--campaign requires --pulses: a campaign under pulses predicts pulses, not records.")
     if out is not None and out.resolve() == records.resolve():
         raise InputError(f"--out: must differ from --records, got {visible(str(out))}.")
     model = Model(
@@ -178,7 +178,7 @@ def ida(
     if simulator is None:
         if executor != "local" or scheduler is not None:
             raise InputError("--executor and --scheduler require --simulator; the bearing model runs in threads.")
-        row = _bearing(bearing, model)
+        row = read_bearing(bearing, model)
         read = read_record_set(records, unit, dt, vertical)
         surrogate = None if campaign is None else _surrogate(campaign, outcome, model)
         with _kept_in(out):
@@ -199,7 +199,10 @@ def ida(
         with _kept_in(out):
             found = _of_campaign(simulator, bearing, read, outcome, to, request, workers, executor, scheduler, out)
     if out is not None:
-        _write(found, out)
+        from activefail.report.ida import write_ida
+
+        with writing_to(out):
+            write_ida(found, out)
     if as_json:
         print_json(found.as_json())
         return
@@ -303,34 +306,6 @@ def _of_campaign(
         return analyse_campaign(simulate, file.name, records, outcome, to, options, out)
 
 
-def _bearing(file: Path, model: "Model") -> "Array":
-    """The bearing of a file, (7,), in the units of Table 1.
-
-    Raises:
-        InputError: if a value is missing, is not one of a bearing, or breaks a rule.
-    """
-    import numpy as np
-
-    from activefail.bearing.design import TABLE_1, Bearing
-    from activefail.campaign.question import read_fixed
-
-    values, names = read_fixed(file, TABLE_1), TABLE_1.names[:7]
-    for name in values:
-        if name not in names:
-            raise InputError(
-                f"{visible(str(file))}: {name}: belongs to a pulse; leave it out, because the records are the "
-                "ground motion."
-            )
-    if missing := [name for name in names if name not in values]:
-        raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
-    row = [values[name] for name in names]
-    try:
-        Bearing.from_row(row, model.slider_diameter)
-    except InputError as error:
-        raise InputError(f"{visible(str(file))}: {error}") from None
-    return np.array(row)
-
-
 def _surrogate(folder: Path, outcome: str | None, model: "Model") -> "Surrogate":
     """The classifier of a run folder.
 
@@ -350,20 +325,3 @@ def _surrogate(folder: Path, outcome: str | None, model: "Model") -> "Surrogate"
                 "values."
             )
         return Surrogate(run.campaign, run.classifier, OUTCOMES.index(outcome))
-
-
-def _write(found: "IdaFindings", out: Path) -> None:
-    from activefail.csv_table import writing
-    from activefail.figures.ida import plot_ida
-    from activefail.figures.style import save_figure
-
-    numbers = found.as_json()
-    columns = list(numbers["records"][0])
-    with writing_to(out):
-        with replacing(out / "ida.json") as file:
-            file.write(json.dumps(numbers, indent=2))
-        with writing(out / "ida.csv", columns) as write:
-            write([["" if row[name] is None else row[name] for name in columns] for row in numbers["records"]])
-        figure = plot_ida(found)
-        save_figure(figure, out / "ida.png")
-        save_figure(figure, out / "ida.svg")

@@ -79,3 +79,15 @@ def save_figure(figure: "Figure", path: Path) -> None:
     kind = path.suffix.removeprefix(".").lower()
     with replacing(target_of(path), "xb") as file:
         figure.savefig(file, format=kind, metadata={"Date": None} if kind == "svg" else None)
+
+
+def save_png_and_svg(figure: "Figure", folder: Path, name: str) -> list[Path]:
+    """Write a figure to `<name>.png` and `<name>.svg` in a folder; returns these paths.
+
+    Raises:
+        OSError: if one cannot be written.
+    """
+    paths = [folder / f"{name}.{suffix}" for suffix in ("png", "svg")]
+    for path in paths:
+        save_figure(figure, path)
+    return paths

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from activefail.comparison.measures import DISPLACEMENT, NEIGHBOURS
 from activefail.comparison.seeds import (
@@ -19,9 +18,10 @@ from activefail.comparison.seeds import (
 )
 from activefail.csv_table import writing
 from activefail.figures.curves import plot_sampling_curves
-from activefail.figures.style import save_figure
+from activefail.figures.style import save_png_and_svg
 from activefail.files import replacing, writing_to
 from activefail.record.layout import SCORES
+from activefail.report.environment import markdown_environment
 
 MEASURES = {
     "accuracy": "accuracy",
@@ -107,24 +107,25 @@ def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
         {key: points for key, points in by_measure["accuracy"].items() if (key[1] == STATIC) == static}
         for static in (False, True)
     )
-    environment = Environment(
-        loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
-    )
-    return environment.get_template("comparison.md.j2").render(
-        title=plan.settings.description or "a campaign",
-        targets=_targets(plan),
-        boundary=boundary,
-        seeds=plan.seeds,
-        test=plan.test,
-        neighbours=NEIGHBOURS,
-        displacement=f"{DISPLACEMENT:.0%}",
-        command=_command(plan),
-        titles=list(titles.values()),
-        measured=_measured(by_measure),
-        campaigns=[f"{sampling}, {features}" for features, sampling in active],
-        hypercubes=[f"static, {features}" for features, _ in fixed],
-        to_reach=_to_reach(fixed, active) if active else [],
-        to_match=_to_match(fixed, active),
+    return (
+        markdown_environment()
+        .get_template("comparison.md.j2")
+        .render(
+            title=plan.settings.description or "a campaign",
+            targets=_targets(plan),
+            boundary=boundary,
+            seeds=plan.seeds,
+            test=plan.test,
+            neighbours=NEIGHBOURS,
+            displacement=f"{DISPLACEMENT:.0%}",
+            command=_command(plan),
+            titles=list(titles.values()),
+            measured=_measured(by_measure),
+            campaigns=[f"{sampling}, {features}" for features, sampling in active],
+            hypercubes=[f"static, {features}" for features, _ in fixed],
+            to_reach=_to_reach(fixed, active) if active else [],
+            to_match=_to_match(fixed, active),
+        )
     )
 
 
@@ -189,9 +190,7 @@ def write_comparison(plan: ComparisonPlan, scores: list[ArmScore], out: Path) ->
         ("accuracy", f"accuracy for {boundary} on fresh designs"),
         ("log_score", f"mean log probability of the true side of {boundary} [nat]"),
     ):
-        figure = plot_sampling_curves(curves(scores, measure), label, about)
-        for suffix in ("svg", "png"):
-            save_figure(figure, out / f"{measure}.{suffix}")
+        save_png_and_svg(plot_sampling_curves(curves(scores, measure), label, about), out, measure)
     page = out / "comparison.md"
     with replacing(page) as file:
         file.write(comparison_text(plan, scores))

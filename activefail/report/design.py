@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from activefail import __version__
 from activefail.errors import InputError
 from activefail.figures.design import marks_of, plot_required
-from activefail.figures.style import save_figure
+from activefail.figures.style import save_png_and_svg
 from activefail.files import make_folder, replacing, target_of
 from activefail.report.environment import page_environment
 from activefail.report.picture import picture
@@ -43,9 +43,7 @@ def write_design(findings: DesignFindings, folder: Path) -> list[Path]:
             file.write(text)
     if findings.chart is not None:
         figure = _chart(findings, findings.chart)
-        for suffix in ("png", "svg"):
-            files.append(folder / f"{CHART}.{suffix}")
-            save_figure(figure, files[-1])
+        files += save_png_and_svg(figure, folder, CHART)
     return files
 
 

@@ -37,3 +37,10 @@ def page_environment() -> Environment:
     environment.globals["interval_percent"] = interval_percent
     environment.globals["bounds_percent"] = bounds_percent
     return environment
+
+
+def markdown_environment() -> Environment:
+    """The environment of the Markdown pages' templates."""
+    return Environment(
+        loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
+    )

@@ -7,7 +7,7 @@ from typing import Any
 from activefail import __version__
 from activefail.errors import InputError
 from activefail.figures.fragility import plot_fragility_findings
-from activefail.figures.style import save_figure
+from activefail.figures.style import save_png_and_svg
 from activefail.files import make_folder, replacing, target_of
 from activefail.findings.quantities import quantity
 from activefail.report.environment import page_environment
@@ -39,11 +39,7 @@ def write_fragility(findings: FragilityFindings, outcomes: Sequence[str], folder
     with replacing(target_of(files[0])) as file:
         file.write(render_fragility(findings, outcomes))
     files += write_files(findings, folder)
-    figure = plot_fragility_findings(findings)
-    for suffix in ("png", "svg"):
-        files.append(folder / f"{PICTURE}.{suffix}")
-        save_figure(figure, files[-1])
-    return files
+    return files + save_png_and_svg(plot_fragility_findings(findings), folder, PICTURE)
 
 
 def render_fragility(findings: FragilityFindings, outcomes: Sequence[str]) -> str:

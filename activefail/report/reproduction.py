@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from scipy.integrate import cumulative_trapezoid
 from scipy.stats import binomtest
 
@@ -15,7 +14,7 @@ from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
 from activefail.features import PAPER_FEATURES
 from activefail.figures.paper_planes import PLANES, SLICE, plot_plane
 from activefail.figures.reliability import plot_reliability
-from activefail.figures.style import save_figure, styled
+from activefail.figures.style import save_png_and_svg, styled
 from activefail.files import replacing, writing_to
 from activefail.paper import claims, published
 from activefail.paper import study as paper
@@ -23,6 +22,7 @@ from activefail.paper.claims import CONCLUSIONS, NOT_REPRODUCED, named, named_wi
 from activefail.paper.methods import LENGTH_SCALE
 from activefail.paper.published import Table2Row
 from activefail.paper.study import METHODS, Study, Variant
+from activefail.report.environment import markdown_environment
 from activefail.sample_mean import Estimate, contains
 from activefail.space import Array
 
@@ -323,10 +323,7 @@ def _context(study: Study) -> dict[str, Any]:
 
 def render(numbers: dict[str, Any]) -> str:
     """Render the page with these numbers."""
-    environment = Environment(
-        loader=PackageLoader("activefail.report", "."), undefined=StrictUndefined, keep_trailing_newline=True
-    )
-    return environment.get_template("reproduction.md.j2").render(numbers)
+    return markdown_environment().get_template("reproduction.md.j2").render(numbers)
 
 
 def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = lambda _: None) -> Path:
@@ -352,8 +349,7 @@ def write_reproduction(study: Study, out: Path, stage: Callable[[str], None] = l
         folder.mkdir(parents=True, exist_ok=True)
         with styled():
             for name, figure in figures.items():
-                save_figure(figure, folder / f"{name}.svg")
-                save_figure(figure, folder / f"{name}.png")
+                save_png_and_svg(figure, folder, name)
         with replacing(folder / "numbers.json") as file:
             file.write(json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")
         with replacing(page) as file:

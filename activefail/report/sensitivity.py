@@ -8,9 +8,10 @@ from typing import Any
 from activefail.campaign.assembly import Campaign
 from activefail.csv_table import Target, writing
 from activefail.figures.sensitivity import plot_indices, plot_moves
-from activefail.figures.style import save_figure
+from activefail.figures.style import save_png_and_svg
 from activefail.files import replacing, writing_to
 from activefail.findings.quantities import Quantity, custom_quantity, plain, quantity, significant
+from activefail.report.environment import markdown_environment
 from activefail.risk.sensitivity.findings import HIGH, LOW, Sensitivity
 from activefail.risk.sensitivity.sobol import Estimate
 from activefail.shares import percent
@@ -178,9 +179,9 @@ def write_csv(sensitivity: Sensitivity, target: Target) -> None:
             write([[cells.get(column, "") for column in _COLUMNS]])
 
 
-def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
-    cells = [[cell.replace("|", r"\|") for cell in row] for row in rows]
-    return [f"| {' | '.join(row)} |" for row in (cells[0], ["---"] * len(cells[0]), *cells[1:])]
+def _cells(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """The cells of a table in Markdown."""
+    return [[cell.replace("|", r"\|") for cell in row] for row in rows]
 
 
 def _quantities(sensitivity: Sensitivity, campaign: Campaign) -> Mapping[str, Quantity]:
@@ -195,27 +196,31 @@ def write_sensitivity(sensitivity: Sensitivity, campaign: Campaign, out: Path) -
         InputError: if a file cannot be written.
     """
     outcomes, quantities = campaign.simulator.outcomes, _quantities(sensitivity, campaign)
-    title = heading(sensitivity, outcomes)
-    lines, figures = [f"# {title[0].upper()}{title[1:]}", ""], {}
+    title, figures = heading(sensitivity, outcomes), {}
     if sensitivity.moves:
         name = plain(or_worse(sensitivity.outcome, outcomes))
         figures[MOVES] = plot_moves(sensitivity.moves, sensitivity.probability, name, quantities)
-        share = percent(sensitivity.probability)
-        at_own = f"With all variables at their base values the probability is {share}, without an interval."
-        lines += ["## One variable at a time", "", at_own, "", *_markdown(move_rows(sensitivity)), ""]
-        lines += [f"![One variable at a time]({MOVES}.svg)", ""]
     if sensitivity.indices:
         figures[INDICES] = plot_indices(sensitivity.indices, sensitivity.confidence, quantities)
-        lines += ["## Sobol' indices", "", *_markdown(index_rows(sensitivity)), ""]
-        lines += [f"![Sobol' indices]({INDICES}.svg)", ""]
-    lines += ["## Notes", "", *(f"- {title}: {text}." for title, text in about(sensitivity))]
-    lines += [f"- {visible(note)}" for note in sensitivity.notes]
+    text = (
+        markdown_environment()
+        .get_template("sensitivity.md.j2")
+        .render(
+            title=f"{title[0].upper()}{title[1:]}",
+            probability=percent(sensitivity.probability) if sensitivity.moves else "",
+            moves=_cells(move_rows(sensitivity)),
+            moves_picture=MOVES,
+            indices=_cells(index_rows(sensitivity)),
+            indices_picture=INDICES,
+            about=about(sensitivity),
+            notes=[visible(note) for note in sensitivity.notes],
+        )
+    )
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
         for file, figure in figures.items():
-            for suffix in ("svg", "png"):
-                save_figure(figure, out / f"{file}.{suffix}")
+            save_png_and_svg(figure, out, file)
         with replacing(out / PAGE) as page:
-            page.write("\n".join(lines) + "\n")
+            page.write(text)
     write_csv(sensitivity, out / TABLE)
     return out / PAGE

@@ -490,7 +490,7 @@ def test_a_campaign_that_does_not_fit_is_refused(
 
 def test_a_campaign_without_pulses_to_compare_is_refused(case: Path, campaign: Path) -> None:
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--campaign", campaign)
-    refused(activefail(*words), "--campaign: needs --pulses")
+    refused(activefail(*words), "--campaign requires --pulses")
     other = activefail(*words, "--pulses", "--slider-diameter", "0.4")
     refused(other, "--campaign: its [bearing] settings differ from this command's options")
 
