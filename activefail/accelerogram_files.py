@@ -2,6 +2,7 @@
 
 import codecs
 import math
+import os
 import re
 from pathlib import Path
 
@@ -31,7 +32,7 @@ _KIND = re.compile(r"\b(ACCELERATION|VELOCITY|DISPLACEMENT) TIME\b.*?UNITS OF\s+
 """The line of PEER's header that says what a file has."""
 
 
-def read_accelerogram(path: Path, unit: str, dt: float | None = None) -> Accelerogram:
+def read_accelerogram(path: str | os.PathLike[str], unit: str, dt: float | None = None) -> Accelerogram:
     """Read a record.
 
     A header that states DT and NPTS, as in PEER's AT2 files, is followed by accelerations, any number to a line.
@@ -49,6 +50,7 @@ def read_accelerogram(path: Path, unit: str, dt: float | None = None) -> Acceler
     """
     if unit not in UNITS:
         raise InputError(f"unit: must be one of {', '.join(UNITS)}, got {unit!r}.")
+    path = Path(path)
     if dt is not None and not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"{visible(str(path))}: dt: must be positive and finite, got {dt} s.")
     try:

@@ -28,7 +28,7 @@ from activefail.arguments import (
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
 from activefail.display import campaign_display
-from activefail.errors import InputError
+from activefail.errors import InputError, StoreError
 from activefail.files import writing_to
 from activefail.findings.summary import Summary
 from activefail.interrupts import stop_on_signals
@@ -106,13 +106,12 @@ class Run:
     a folder for writing. Reading is safe meanwhile and sees the record as of opening.
 
     Attributes:
-        folder: the run folder.
         campaign: the components of the campaign.
         store: the record.
     """
 
     def __init__(self, folder: Path, campaign: Campaign, store: "FolderStore", write: bool) -> None:
-        self.folder, self.campaign, self.store = folder, campaign, store
+        self._named, self.campaign, self.store = folder, campaign, store
         self._write = write
         # Threads take turns: two that ask at once must not get the same designs.
         self._turn = threading.RLock()
@@ -120,6 +119,12 @@ class Run:
         self._memory: Memory | None = None
 
     # ------------------------------------------------------------------------------------------- properties
+
+    @property
+    def folder(self) -> Path:
+        """The run folder, as it was named; its absolute path once the working directory has changed."""
+        place = self.store.folder
+        return self._named if self._named.absolute() == place else place
 
     @property
     def settings(self) -> "CampaignSettings":
@@ -298,11 +303,12 @@ class Run:
         the former one. The classifier learns again as if it had got the right result at first.
 
         Args:
-            table: a DataFrame, a dictionary of columns, a list of dictionaries, one dictionary, or a CSV file (its
-                path, or opened in binary mode). Its columns are `id`, `outcome`, the campaign's margins (empty where
-                undefined), and optionally `cause`, `seconds` and the variables, which must not have changed. The
-                outcome "numerical_failure" is that of a simulation without a result. Where one margin has levels, the
-                outcome may be left out. Other columns are ignored, as are rows without outcome and margins.
+            table: a DataFrame, a dictionary of columns, a list of dictionaries, one row as a dictionary or a Series,
+                or a CSV file (its path, or opened in binary mode). Its columns are `id`, `outcome`, the campaign's
+                margins (empty where undefined), and optionally `cause`, `seconds` and the variables, which must not
+                have changed. The outcome "numerical_failure" is that of a simulation without a result. Where one margin
+                has levels, the outcome may be left out. Other columns are ignored, as are rows without outcome and
+                margins.
             correct: whether the table corrects recorded results; it must then hold no others.
 
         Returns:
@@ -1066,7 +1072,10 @@ class Run:
         """The state of the campaign, for a notebook."""
         from activefail.findings.status import read_status
 
-        status = read_status(self.folder)
+        try:
+            status = read_status(self.folder)
+        except (InputError, StoreError) as error:  # such as a folder that is gone
+            return f"<p>{escape(visible(str(error)))}</p>"
         lines = [*status.lines, ("warning", status.summary.unseen_warning), *status.continuation]
         rows = "".join(
             f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text

@@ -173,12 +173,26 @@ def test_the_python_of_the_guide_runs(tmp_path):
     assert float(done.stdout.split("misclassified")[1]) < 0.1
 
 
+def test_the_examples_of_the_python_interface_run_and_use_every_public_name(tmp_path):
+    simulator, *examples = blocks(ROOT / "docs" / "reference" / "python.md", "python")
+    (tmp_path / "beam.py").write_text(simulator)
+    source = "\n".join(examples)
+    used = set(re.findall(r"\w+", re.sub("#.*", "", source)))
+    not_raised = {"SimulationError"}
+    assert {*activefail.__all__} - used == not_raised
+    assert {name for name in dir(activefail.Run) if not name.startswith("_")} <= used
+    words = [sys.executable, "-W", "error::UserWarning", "-c", source]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("True 12")
+
+
 def test_the_guide_lists_every_method_and_property_of_a_run_with_its_arguments():
     first_cells = re.findall(r"^\| (`.*?`) \|", section(GUIDE, "## From Python"), re.MULTILINE)
     listed = [entry for cell in first_cells for entry in re.findall(r"`([^`]+)`", cell)]
     arguments = dict(re.findall(r"^(\w+)\((.*)\)$", entry)[0] for entry in listed if entry.endswith(")"))
     functions = {"create_run", "open_run"}
-    public = {name for name in dir(activefail.Run) if not name.startswith("_")} | {"folder", "campaign", "store"}
+    public = {name for name in dir(activefail.Run) if not name.startswith("_")} | {"campaign", "store"}
     assert {entry.partition("(")[0] for entry in listed} - functions == public
     for name, stated in arguments.items():
         signature = inspect.signature(getattr(activefail if name in functions else activefail.Run, name))

@@ -248,6 +248,7 @@ def test_a_classifier_of_outcomes_is_a_botorch_model_over_the_features(lab: Path
 def test_a_regression_of_a_margin_is_a_botorch_model_over_the_features(lab: Path, truncated: bool) -> None:
     import torch
     from botorch.acquisition import PosteriorStandardDeviation
+    from botorch.exceptions.errors import UnsupportedError
 
     lab.write_text(LAB + '[classifier]\nlearns = "g"\n')
     with af.create_run(lab.with_name("run"), lab) as run:
@@ -270,6 +271,8 @@ def test_a_regression_of_a_margin_is_a_botorch_model_over_the_features(lab: Path
         np.testing.assert_allclose(
             joint.distribution.covariance_matrix.detach().numpy(), covariance, rtol=1e-6, atol=1e-7 * scale
         )
+        with pytest.raises(UnsupportedError, match="cannot be conditioned on observations"):
+            model.condition_on_observations(batched[:, 0], joint.mean)
         # BoTorch's criteria and their gradients work on it.
         batched.requires_grad_(True)
         criterion = PosteriorStandardDeviation(model)(batched)
@@ -293,6 +296,16 @@ def test_results_may_come_as_any_kind_of_table(lab: Path, given: Callable[[pd.Da
         designs = run.ask(3)
         assert run.tell(given(designs)) == 3
         assert run.simulations["g"].tolist() == answered(designs)["g"].tolist()
+
+
+def test_one_row_of_a_table_is_a_table(folder: Path) -> None:
+    with af.open_run(folder, write=True) as run:
+        design = run.in_flight.iloc[0]
+        assert run.predict(design).equals(run.predict(run.in_flight[:1]))
+        assert run.tell(answered(run.in_flight).iloc[0]) == 1
+        assert run.in_flight["id"].tolist() == [9]
+        with pytest.raises(InputError, match="column 'id': required"):
+            run.tell(pd.Series([9, 0.5]))
 
 
 def test_one_result_may_be_a_dictionary(lab: Path) -> None:
@@ -586,13 +599,18 @@ def test_a_run_is_created_from_a_dictionary(tmp_path: Path) -> None:
         af.create_run(tmp_path / "other", settings | {"space": {"x": {"low": 1.0, "high": 0.0}}})
 
 
-def test_a_campaign_asked_for_by_hand_is_resumed_by_a_function(tmp_path: Path) -> None:
-    (tmp_path / "plate.py").write_text("def run(d):\n    return 'failure' if d['x'] + d['y'] > 1.3 else 'safe'\n")
-    (tmp_path / "plate.toml").write_text(
+def plate(folder: Path) -> Path:
+    """The file of a small campaign on a Python function."""
+    (folder / "plate.py").write_text("def run(d):\n    return 'failure' if d['x'] + d['y'] > 1.3 else 'safe'\n")
+    (folder / "plate.toml").write_text(
         'simulator = { python = "plate:run" }\nsampling = { initial = 10, budget = 20, batch = 5 }\n'
         "[space]\nx = { low = 0, high = 1 }\ny = { low = 0, high = 1 }\n"
     )
-    assert activefail("run", tmp_path / "plate.toml", "--out", tmp_path / "whole").code == 0
+    return folder / "plate.toml"
+
+
+def test_a_campaign_asked_for_by_hand_is_resumed_by_a_function(tmp_path: Path) -> None:
+    assert activefail("run", plate(tmp_path), "--out", tmp_path / "whole").code == 0
     with af.create_run(tmp_path / "run", tmp_path / "plate.toml") as run:
         for _ in range(3):
             designs = run.ask(5)
@@ -651,7 +669,7 @@ def test_ids_to_drop_may_come_as_any_iterable(folder: Path, kind: Callable[[list
         assert run.drop(kind([8, 9])) == 2
 
 
-@pytest.mark.parametrize("table", [None, 3.0, pd.Series({"id": 8, "g": 1.0}), iter([]), b"id,g"])
+@pytest.mark.parametrize("table", [None, 3.0, {8, 1.0}, iter([]), b"id,g"])
 def test_what_is_no_table_is_refused_by_its_type(folder: Path, table: Any) -> None:
     message = f"table: must be a DataFrame, .*, got {type(table).__name__}"
     with af.open_run(folder, write=True) as run:
@@ -766,6 +784,56 @@ def test_a_list_that_the_last_batch_does_not_know_is_refused(folder: Path, lab: 
     said = activefail("ask", folder, "--csv", lab.with_name("todo.csv"))
     refused(said, f"{path} does not match the last batch", code=1)
     refused(activefail("export", folder, "--csv", lab.with_name("all.csv")), f"{path} does not match", code=1)
+
+
+@pytest.mark.parametrize("fate", ["removed", "earlier"])
+def test_corrections_that_the_list_of_designs_does_not_know_are_refused_although_no_batch_followed(
+    folder: Path, lab: Path, fate: str
+) -> None:
+    path = folder / "corrections.h5"
+    with af.open_run(folder, write=True) as run:
+        run.tell({"id": 1, "g": -3.0}, correct=True)
+        earlier = path.read_bytes()
+        run.tell({"id": 2, "g": -3.0}, correct=True)
+        run.drop(9)
+        latest = path.read_bytes()
+    if fate == "removed":
+        path.unlink()
+    else:
+        path.write_bytes(earlier)
+    for words in (["status", folder], ["ask", folder, "--csv", lab.with_name("todo.csv")]):
+        refused(activefail(*words), f"{path} does not match asked.h5", code=1)
+    path.write_bytes(latest)
+    assert "corrected  2 corrections\n" in activefail("status", folder).out
+
+
+def test_corrections_of_a_version_that_did_not_list_them_beside_the_designs_can_be_read(folder: Path) -> None:
+    from activefail.record.asked import encode_asked
+
+    with af.open_run(folder, write=True) as run:
+        run.tell({"id": 1, "g": -3.0}, correct=True)
+        asked, start = run.store.asked, run.store.segments[0].before
+        expected = run.simulations
+    (folder / "asked.h5").write_bytes(encode_asked(asked, start))
+    assert "corrected  1 correction\n" in activefail("status", folder).out
+    with af.open_run(folder, write=True) as run:
+        assert run.simulations.equals(expected)
+        assert run.store.warnings == ()
+
+
+def test_corrections_of_a_campaign_that_was_never_asked_are_missed_too(tmp_path: Path) -> None:
+    with af.create_run(tmp_path / "run", plate(tmp_path)) as run:
+        run.take(progress=False, workers=1)
+        row = run.simulations.iloc[3]
+        run.tell({"id": 3, "outcome": "safe" if row["outcome"] == "failure" else "failure"}, correct=True)
+        corrected = run.simulations
+    with af.open_run(tmp_path / "run") as run:
+        assert run.simulations.equals(corrected)
+        assert len(run.in_flight) == 0
+    assert activefail("status", tmp_path / "run").code == 0
+    (tmp_path / "run" / "corrections.h5").unlink()
+    with pytest.raises(StoreError, match=r"corrections\.h5 does not match asked\.h5"):
+        af.open_run(tmp_path / "run")
 
 
 def test_a_list_with_designs_outside_the_space_is_refused(folder: Path, lab: Path) -> None:
@@ -1020,3 +1088,39 @@ def test_after_a_failed_campaign_the_classifier_is_that_of_the_record(tmp_path: 
         with pytest.raises(af.SimulationError, match="failed numerically"):
             run.take(progress=False, workers=1)
         assert len(run.classifier.latents[0].features) == int(run.history.answered.sum()) > before
+
+
+def test_a_run_keeps_its_folder_when_the_working_directory_changes(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with af.open_run("run", write=True) as run:
+        assert run.resume_command() == "activefail resume run"
+        named = run._repr_html_()
+        (tmp_path / "other").mkdir()
+        monkeypatch.chdir(tmp_path / "other")
+        assert run.folder == folder
+        assert f"activefail tell {folder} --csv" in run._repr_html_()
+        assert run._repr_html_().replace(str(folder), "run") == named
+        run.report()
+    assert (folder / "report.html").exists()
+    assert list((tmp_path / "other").iterdir()) == []
+
+
+def test_a_run_whose_folder_is_gone_shows_this_in_a_notebook(folder: Path) -> None:
+    with af.open_run(folder) as run:
+        shutil.rmtree(folder)
+        assert run._repr_html_() == f"<p>{folder}: is not a run folder; it has no campaign.toml.</p>"
+
+
+def test_a_run_that_is_never_closed_ends_without_a_message(tmp_path: Path) -> None:
+    # The interpreter ends with the lock's module gone before the lock.
+    program = """
+import sys
+import activefail.record.lock as lock
+from pathlib import Path
+kept = lock.FolderLock(Path(sys.argv[1]))
+lock.os = None
+"""
+    done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")

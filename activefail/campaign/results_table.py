@@ -57,7 +57,7 @@ class Table:
 
     @classmethod
     def of_python(cls, table: Any) -> Self:
-        """A pandas DataFrame, a mapping of columns, or a sequence of mappings, one for each row.
+        """A pandas DataFrame, a mapping of columns, a sequence of mappings, one for each row, or a single row.
 
         Raises:
             InputError: if it is something else.
@@ -66,10 +66,12 @@ class Table:
 
         rule = "table: must be a DataFrame, a dictionary of columns, or a list of dictionaries"
         # To pandas, None is a table without rows.
-        is_table = isinstance(table, pd.DataFrame | Mapping | Sequence | np.ndarray)
+        is_table = isinstance(table, pd.DataFrame | pd.Series | Mapping | Sequence | np.ndarray)
         if not is_table or isinstance(table, str | bytes):
             raise InputError(f"{rule}, got {type(table).__name__}.")
-        if isinstance(table, Mapping) and not any(_is_column(value) for value in table.values()):
+        if isinstance(table, pd.Series) or (
+            isinstance(table, Mapping) and not any(_is_column(value) for value in table.values())
+        ):
             table = [table]
         try:
             frame = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)

@@ -28,7 +28,7 @@ from activefail.record.corrections import (
 )
 from activefail.record.layout import ASKED, CORRECTIONS, LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
 from activefail.record.recovery import is_segment, plain_files
-from activefail.record.segment import Outline, chain_start, decode_outline, decode_segment
+from activefail.record.segment import Outline, chain_start, continues, decode_outline, decode_segment
 from activefail.shares import percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.verification.stored_sets import first_part, name_of_look, name_of_verification
@@ -287,6 +287,7 @@ def read_summary(folder: Path) -> Summary | None:
         )
         brief = SettingsInBrief.of(settings)
         in_flight: tuple[int, ...] = ()
+        noted = ""
         corrections = Corrections.none(None)
         outcome = [outline.outcome for outline in outlines]
         listed, replaced = (folder / ASKED).exists(), (folder / CORRECTIONS).exists()
@@ -300,19 +301,19 @@ def read_summary(folder: Path) -> Summary | None:
             batches = [batch for segment in segments for batch in segment.batches]
             if listed:
                 data = read_regular(folder / ASKED, LARGEST_ASKED)
-                asked = decode_asked(data, start, len(schema.variables))
-                if last.asked and asked.digest_of(_number(last.asked)) != last.asked:
+                asked, noted = decode_asked(data, start, len(schema.variables))
+                if not continues(last.asked, asked.digest_of):
                     return None
                 in_flight = _in_flight(asked, batches)
             if replaced:
                 data = read_regular(folder / CORRECTIONS, LARGEST_CORRECTIONS)
                 corrections = decode_corrections(data, start, schema)
                 batches, applied = corrected(batches, corrections)
-                if not applied.all() or (
-                    last.corrected and corrections.entry(_number(last.corrected)) != last.corrected
-                ):
+                if not applied.all() or not continues(last.corrected, corrections.entry):
                     return None
                 outcome = [batch.results.outcome for batch in batches]
+            if not continues(noted, corrections.entry):
+                return None
     except (OSError, MemoryError, RecursionError, ValueError, StoreError):
         return None
     if not outlines or not _is_chain(outlines, settings):
@@ -328,11 +329,6 @@ def read_summary(folder: Path) -> Summary | None:
     return Summary(
         brief, _shown(outcomes), int(last.iterations[-1]), *counts, in_flight, margins, known, len(corrections)
     )
-
-
-def _number(entry: str) -> int:
-    """The number at the beginning of an entry of the provenance."""
-    return int(entry.partition(" ")[0])
 
 
 def _shown(names: Sequence[str]) -> tuple[str, ...]:

@@ -159,7 +159,8 @@ def current(campaign: Campaign, store: Store, write: bool, memory: Memory | None
         if write:
             store.write_state(later, learned.state)
     assert learned is not None
-    memory.iteration, memory.simulations, memory.learned = last, len(history), learned
+    # In this order: interrupted between two of them, the memory does not hold.
+    memory.simulations, memory.learned, memory.iteration = len(history), learned, last
     return learned
 
 

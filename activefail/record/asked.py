@@ -153,8 +153,14 @@ def bits_of(designs: Array) -> list[bytes]:
     return [bytes(row) for row in rows.view(f"V{rows.shape[1] * rows.itemsize}").ravel().tolist()]
 
 
-def encode_asked(asked: Asked, campaign: str) -> bytes:
-    """The bytes of the file; `campaign` is the digest at the start of the campaign's chain."""
+def encode_asked(asked: Asked, campaign: str, corrected: str = "") -> bytes:
+    """The bytes of the file.
+
+    Args:
+        asked: the designs.
+        campaign: the digest at the start of the campaign's chain.
+        corrected: the entry of the corrections that the record has (`Corrections.entry`); empty without any.
+    """
     content: dict[str, NDArray[Any] | str] = {
         "id": asked.id,
         "designs": asked.designs,
@@ -162,11 +168,14 @@ def encode_asked(asked: Asked, campaign: str) -> bytes:
         "learned": asked.learned,
         "dropped": asked.dropped,
     }
-    return encode(content, {"schema_version": str(SCHEMA_VERSION), "campaign": campaign})
+    attributes = {"schema_version": str(SCHEMA_VERSION), "campaign": campaign}
+    return encode(content, attributes | ({"corrected": corrected} if corrected else {}))
 
 
-def decode_asked(data: bytes, campaign: str, dimension: int) -> Asked:
-    """The designs in a file of this campaign.
+def decode_asked(data: bytes, campaign: str, dimension: int) -> tuple[Asked, str]:
+    """The designs in a file of this campaign, and the entry of the corrections that the record had then.
+
+    Older files have no such entry; it is empty for them.
 
     Args:
         data: the file.
@@ -190,4 +199,4 @@ def decode_asked(data: bytes, campaign: str, dimension: int) -> Asked:
         asked = Asked(**columns)
         if not asked.is_valid:
             raise DamagedError("lists designs, ids or flags that `ask` never writes")
-        return asked
+        return asked, image.attributes("corrected").get("", "")

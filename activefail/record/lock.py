@@ -73,7 +73,10 @@ class FolderLock:
         """Release the lock; a second call does nothing."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
-            os.close(descriptor)
+            self._close(descriptor)
+
+    # At the end of the interpreter, modules may be gone before this object.
+    _close = staticmethod(os.close)
 
     def __del__(self) -> None:
         # A store that was not closed must not keep its folder locked.

@@ -16,7 +16,7 @@ import itertools
 import os
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
@@ -67,7 +67,14 @@ from activefail.record.recovery import (
     recover,
     set_aside,
 )
-from activefail.record.segment import ASKED_ENTRY, CORRECTED_ENTRY, Segment, chain_start, encode_segment
+from activefail.record.segment import (
+    ASKED_ENTRY,
+    CORRECTED_ENTRY,
+    Segment,
+    chain_start,
+    continues,
+    encode_segment,
+)
 from activefail.record.store import STATES_KEPT, check_asked, check_set, checked_state
 from activefail.simulators.interface import Results
 from activefail.space import Array
@@ -144,6 +151,8 @@ class FolderStore:
         self._asked: Asked | StoreError = Asked.none(0)
         # All that the file lists; not all of them need apply to the batches.
         self._corrections = Corrections.none(schema)
+        # What the list of designs says of them.
+        self._noted = ""
         self._start = ""
         self._batches: list[Batch] = []
         # With corrections. Built on demand: a commit must not copy all earlier batches.
@@ -385,7 +394,10 @@ class FolderStore:
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Guard one change of the folder. If it may be incomplete, this object refuses every later change."""
-        self._refusal = f"Writing to {self.folder} was interrupted. Acknowledged data is intact; resume the campaign."
+        self._refusal = (
+            f"Writing to {self.folder} was interrupted. Acknowledged data is intact; resume the campaign, or in Python "
+            "open the folder again."
+        )
         try:
             # Before anything is written; `publish` and `replace` check again before a file gets its name.
             self._check_place()
@@ -576,9 +588,9 @@ class FolderStore:
                 data = read_regular(path, LARGEST_ASKED)
             if self.schema is None:
                 return StoreError(f"{path} cannot be read without a schema while the record holds no batch.")
-            asked = decode_asked(data, self._start, columns)
+            asked, noted = decode_asked(data, self._start, columns)
         except FileNotFoundError:
-            asked = Asked.none(columns)
+            asked, noted = Asked.none(columns), ""
         except (DamagedError, ValueError) as error:
             return StoreError(
                 f"{path} {error}. It lists the designs in flight. Restore it from a copy; if you remove it, designs in "
@@ -586,32 +598,30 @@ class FolderStore:
             )
         except StoreError as error:
             return error
-        if not self._continues(ASKED_ENTRY, asked.digest_of):
+        if not continues(self._known(ASKED_ENTRY), asked.digest_of):
             return StoreError(
                 f"{path} does not match the last batch: it was removed, or replaced by an older or a different list. "
                 "Restore it from a copy; without it, designs in flight would be handed out again."
             )
+        self._noted = noted
         return asked
 
-    def _continues(self, entry: str, digest: Callable[[int], str]) -> bool:
-        """Whether a list still begins as the last batch recorded it.
-
-        Args:
-            entry: of the list in the provenance: its length, a space and a digest; missing without a list.
-            digest: the entry for the first so many rows of the list.
-        """
-        known = self._segments[-1].provenance.get(entry, "") if self._segments else ""
-        count = known.partition(" ")[0]
-        return not known or bool(re.fullmatch("[0-9]{1,9}", count) and digest(int(count)) == known)
+    def _known(self, entry: str) -> str:
+        """What the last batch noted of a list; empty if there was none."""
+        return self._segments[-1].provenance.get(entry, "") if self._segments else ""
 
     def write_asked(self, asked: Asked) -> None:
         """Keep the designs that were handed out (see Store)."""
+        self._write_asked(asked, self._corrections)
+
+    def _write_asked(self, asked: Asked, corrections: Corrections) -> None:
         schema = self._writable()
         check_asked(asked, schema)
-        data = encode_asked(asked, self._start)
+        noted = corrections.entry(len(corrections)) if len(corrections) else ""
+        data = encode_asked(asked, self._start, noted)
         with self._writing():
             replace(self.folder / ASKED, data, self._check_place)
-            self._asked = asked.copy()
+            self._asked, self._noted = asked.copy(), noted
 
     @property
     def corrections(self) -> Corrections:
@@ -636,11 +646,12 @@ class FolderStore:
             pass
         except (DamagedError, ValueError) as error:
             raise StoreError(f"{path} {error}. It lists corrected results. Restore it from a copy.") from None
-        if not self._continues(CORRECTED_ENTRY, corrections.entry):
-            raise StoreError(
-                f"{path} does not match the last batch: it was removed, or replaced by an older or a different list. "
-                "Restore it from a copy; without it, results that were corrected would be wrong again."
-            )
+        for known, what in ((self._known(CORRECTED_ENTRY), "the last batch"), (self._noted, ASKED)):
+            if not continues(known, corrections.entry):
+                raise StoreError(
+                    f"{path} does not match {what}: it was removed, or replaced by an older or a different list. "
+                    "Restore it from a copy; without it, results that were corrected would be wrong again."
+                )
         return corrections
 
     def _remove_lost_corrections(self) -> None:
@@ -653,11 +664,17 @@ class FolderStore:
             return
         schema, path = self._writable(), self.folder / CORRECTIONS
         aside = quarantine_of(path)
+        is_noted = bool(self._noted)
+        if is_noted:
+            # An interruption must not leave a note of corrections that are gone.
+            self._write_asked(self.asked, Corrections.none(schema))
         with self._writing():
             publish(aside, encode_corrections(self._corrections, schema, self._start), self._check_place)
             replace(path, encode_corrections(kept, schema, self._start), self._check_place)
         lost = len(self._corrections) - len(kept)
         self._corrections = kept
+        if is_noted:
+            self._write_asked(self.asked, kept)
         self._warn(
             f"{CORRECTIONS}: the results that {lost} of the corrections replaced were lost; these corrections were "
             f"removed. {aside.name} has the former file."
@@ -665,12 +682,14 @@ class FolderStore:
 
     def correct(self, place: NDArray[np.int64], results: Results) -> None:
         """Replace results of the batches (see Store)."""
-        schema = self._writable()
+        schema, asked = self._writable(), self.asked
         corrections = self._corrections.and_then(correcting(self.batches, place, results, schema))
         data = encode_corrections(corrections, schema, self._start)
         with self._writing():
             replace(self.folder / CORRECTIONS, data, self._check_place)
             self._corrections, self._joined = corrections, None
+        # Each of the two lists then shows that the other one is missing or older.
+        self._write_asked(asked, corrections)
 
     def write_set(self, name: str, X: Array, results: Results) -> None:
         """Keep a set (see Store)."""

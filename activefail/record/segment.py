@@ -1,7 +1,8 @@
 """Segments: immutable files of whole batches, in a chain of digests that starts with settings and schema."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -21,6 +22,18 @@ ASKED_ENTRY = "asked"
 
 CORRECTED_ENTRY = "corrected"
 """The entry of a batch's provenance that says which results had been corrected."""
+
+
+def continues(known: str, entry: Callable[[int], str]) -> bool:
+    """Whether a list still begins as it was noted.
+
+    Args:
+        known: the list's entry when it was noted: its length, a space and a digest; empty if there was no list.
+        entry: the entry for the first so many rows of the list.
+    """
+    count = known.partition(" ")[0]
+    return not known or bool(re.fullmatch("[0-9]{1,9}", count) and entry(int(count)) == known)
+
 
 SCHEMA_VERSION = 1
 """Version of the meaning of the files' datasets and attributes."""

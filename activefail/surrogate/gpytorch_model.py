@@ -7,11 +7,14 @@ load neither GPyTorch nor BoTorch.
 """
 
 import math
+from typing import Any
 
 import gpytorch
 import torch
+from botorch.exceptions.errors import UnsupportedError
 from botorch.models.approximate_gp import ApproximateGPyTorchModel
 from botorch.models.gpytorch import GPyTorchModel
+from botorch.models.model import Model
 from torch import Tensor
 
 from activefail.surrogate.covariance import (
@@ -148,6 +151,17 @@ class MarginModel(gpytorch.models.ExactGP, GPyTorchModel):
     def batch_shape(self) -> torch.Size:
         """The model is one Gaussian process."""
         return torch.Size()
+
+    def condition_on_observations(self, X: Tensor, Y: Tensor, **options: Any) -> Model:
+        """Refused: what a margin's observations are worth is more than a Gaussian likelihood can say.
+
+        Raises:
+            UnsupportedError: always.
+        """
+        raise UnsupportedError(
+            "This model cannot be conditioned on observations: it is a posterior, without training data. "
+            "`tell` or `add` the results, then `model` has learned from them."
+        )
 
     def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
         """The joint distribution at scaled features, (..., q, m)."""
