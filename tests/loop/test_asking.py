@@ -373,7 +373,7 @@ def test_an_asynchronous_campaign_is_not_asked() -> None:
 
 
 class Interleaved(RuleBasedStateMachine):
-    """Any order of ask, tell, drop, add, corrections, crash and reopening, in a run folder."""
+    """Any order of ask, tell, drop, add, corrections, the loop, crash and reopening, in a run folder."""
 
     folder: Path
 
@@ -386,7 +386,8 @@ class Interleaved(RuleBasedStateMachine):
         self.asked: dict[int, bytes] = {}
         self.told: dict[int, int] = {}
         self.dropped: set[int] = set()
-        self.given: set[bytes] = set()
+        self.given: dict[bytes, int] = {}
+        self.looped: dict[int, int] = {}
 
     number = 0
 
@@ -428,6 +429,22 @@ class Interleaved(RuleBasedStateMachine):
         answer = self.outcome(np.frombuffer(self.asked[number])[None])
         return Results(np.array([outcome], dtype=np.int8), answer.cause, answer.margins, answer.seconds)
 
+    @precondition(lambda self: self.given or self.looped)
+    @rule(data=st.data())
+    def correct_what_was_never_asked_for(self, data: st.DataObject) -> None:
+        handed = HandedOut.of(self.store)
+        rows_of = np.flatnonzero(~handed.handed_out).tolist()
+        row = data.draw(st.sampled_from(rows_of))
+        number, history = int(handed.ids[row]), handed.history[row : row + 1]
+        answer = self.outcome(history.designs)
+        other = 1 - history.outcome
+        results = Results(other, answer.cause, answer.margins, answer.seconds)
+        assert correct(self.campaign, self.store, np.array([number]), results) == 1
+        if history.origin[0] == GIVEN:
+            self.given[history.designs.tobytes()] = int(other[0])
+        else:
+            self.looped[number] = int(other[0])
+
     @precondition(lambda self: self.told)
     @rule(data=st.data())
     def correct(self, data: st.DataObject) -> None:
@@ -447,27 +464,48 @@ class Interleaved(RuleBasedStateMachine):
     def add(self, u: float, v: float) -> None:
         X = self.campaign.space.from_unit(np.array([[u, v]]))
         before = X.tobytes() in self.given
+        if before and self.given[X.tobytes()] != self.outcome(X).outcome[0]:
+            with pytest.raises(InputError, match="the same design has the result"):
+                add(self.campaign, self.store, X, self.outcome(X))
+            return
         assert add(self.campaign, self.store, X, self.outcome(X)) == (not before)
-        self.given.add(X.tobytes())
+        self.given.setdefault(X.tobytes(), int(self.outcome(X).outcome[0]))
+
+    @rule()
+    def loop(self) -> None:
+        """The loop simulates what is left of the initial design, or a batch, beside the designs in flight."""
+        handed = HandedOut.of(self.store)
+        known = {*handed.ids.tolist(), *handed.asked.id.tolist()}
+        budget = handed.history.asked_for + len(handed.in_flight) + 2
+        try:
+            take(self.campaign, self.store, budget)
+        except InputError as error:  # the whole initial design is in flight or was dropped
+            assert "initial design" in str(error)
+        handed = HandedOut.of(self.store)
+        outcome = dict(zip(handed.ids.tolist(), handed.history.outcome.tolist(), strict=True))
+        new = {number: outcome[number] for number in outcome.keys() - known}
+        assert len(new) <= 2
+        self.looped |= new
 
     @rule()
     def reopen(self) -> None:
         self.store.close()
         self.store = FolderStore.open(self.place, self.campaign.schema, write=True)
 
-    @rule(before=st.booleans(), kind=st.sampled_from(["ask", "tell", "drop"]))
+    @rule(before=st.booleans(), kind=st.sampled_from(["ask", "tell", "drop", "add", "correct"]))
     def crash(self, before: bool, kind: str) -> None:
         """Die in the one write of a command, before or after it is durable, and open the folder again."""
-        flight = self.flight()
-        if kind != "ask" and not flight:
+        flight, told = self.flight(), sorted(self.told)
+        if (kind in ("tell", "drop") and not flight) or (kind == "correct" and not told):
             return
+        X = self.campaign.space.from_unit(np.array([[0.3, 0.001 * (1 + len(self.given))]]))
         with pytest.MonkeyPatch.context() as patch:
-            for name in ("commit", "write_asked"):
+            for name in ("commit", "write_asked", "correct"):
                 original = getattr(self.store, name)
 
-                def dies(value: object, original: Callable[[object], None] = original) -> None:
+                def dies(*values: object, original: Callable[..., None] = original) -> None:
                     if not before:
-                        original(value)
+                        original(*values)
                     raise DiedError
 
                 patch.setattr(self.store, name, dies)
@@ -476,9 +514,14 @@ class Interleaved(RuleBasedStateMachine):
                     ask(self.campaign, self.store, 2, 1000)
                 elif kind == "drop":
                     drop(self.store, np.array(flight[:1]))
+                elif kind == "add":
+                    add(self.campaign, self.store, X, self.outcome(X))
+                elif kind == "correct":
+                    other = self.result(told[0], 1 - self.told[told[0]])
+                    correct(self.campaign, self.store, np.array(told[:1]), other)
                 else:
-                    told = self.outcome(np.frombuffer(self.asked[flight[0]])[None])
-                    tell(self.campaign, self.store, np.array(flight[:1]), told)
+                    answer = self.outcome(np.frombuffer(self.asked[flight[0]])[None])
+                    tell(self.campaign, self.store, np.array(flight[:1]), answer)
             except DiedError:
                 pass
             else:
@@ -492,8 +535,12 @@ class Interleaved(RuleBasedStateMachine):
             self.asked |= {n: x.tobytes() for n, x in zip(new.id.tolist(), new.designs, strict=True)}
         elif not before and kind == "drop":
             self.dropped.add(flight[0])
+        elif not before and kind == "add":
+            self.given[X.tobytes()] = int(self.outcome(X).outcome[0])
+        elif not before and kind == "correct":
+            self.told[told[0]] = 1 - self.told[told[0]]
         elif not before:
-            self.told[flight[0]] = int(told.outcome[0])
+            self.told[flight[0]] = int(answer.outcome[0])
 
     @invariant()
     def every_design_is_in_flight_answered_or_dropped(self) -> None:
@@ -507,9 +554,12 @@ class Interleaved(RuleBasedStateMachine):
         flight = set(handed.in_flight.id.tolist())
         assert (answered, dropped, flight) == (set(self.told), self.dropped, set(self.flight()))
         assert len(answered) + len(dropped) + len(flight) == len(handed.asked)
-        assert len(handed.history) == len(self.told) + len(self.given)
+        assert len(handed.history) == len(self.told) + len(self.given) + len(self.looped)
         outcome = dict(zip(handed.ids.tolist(), handed.history.outcome.tolist(), strict=True))
-        assert {number: outcome[number] for number in self.told} == self.told
+        recorded = self.told | self.looped
+        assert {number: outcome[number] for number in recorded} == recorded
+        given = handed.history[handed.history.origin == GIVEN]
+        assert dict(zip(map(bytes, given.designs), given.outcome.tolist(), strict=True)) == self.given
         assert len(set(handed.ids.tolist())) == len(handed.ids)
 
     def teardown(self) -> None:
@@ -521,7 +571,7 @@ class DiedError(Exception):
     """The process would be gone."""
 
 
-def test_any_order_of_ask_tell_drop_add_correct_crash_and_reopening_keeps_every_design_in_one_place(
+def test_any_order_of_ask_tell_drop_add_correct_loop_crash_and_reopening_keeps_every_design_in_one_place(
     tmp_path: Path, every_fault: bool
 ) -> None:
     Interleaved.folder = tmp_path
