@@ -115,7 +115,7 @@ class VelocitySection(Section):
 
 
 class PropertiesSection(Section):
-    """Bounds on what the bearing will be: property modification factors [ASCE2017, 17.2.8].
+    """Bounds on the bearing as built and aged: property modification factors [ASCE2017, 17.2.8].
 
     Attributes:
         mu_lower: smallest factor on the friction coefficient.
@@ -205,7 +205,7 @@ class HazardSettings(Section):
         pulse_period: gives the same in place of `magnitude`.
         pgv: the distribution of the peak ground velocity.
         samples: file of pulses in place of both: columns T_p [s], PGV [m/s] or A_p [g], and weight.
-        properties: bounds on what the bearing will be; not applied if left out.
+        properties: bounds on the bearing as built and aged; not applied if left out.
         record_factor: from pulses to records; not applied if left out.
         uncertainty: more dispersion of the capacity; none if left out.
         curve: hazard curve, which turns fragility into risk.

@@ -292,7 +292,7 @@ class ElsewhereSettings(OutcomeSettings):
 
 
 class PythonSimulatorSettings(CustomSimulatorSettings):
-    """A simulator that is a Python function (`activefail.simulators.function`), found like `PythonFeaturesSettings`.
+    """A simulator that is a Python function, found like that of custom features (`activefail.simulators.function`).
 
     Attributes:
         python: the function, "module:function".
@@ -352,7 +352,7 @@ class PythonFeaturesSettings(Section):
     """Custom features: a Python function.
 
     Attributes:
-        python: the function; its module is searched in the folder of the campaign file, then on Python's path.
+        python: the function; activefail looks for its module in the folder of the campaign file, then on Python's path.
         variables: whether the variables precede the function's columns.
     """
 
