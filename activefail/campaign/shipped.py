@@ -25,7 +25,7 @@ def shipped_campaigns() -> dict[str, Path]:
 
 
 def description_of(file: Path) -> str:
-    """What a campaign file says that it is.
+    """The description in a campaign file.
 
     Raises:
         InputError: if the file cannot be read.

@@ -1,8 +1,8 @@
 """Corrections: results of a record that were wrong, and what replaces them; `run_folder` writes them.
 
-The batches of a record never change. The file `corrections.h5` lists, in the order of their making, the results that
-replace others, beside those that they replace. A reader applies them in this order to the batches that it has read, so
-the former results stay in the segments, and in this file.
+The batches of a record never change. The file `corrections.h5` lists the results that replace others, beside those that
+they replace, in the order in which they were made. A reader applies them in this order to the batches that it has read,
+so the former results stay in the segments, and in this file.
 """
 
 import bisect
@@ -33,7 +33,7 @@ LARGEST_CORRECTIONS = 1_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """The k corrections of a record, in the order of their making.
+    """The k corrections of a record, in the order in which they were made.
 
     Attributes:
         place: (k,) int64, of each corrected simulation in the record, from 0.

@@ -625,7 +625,7 @@ class FolderStore:
 
     @property
     def corrections(self) -> Corrections:
-        """The corrections of the batches, in the order of their making (see Store)."""
+        """The corrections of the batches, in the order in which they were made (see Store)."""
         return self._join()[1].copy()
 
     def _read_corrections(self) -> Corrections:

@@ -121,7 +121,7 @@ class Store(Protocol):
 
     @property
     def corrections(self) -> Corrections:
-        """The corrections of the batches, in the order of their making."""
+        """The corrections of the batches, in the order in which they were made."""
         ...
 
     def correct(self, place: NDArray[np.int64], results: Results) -> None:

@@ -106,6 +106,6 @@ def chart_of(
 
 
 def _axes_of_chart(campaign: Campaign, task: DesignTask, fixed: Mapping[str, float]) -> list[str]:
-    """Variables that have a value, the most telling ones of a bearing first."""
+    """Variables that have a value, the most informative ones of a bearing first."""
     certain = [name for name in campaign.space.names if name in fixed and name != task.free[0]]
     return sorted(certain, key=lambda name: (name != BEARING_PERIOD, name != FRICTION, name not in task.free))
