@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from html import escape
 from typing import TYPE_CHECKING
 
 from activefail.screen import terminal
@@ -69,13 +70,16 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
 
 @contextmanager
 def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator["Observer"]:
-    """A live display on a terminal; otherwise, and with the stages' times in the log, one line per batch."""
+    """A live display on a terminal and in a notebook; otherwise, and with the stages' times, one line per batch."""
     from rich.console import Console
 
     from activefail.loop.progress import Observer
 
     if is_quiet():
         yield Observer(stop=stop)
+        return
+    if _is_notebook() and not is_verbose():
+        yield _notebook_observer(campaign, stop)
         return
     console = Console(file=terminal(sys.stdout))
     if not console.is_terminal or is_verbose():
@@ -116,6 +120,37 @@ def campaign_display(campaign: "Campaign", stop: Callable[[], bool]) -> Iterator
     with Live(Group(Text(seeking_line(campaign)), bar, below), console=console, refresh_per_second=8):
         yield Observer(update, enter, stop)
         below.plain = line
+
+
+def _is_notebook() -> bool:
+    """Whether a notebook's kernel runs this process."""
+    # Without it, no notebook runs; it need not be installed.
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and getattr(ipython.get_ipython(), "kernel", None) is not None
+
+
+def _notebook_observer(campaign: "Campaign", stop: Callable[[], bool]) -> "Observer":
+    """An observer that shows a bar below the cell, and keeps its last state there."""
+    from IPython.display import HTML, display
+
+    from activefail.loop.progress import Observer
+
+    bar, line = "<progress></progress>", ""
+
+    def page(stage: str) -> HTML:
+        texts = (seeking_line(campaign), " | ".join(filter(None, (line, stage))))
+        above, below = (escape(text) for text in texts)
+        return HTML(f"<div>{above}<br>{bar}<br>{below}</div>")
+
+    shown = display(page("starting"), display_id=True)
+
+    def update(progress: "Progress") -> None:
+        nonlocal bar, line
+        bar = f'<progress value="{progress.done}" max="{progress.budget}"></progress> {progress.done}/{progress.budget}'
+        line = _progress_line(campaign, progress, bar=True)
+        shown.update(page(""))
+
+    return Observer(update, lambda stage: shown.update(page(stage)), stop)
 
 
 def seeking_line(campaign: "Campaign") -> str:
