@@ -74,6 +74,9 @@ if TYPE_CHECKING:
 _LARGEST_ID = 2**53
 """Largest id; none is that large."""
 
+_CONFIDENCE = 0.9
+"""Of the interval of a verified error that a notebook shows."""
+
 TEST_DESIGNS = 2000
 """Fresh designs of a comparison by default."""
 
@@ -1068,15 +1071,34 @@ class Run:
         self.campaign.check_simulates()
         return local_executor(self.campaign.simulator, workers, self.campaign.time_limit)
 
+    @property
+    def _verified(self) -> list[tuple[str, str]]:
+        """Title and text of the classifier's error, if it was verified after the last batch."""
+        from activefail.display import error_text
+        from activefail.verification.error import verified
+        from activefail.verification.stored_sets import verified_sizes
+
+        iteration = self.history.last_iteration
+        # Without any, nothing need be learned.
+        if not verified_sizes(self.store, iteration):
+            return []
+        with one_thread():
+            error = verified(self.campaign, self.store, self.classifier, iteration, _CONFIDENCE)
+        if error is None:
+            return []
+        text = f"{error_text(error)} of the design space with {100 * _CONFIDENCE:g} % confidence, {error.in_words}"
+        return [("error", text)]
+
     def _repr_html_(self) -> str:
         """The state of the campaign, for a notebook."""
         from activefail.findings.status import read_status
 
         try:
             status = read_status(self.folder)
+            verified = self._verified
         except (InputError, StoreError) as error:  # such as a folder that is gone
             return f"<p>{escape(visible(str(error)))}</p>"
-        lines = [*status.lines, ("warning", status.summary.unseen_warning), *status.continuation]
+        lines = [*status.lines, *verified, ("warning", status.summary.unseen_warning), *status.continuation]
         rows = "".join(
             f"<tr><th>{escape(title)}</th><td>{escape(visible(text))}</td></tr>" for title, text in lines if text
         )

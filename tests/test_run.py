@@ -1,5 +1,6 @@
 """The run folder as a Python object: what the commands do, it does."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from commandline import activefail, record
 
 import activefail as af
 from activefail.errors import BusyError, InputError
+from activefail.shares import percent
 
 PLATE = """
 def run(design):
@@ -92,6 +94,9 @@ def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, t
     with af.open_run(taken, write=True, code=file.parent) as run:
         error = run.verify(60)
         assert 0.0 <= error.low <= error.error <= error.high <= 1.0
+        (shown,) = re.findall("<th>error</th><td>(.*?)</td>", run._repr_html_())
+        assert shown.startswith(f"{percent(error.error, 2)} (")
+        assert shown.endswith("of the design space with 90 % confidence, 60 fresh simulations")
         assert {score.sampling for score in run.compare([20, 30], 100)} == {"active", "static"}
         assert (taken / "compare" / "scores.csv").is_file()
         assert run.export_table(tmp_path / "designs.csv") == 30
