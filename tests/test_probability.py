@@ -100,6 +100,10 @@ def test_a_margin_of_the_wrong_sign_is_not_learned_from_and_the_reason_is_told(t
     result = activefail("run", begun(tmp_path, "reversed_sign", 16), "--out", tmp_path / "run")
     assert result.code == 0, result.err
     assert "learned    failure from the outcomes; the margin g is not used: its sign contradicts" in result.out
+    assert "exactly beyond the boundary; stop.probability cannot end the campaign\n" in result.out
+    reason = "it does not tell the side of the boundary; stop.probability cannot end the campaign\n"
+    status = activefail("status", tmp_path / "run").out
+    assert f"failure from the outcomes; the margin g is not used: {reason}" in status
 
 
 def test_a_clipped_margin_is_named_as_the_reason_why_the_campaign_goes_on_to_its_budget(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """What each boundary of a campaign is learned from, and why."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from activefail.visible import visible, words
@@ -36,6 +37,40 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
     return text + clipped if is_clipped else text
 
 
+def sentence_without(outcome: str, margin: str, reason: str) -> str:
+    """That a boundary is learned from the outcomes because a margin cannot be used.
+
+    Args:
+        outcome: name of the boundary's outcome.
+        margin: name of the margin.
+        reason: why it cannot be used.
+    """
+    return f"{visible(words(outcome))} from the outcomes; the margin {visible(margin)} is not used: {reason}"
+
+
+def of_rule(outcome: str, margin: str, stop: str) -> str:
+    """That the stop rule cannot end a campaign, for the end of its boundary's sentence; empty if it can.
+
+    Args:
+        outcome: name of the boundary's outcome.
+        margin: name of the margin; empty if the boundary is learned from the outcomes.
+        stop: outcome of `stop.probability`; empty without this rule.
+    """
+    return "; stop.probability cannot end the campaign" if outcome == stop and not margin else ""
+
+
+def candidate_of(margins: Sequence[str], learns: str) -> str:
+    """The one margin that a boundary would be learned from; empty if there are several, or none.
+
+    Args:
+        margins: names of the simulator's margins.
+        learns: `classifier.learns`.
+    """
+    if learns == "auto":
+        return margins[0] if len(margins) == 1 else ""
+    return learns if learns in margins else ""
+
+
 def choices_in_words(campaign: "Campaign", history: "History", classifier: "Classifier") -> list[str]:
     """A sentence for each boundary that is learned from a margin, or not although there is one.
 
@@ -52,12 +87,13 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
         margin = "" if choice.margin == OUTCOMES else names[choice.margin]
         clipped = isinstance(latent, MarginLatent) and latent.trained.is_clipped
         text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped)
-        candidate = names[0] if learns == "auto" and len(names) == 1 else "" if learns == "auto" else learns
+        candidate = candidate_of(names, learns)
         if not text and candidate:
             margins = campaign.margins_at(severity, known.outcome, known.margins)
             reason = usable(margins[:, names.index(candidate)], known.outcome >= severity)
             if reason:
-                text = f"{visible(words(outcome))} from the outcomes; the margin {candidate} is not used: {reason}"
+                text = sentence_without(outcome, candidate, reason)
         if text:
-            sentences.append(text)
+            rule = campaign.settings.probability_rule
+            sentences.append(text + of_rule(outcome, margin, rule.probability if rule else ""))
     return sentences

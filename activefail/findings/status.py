@@ -11,7 +11,7 @@ from typing import Any
 from activefail.campaign.known_code import known_code
 from activefail.errors import DamagedError, StoreError
 from activefail.files import read_regular
-from activefail.findings.learned_from import sentence
+from activefail.findings.learned_from import candidate_of, of_rule, sentence, sentence_without
 from activefail.findings.summary import Summary, is_verified, read_summary
 from activefail.record.attachments import decode_state
 from activefail.record.layout import ESTIMATE, state_file
@@ -129,8 +129,15 @@ class Status:
     @property
     def learned(self) -> list[tuple[str, str]]:
         """Titles and texts of what each boundary is learned from, and of a stop rule that is met."""
-        texts = [sentence(*choice) for choice in self._choices]
-        lines = [("learned", text) for text in texts if text]
+        settings, lines = self.summary.settings, []
+        candidate = candidate_of(self.summary.margins, settings.learns)
+        for choice in self._choices:
+            outcome, margin, *_ = choice
+            text = sentence(*choice)
+            if not text and candidate:
+                text = sentence_without(outcome, candidate, "it does not tell the side of the boundary")
+            if text:
+                lines.append(("learned", text + of_rule(outcome, margin, settings.stop_outcome)))
         if self._rule_is_met:
             lines.append(("stop rule", "met"))
         return lines

@@ -53,6 +53,8 @@ class SettingsInBrief:
         batch: simulations of a batch.
         is_elsewhere: whether simulations are made elsewhere.
         boundaries: share of each target boundary, by outcome.
+        learns: `classifier.learns`.
+        stop_outcome: outcome of the stop rule for a probability; empty without this rule.
     """
 
     description: str
@@ -69,6 +71,8 @@ class SettingsInBrief:
     stop_simulations: int | None = None
     batch: int = 1
     is_elsewhere: bool = False
+    learns: str = "outcomes"
+    stop_outcome: str = ""
 
     @classmethod
     def of(cls, text: str) -> Self:
@@ -113,6 +117,8 @@ class SettingsInBrief:
                     _stop_simulations(settings.get("stop")),
                     batch,
                     simulator is True,
+                    visible(str(settings["classifier"].get("learns", "outcomes"))),
+                    _stop_outcome(settings.get("stop")),
                 )
             case _:
                 raise ValueError("These are not the settings of a campaign with all defaults.")
@@ -124,6 +130,14 @@ def _stop_simulations(rule: object) -> int | None:
             return simulations
         case _:
             return None
+
+
+def _stop_outcome(rule: object) -> str:
+    match rule:
+        case {"probability": str(outcome)}:
+            return visible(outcome)
+        case _:
+            return ""
 
 
 def _features_in_words(features: str | dict[str, Any]) -> str:

@@ -40,6 +40,6 @@ def unseen_warning(unseen: Sequence[str], simulations: int, initial: int, unansw
     return (
         f"None of the campaign's {simulations} simulations ended in {names}. {subject} over the design space may be "
         f"as large as {bound} ({100 * CONFIDENCE:g} % confidence, from {initial} initial designs without "
-        f"{'it' if len(unseen) == 1 else 'them'}{hidden}). From outcomes alone, no classifier can know where {names} "
-        "begins."
+        f"{'it' if len(unseen) == 1 else 'them'}{hidden}). Until one of them does, no classifier can know where "
+        f"{names} begins."
     )

@@ -121,7 +121,7 @@ def test_the_warning_gives_the_bound_that_follows_from_the_initial_design():
         (
             ("failure",),
             0,
-            "initial designs without it). From outcomes alone, no classifier can know where failure begins.",
+            "initial designs without it). Until one of them does, no classifier can know where failure begins.",
         ),
         (("failure",), 1, "without it and 1 numerical failure)"),
         (("impact", "failure"), 2, "without them and 2 numerical failures)"),
