@@ -49,7 +49,8 @@ from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current, learn_from
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import deviation_of_margins, integrated, plan_estimate, standardised_latent
+from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
 
 FRESH = (25, 50)
@@ -101,7 +102,8 @@ def score(name, seed, terms, repeats):
     seconds = time.process_time() - began
     known = learned_so_far if terms["asynchronous"] else current
     learned, history = known(campaign, store, write=False), History.of(store.batches)
-    standardised = standardised_latent(learned.classifier.latent("failure"), campaign.features)
+    latent = learned.classifier.latent("failure")
+    standardised = standardised_latent(latent, campaign.features)
     rng = np.random.default_rng([seed, 1])
     row = {
         "problem": name,
@@ -123,7 +125,11 @@ def score(name, seed, terms, repeats):
             estimates, recalls = [], []
             for _ in range(repeats):
                 plan = plan_estimate(standardised, campaign.space, integral, m, rng)
-                beyond = problem.limit(plan.designs) <= 0.0
+                results = problem.run(plan.designs)
+                if isinstance(latent, MarginLatent):
+                    margin = results.margins[:, 0]
+                    plan = plan.deviating(deviation_of_margins(latent, campaign.features, plan.designs, margin))
+                beyond = results.outcome == 1
                 estimate = plan.estimate(beyond, np.ones(m, dtype=bool), 0.9)
                 estimates.append((estimate.probability, estimate.low, estimate.high))
                 recalls.append(estimate.recall_low)

@@ -37,8 +37,9 @@ from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import deviation_of_margins, integrated, plan_estimate, standardised_latent
 from activefail.simulators.interface import Results
+from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
 
 KINDS = ("distance", "clipped", "smooth", "outcomes")
@@ -126,14 +127,19 @@ def score(kind, seed, terms):
         run(campaign, store, executor, terms["budget"])
     known = learned_so_far if terms["asynchronous"] else current
     learned, history = known(campaign, store, write=False), History.of(store.batches)
-    standardised = standardised_latent(learned.classifier.latent("failure"), campaign.features)
+    latent = learned.classifier.latent("failure")
+    standardised = standardised_latent(latent, campaign.features)
     rng = np.random.default_rng([seed, 1])
     with one_thread():
         integral = integrated(standardised, campaign.space, rng)
         covered = 0
         for _ in range(REPEATS):
             plan = plan_estimate(standardised, campaign.space, integral, FRESH, rng)
-            estimate = plan.estimate(problem.distance(plan.designs) <= 0.0, np.ones(FRESH, dtype=bool), 0.9)
+            results = problem.run(plan.designs)
+            if isinstance(latent, MarginLatent):
+                margin = results.margins[:, 0]
+                plan = plan.deviating(deviation_of_margins(latent, campaign.features, plan.designs, margin))
+            estimate = plan.estimate(results.outcome == 1, np.ones(FRESH, dtype=bool), 0.9)
             covered += estimate.low <= problem.probability <= estimate.high
     return {
         "kind": kind,

@@ -265,3 +265,23 @@ def test_a_correlation_with_a_variable_that_has_a_value_is_left_out_and_this_is_
         assert opened.asked(fixed={"x": 2.9, "y": 0.0}).assumptions == ()
         assert opened.asked(fixed={"z": 0.5}).assumptions == ()
         assert said in opened.fragility(against="z", fixed={"x": 2.9}).assumptions
+
+
+def test_a_question_whose_margins_deviate_from_the_classifiers_is_told_so(tmp_path: Path) -> None:
+    # A second plane that no design of the campaign meets.
+    law = "return min(3.0 - design['x'], 9.0 - design['y'])"
+    (tmp_path / "limit.py").write_text(f"def plane(design):\n    {law}\n")
+    (tmp_path / "made.toml").write_text(CAMPAIGN.replace("correlation", "# correlation"))
+    assert activefail("run", tmp_path / "made.toml", "--out", tmp_path / "run").code == 0
+    far = asked(tmp_path, '[space]\ny = { distribution = "normal", mean = 8, sd = 0.4 }\n')
+    own, found = (
+        json.loads(activefail("probability", tmp_path / "run", "--json", *more).out)["outcomes"]["failure"]
+        for more in ([], ["--question", far])
+    )
+    assert own["deviation_of_margins"] < 2.0
+    assert found["deviation_of_margins"] > 2.0
+    told = [sentence for sentence in found["assumptions"] if "times as far from the classifier's" in sentence]
+    assert told
+    assert "begin a campaign whose [space] is the question's" in told[0]
+    assert not any("times as far" in sentence for sentence in own["assumptions"])
+    assert found["low"] <= ndtr(-2.5) <= found["high"]

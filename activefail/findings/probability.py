@@ -22,6 +22,10 @@ BOUND_CONFIDENCE = 0.9
 """One-sided confidence of the bounds without a model."""
 
 
+_DEVIATING = 2.0
+"""Deviation of the fresh margins above which it is told: the interval allows for this much in any case."""
+
+
 def upper_bound(hits: int, draws: int, confidence: float) -> float:
     """One-sided upper bound on a probability from independent draws [ClopperPearson1934]; 1 without draws."""
     return largest_unseen_share(draws - hits, confidence, hits)
@@ -171,6 +175,16 @@ class ProbabilityFindings:
                 f"{estimate.surprising} of the fresh simulations contradict the classifier where it was sure. It has "
                 "missed something: continue the campaign before you use this estimate."
             )
+        if estimate.deviation > _DEVIATING:
+            sentences.append(
+                f"The margins of the fresh simulations lie {estimate.deviation:.2g} times as far from the classifier's "
+                "as its standard deviations say (root mean square). The interval is wider by that. "
+                + (
+                    "To learn this part of the variables, begin a campaign whose [space] is the question's."
+                    if self.question
+                    else "Continue the campaign for a narrower one."
+                )
+            )
         sentences.append(f"Method of the fresh simulations: {estimate.method}.")
         sentences.append(
             "The interval assumes a limit state that is smooth between simulations: no failure is hidden where neither "
@@ -211,6 +225,7 @@ class ProbabilityFindings:
             "numerical_failures": estimate.unanswered,
             "contradictions": estimate.wrong,
             "contradictions_where_sure": estimate.surprising,
+            "deviation_of_margins": estimate.deviation,
             "extrapolated": self.is_extrapolated,
             "failures_seen": self.seen + estimate.beyond,
             "question": self.question or None,

@@ -179,14 +179,11 @@ def contradictions(campaign: Campaign, classifier: Classifier, batch: History) -
     assert rule is not None
     severity = campaign.simulator.outcomes.index(rule.probability)
     latent = classifier.latent(rule.probability)
-    moments = latent.moments(campaign.features(batch.designs))
-    beyond = batch.outcome >= severity
-    wrong = (moments.mean > 0.0) != beyond
+    F = campaign.features(batch.designs)
+    wrong = (latent.moments(F).mean > 0.0) != (batch.outcome >= severity)
     if isinstance(latent, MarginLatent):
         margin = campaign.margins_at(severity, batch.outcome, batch.margins)[:, classifier.choices[severity - 1].margin]
-        exact = np.isfinite(margin) & ~(latent.trained.truncated & (margin <= 0.0))
-        warped = latent.trained.warped(np.where(exact, margin, 0.0))
-        wrong |= exact & (np.abs(-warped - moments.mean) > _FARTHEST * moments.sd)
+        wrong |= np.abs(latent.deviations(F, margin)) > _FARTHEST
     return np.asarray(wrong & (batch.outcome != NUMERICAL_FAILURE))
 
 

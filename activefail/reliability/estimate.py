@@ -2,14 +2,15 @@
 
 The classifier's own probability is corrected by simulations that it has not seen. They are drawn where it may be wrong
 and where a mistake would weigh most (importance sampling of its mistakes), so that the estimate has no bias, whatever
-the classifier believes. The interval holds because of three precautions. The standard deviation of the latent is
+the classifier believes. The interval holds because of four precautions. The standard deviation of the latent is
 doubled where designs are drawn: kinks of the limit state make it too small. The variance of the corrections has a floor
-from the classifier's own doubt: few or no observed mistakes do not mean that there are none. And the campaign's mode
-check comes before.
+from the classifier's own doubt: few or no observed mistakes do not mean that there are none. If the margins of the
+fresh simulations lie farther from their predictions than the latent says, this doubt grows in proportion. And the
+campaign's mode check comes before.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,9 @@ SURE = 4.0
 
 _WIDER = 2.0
 """Factor of the latent's standard deviation."""
+
+_FARTHEST = 1e6
+"""Largest deviation of a fresh margin that counts, in standard deviations."""
 
 _PRIOR_WEIGHT = 16.0
 """Weight of the classifier's own doubt in the variance of the corrections, in simulations."""
@@ -88,6 +92,8 @@ class Plan:
         probability: the classifier's own.
         standard_error: of its integration.
         missed, false: of the designs that the classifier puts short of the boundary, and beyond it.
+        doubts: both if the latent's standard deviations are larger by a factor; None if no doubt is left.
+        deviation: of the margins of the fresh simulations from their predictions (see `deviation_of_margins`).
     """
 
     designs: Array
@@ -98,6 +104,18 @@ class Plan:
     standard_error: float
     missed: Doubt
     false: Doubt
+    doubts: Callable[[float], tuple[Doubt, Doubt]] | None = None
+    deviation: float = 1.0
+
+    def deviating(self, deviation: float) -> "Plan":
+        """The plan after the fresh margins showed how far they lie from their predictions.
+
+        If they lie farther than the latent's standard deviations say, the classifier's doubt grows in proportion.
+        """
+        if self.doubts is None or not deviation > 1.0:
+            return self
+        missed, false = self.doubts(deviation)
+        return replace(self, missed=missed, false=false, deviation=deviation)
 
     @property
     def surest(self) -> tuple[int, float]:
@@ -136,6 +154,7 @@ class Plan:
             surprising=int((wrong & (np.abs(self.standardised) > SURE)).sum()),
             recall=recall,
             recall_low=recall_low,
+            deviation=self.deviation,
         )
 
     def expected_half_width(self, confidence: float, rng: np.random.Generator) -> float:
@@ -166,6 +185,7 @@ class ProbabilityEstimate:
         recall: share of the failure probability that the classifier puts beyond the boundary; NaN without failure.
         recall_low: lower end of its one-sided interval, with `confidence`.
         method: how the fresh simulations were drawn.
+        deviation: of the margins of the fresh simulations (see `deviation_of_margins`); 1 without margins.
     """
 
     probability: float
@@ -181,6 +201,7 @@ class ProbabilityEstimate:
     recall: float
     recall_low: float
     method: str = "importance sampling of the classifier's mistakes"
+    deviation: float = 1.0
 
 
 Standardised = Callable[[Array], Array]
@@ -195,6 +216,22 @@ def standardised_latent(latent: Latent | MarginLatent, features: FeatureMap) -> 
         return np.asarray(moments.mean / moments.sd)
 
     return standardised
+
+
+def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Array, margin: Array) -> float:
+    """Root mean square of fresh margins' deviations from their predictions, in the latent's standard deviations.
+
+    It is at least 1. Margins that are undefined, or censored, do not count.
+
+    Args:
+        latent: that has not seen the margins.
+        features: map from designs to its inputs.
+        designs: (n, d).
+        margin: (n,) in relation to the boundary.
+    """
+    deviations = latent.deviations(finite(features, designs), margin)
+    known = np.minimum(np.abs(deviations[np.isfinite(deviations)]), _FARTHEST)
+    return max(1.0, float(np.sqrt(np.mean(known**2)))) if len(known) else 1.0
 
 
 def integrated(standardised: Standardised, space: DesignSpace | WeightedRows, rng: np.random.Generator) -> Integral:
@@ -240,7 +277,6 @@ def _planned(
         rng: draws them.
         is_exact: whether the rows are the distribution itself, by their weights.
     """
-    side = ndtr(z / _WIDER)
     parts = weight * doubt(z / _WIDER)
     # Without regard to doubt: a sample is drawn as it comes, weighted rows by their weights.
     shares = weight / weight.sum() if is_exact else np.full(len(parts), 1.0 / len(parts))
@@ -248,13 +284,19 @@ def _planned(
         shares = (1.0 - UNIFORM) * parts / parts.sum() + UNIFORM * shares
     # A row without weight is never drawn.
     ratio = np.divide(weight, len(parts) * shares, out=np.zeros(len(parts)), where=shares > 0.0)
-    in_doubt = np.minimum(side, 1.0 - side)
 
-    def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
-        # The simulations are drawn from a population, which itself is a sample, unless it is the distribution.
-        population_variance = 0.0 if is_exact else float(np.sum((weight**2 * in_doubt)[rows])) / len(parts) ** 2
-        return Doubt(float(np.sum((shares * ratio**2 * in_doubt)[rows])), population_variance)
+    def doubts(deviation: float) -> tuple[Doubt, Doubt]:
+        side = ndtr(z / (_WIDER * deviation))
+        in_doubt = np.minimum(side, 1.0 - side)
 
+        def doubt_of(rows: NDArray[np.bool_]) -> Doubt:
+            # The simulations are drawn from a population, which itself is a sample, unless it is the distribution.
+            population_variance = 0.0 if is_exact else float(np.sum((weight**2 * in_doubt)[rows])) / len(parts) ** 2
+            return Doubt(float(np.sum((shares * ratio**2 * in_doubt)[rows])), population_variance)
+
+        return doubt_of(z <= 0.0), doubt_of(z > 0.0)
+
+    missed, false = doubts(1.0)
     rows = rng.choice(len(parts), m, p=shares / shares.sum())
     return Plan(
         designs=X[rows],
@@ -263,8 +305,9 @@ def _planned(
         standardised=z[rows],
         probability=integral.probability,
         standard_error=integral.standard_error,
-        missed=doubt_of(z <= 0.0),
-        false=doubt_of(z > 0.0),
+        missed=missed,
+        false=false,
+        doubts=doubts,
     )
 
 

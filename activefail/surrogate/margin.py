@@ -479,6 +479,16 @@ class MarginLatent:
             covariance = covariance - explained.T @ explained
         return -mean, covariance
 
+    def deviations(self, F: Array, margin: Array) -> Array:
+        """How far margins, (n,), lie beyond their means at scaled features, (n, m), in standard deviations.
+
+        NaN where a margin is not finite, or at most 0 where such margins are censored.
+        """
+        exact = np.isfinite(margin) & ~(self.trained.truncated & (margin <= 0.0))
+        moments = self.moments(F)
+        warped = self.trained.warped(np.where(exact, margin, 0.0))
+        return np.where(exact, (-warped - moments.mean) / moments.sd, np.nan)
+
     def left_out(self) -> MarginMoments:
         """Moments at each training point without its own margin, with hyperparameters unchanged, (n,)."""
         mean, sd = self.trained.left_out()

@@ -20,16 +20,17 @@ from activefail.reliability.estimate import (
     Plan,
     ProbabilityEstimate,
     Standardised,
+    deviation_of_margins,
     integrated,
     plan_estimate,
     standardised_latent,
 )
 from activefail.reliability.strata import StratifiedPlan, plan_strata
-from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent
 from activefail.surrogate.margin import MarginLatent
-from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_outcomes, stored_outcomes
+from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_results, stored_results
 from activefail.weighted import BLOCKS, WeightedRows
 
 _DRAWS = 10_000
@@ -153,11 +154,16 @@ class _Fresh:
     is_complete: bool
     error: float
 
-    def sampled(self, outcomes: NDArray[np.int8], severity: int) -> Sampled:
-        """The sample with the outcomes of the simulations, (s,)."""
-        drawn = outcomes if self.place is None else outcomes[self.place]
+    def sampled(self, campaign: Campaign, classifier: Classifier, results: Results, severity: int) -> Sampled:
+        """The sample with the results of the s simulations."""
+        plan, latent = self.plan, classifier.latents[severity - 1]
+        if isinstance(plan, Plan) and isinstance(latent, MarginLatent):
+            margins = campaign.margins_at(severity, results.outcome, results.margins)
+            margin = margins[:, classifier.choices[severity - 1].margin]
+            plan = plan.deviating(deviation_of_margins(latent, campaign.features, self.designs, margin))
+        drawn = results.outcome if self.place is None else results.outcome[self.place]
         beyond, answered = drawn >= severity, drawn != NUMERICAL_FAILURE
-        return Sampled(self.plan, beyond, answered, self.first, self.is_complete, self.error)
+        return Sampled(plan, beyond, answered, self.first, self.is_complete, self.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,9 +209,9 @@ class Estimator:
         severity = self.campaign.simulator.outcomes.index(outcome)
         latent, question = self.classifier.latent(outcome), _thinned(question, simulations)
         fresh = _fresh(self.campaign, latent, self.iteration, severity, simulations, question)
-        outcomes = simulated_outcomes(self.campaign, self.store, self.executor, fresh.name, fresh.designs)
-        assert outcomes is not None  # no stop was requested
-        return fresh.sampled(outcomes, severity)
+        results = simulated_results(self.campaign, self.store, self.executor, fresh.name, fresh.designs)
+        assert results is not None  # no stop was requested
+        return fresh.sampled(self.campaign, self.classifier, results, severity)
 
     def stored(self, outcome: str, question: Question, confidence: float) -> ProbabilityEstimate | None:
         """The estimate from stored simulations (see `stored_estimate`)."""
@@ -239,9 +245,9 @@ def stored_estimate(
         sizes += estimate_sizes(store, severity, iteration, thinned.digest)
     for simulations in sizes:
         fresh = _fresh(campaign, latent, iteration, severity, simulations, _thinned(question, simulations))
-        outcomes = stored_outcomes(store, fresh.name, fresh.designs)
-        if outcomes is not None:
-            return fresh.sampled(outcomes, severity).estimate(confidence)
+        results = stored_results(store, fresh.name, fresh.designs)
+        if results is not None:
+            return fresh.sampled(campaign, classifier, results, severity).estimate(confidence)
     return None
 
 

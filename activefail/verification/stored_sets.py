@@ -106,9 +106,15 @@ def _numbers(store: Store, pattern: str) -> list[int]:
 
 def stored_outcomes(store: Store, name: str, X: Array) -> NDArray[np.int8] | None:
     """Stored outcomes, (n,), of the designs of a set, (n, d); None unless all of them are stored."""
+    results = stored_results(store, name, X)
+    return None if results is None else results.outcome
+
+
+def stored_results(store: Store, name: str, X: Array) -> Results | None:
+    """Stored results of the designs of a set, (n, d); None unless all of them are stored."""
     parts = [_same(store.read_set(f"{name}-{part}"), rows) for part, rows in enumerate(_parts(X))]
-    outcomes = [part[1].outcome for part in parts if part is not None]
-    return np.concatenate(outcomes) if len(outcomes) == len(parts) else None
+    results = [part[1] for part in parts if part is not None]
+    return Results.concatenate(results) if len(results) == len(parts) else None
 
 
 def stored_set(store: Store, name: str) -> tuple[Array, NDArray[np.int8]] | None:

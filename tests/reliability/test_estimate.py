@@ -11,6 +11,7 @@ from activefail.reliability.estimate import (
     LARGEST_RATIO,
     Doubt,
     Plan,
+    deviation_of_margins,
     integrated,
     plan_estimate,
     standardised_latent,
@@ -83,6 +84,34 @@ def test_numerical_failures_widen_the_interval_to_both_outcomes_that_they_may_ha
     assert partial.low <= full.low
     assert partial.high >= full.high
     assert partial.beyond == full.beyond - 2
+
+
+def test_margins_that_deviate_from_their_predictions_widen_the_interval() -> None:
+    latent = trained(four_branch, 30, 1)
+    plan = planned(latent, 40, 1)
+    moments = latent.moments(FEATURES(plan.designs))
+
+    def shifted(deviations: float) -> np.ndarray:
+        warped = -moments.mean - deviations * moments.sd
+        unwarped = {"none": warped, "asinh": np.sinh(warped), "asinh5": np.sinh(warped) / 5.0}
+        return latent.trained.unit * unwarped[latent.trained.warping]
+
+    def deviation(margin: np.ndarray) -> float:
+        return deviation_of_margins(latent, FEATURES, plan.designs, margin)
+
+    assert deviation(shifted(0.2)) == 1.0
+    assert deviation(shifted(3.0)) == pytest.approx(3.0)
+    # Undefined margins do not count; without any margin nothing deviates.
+    assert deviation(np.where(np.arange(40) < 39, np.nan, shifted(3.0))) == pytest.approx(3.0)
+    assert deviation(np.full(40, np.nan)) == 1.0
+    assert plan.deviating(1.0) is plan
+    answered = np.ones(40, dtype=bool)
+    plain, wider = (one.estimate(plan.predicted, answered, 0.9) for one in (plan, plan.deviating(3.0)))
+    assert (plain.deviation, wider.deviation) == (1.0, 3.0)
+    assert wider.probability == plain.probability
+    assert wider.low <= plain.low
+    assert wider.high > plain.high
+    assert wider.recall_low < plain.recall_low
 
 
 def test_near_one_nothing_exceeds_one() -> None:
