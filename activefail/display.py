@@ -178,7 +178,8 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     if progress.error is not None:
         parts.append(f"error {error_text(progress.error)}")
     if progress.accuracy is not None:
-        parts.append(f"accuracy {percent(progress.accuracy)}")
+        shares = ", ".join(f"{percent(share)} {name}" for name, share in progress.recall.items())
+        parts.append(f"accuracy {percent(progress.accuracy)}, recall {shares}")
     if progress.seconds_left is not None and progress.done < progress.budget:
         parts.append(f"{progress.seconds_left:.0f} s left")
     return visible(" | ".join(parts))

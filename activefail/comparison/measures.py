@@ -65,6 +65,7 @@ def measures(classifier: Classifier, severity: int, test: FreshSet) -> dict[str,
     - calibration_error: expected calibration error of the probability of lying beyond the boundary.
     - accuracy_NAME: accuracy for the boundary below each outcome.
     - outcome_accuracy, outcome_log_score: the same for the outcomes themselves.
+    - recall_of_NAME: share of the designs with an outcome that are predicted to have it. NaN if the test set has none.
     """
     F = classifier.features(test.X)
     latent = classifier.latents[severity - 1].moments(F)
@@ -92,4 +93,8 @@ def measures(classifier: Classifier, severity: int, test: FreshSet) -> dict[str,
         },
         "outcome_accuracy": float(np.mean(np.argmax(probabilities, axis=1) == test.outcome)),
         "outcome_log_score": log_score(p_outcome),
+        **{
+            f"recall_of_{name}": share(np.argmax(probabilities, axis=1) == code, test.outcome == code)
+            for code, name in enumerate(classifier.outcomes)
+        },
     }

@@ -28,6 +28,7 @@ class Progress:
         counts: (number of outcomes,) recorded simulations by outcome.
         numerical_failures: recorded simulations without an outcome.
         accuracy: share of the validation set on the right side of the target boundary; None without a set.
+        recall: for each outcome of the validation set, the share of its designs that are predicted to have it.
         seconds_left: estimated time to the budget; None before the first batch.
         error: verified error of the classifier; None if not verified.
         unseen: outcomes without a simulation.
@@ -41,6 +42,7 @@ class Progress:
     counts: NDArray[np.int64]
     numerical_failures: int
     accuracy: float | None = None
+    recall: dict[str, float] = field(default_factory=dict)
     seconds_left: float | None = None
     error: "ErrorEstimate | None" = None
     unseen: tuple[str, ...] = ()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.errors import SimulationError
 from activefail.execution.executor import AsynchronousExecutor
-from activefail.loop.learning import accuracy
+from activefail.loop.learning import accuracy, recall
 from activefail.loop.probability_rule import Looks
 from activefail.loop.progress import Observer, Progress
 from activefail.record.store import Store
@@ -90,11 +90,13 @@ class Task:
             error, stop_rule_met = verify_by_rule(
                 self.campaign, self.store, self.executor, classifier, progress.iteration, self.observer.stop
             )
-        share = None if self.validation is None else accuracy(classifier, self.campaign.severity, *self.validation)
+        if self.validation is not None:
+            share = accuracy(classifier, self.campaign.severity, *self.validation)
+            progress = replace(progress, accuracy=share, recall=recall(classifier, *self.validation))
         if looks is not None and len(looks.table):
             progress = replace(progress, looks=looks)
             stop_rule_met = self.use_stop_rule and looks.is_known
-        return replace(progress, accuracy=share, error=error, stop_rule_met=stop_rule_met)
+        return replace(progress, error=error, stop_rule_met=stop_rule_met)
 
 
 def _check_numerical_failures(done: int, failures: int, limit: float, faults: list[str], resume_command: str) -> None:

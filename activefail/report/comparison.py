@@ -96,12 +96,20 @@ def _to_match(fixed: Curves, active: Curves) -> list[list[str]]:
     return rows
 
 
+def _measures_of_all(scores: list[ArmScore]) -> list[str]:
+    """Names of the measures that all scores have: earlier versions saved fewer."""
+    return [name for name in scores[0].measures if all(name in score.measures for score in scores)]
+
+
 def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
     """The page as Markdown."""
     boundary = plan.settings.acquisition.main_boundary
     main = {*MEASURES, f"accuracy_{boundary}"}
-    others = [name for name in scores[0].measures if name.startswith("accuracy_") and name not in main]
+    names = _measures_of_all(scores)
+    others = [name for name in names if name.startswith("accuracy_") and name not in main]
     titles = MEASURES | {name: f"accuracy, {name.removeprefix('accuracy_')} boundary" for name in others}
+    recalls = [name for name in names if name.startswith("recall_of_")]
+    titles |= {name: f"recall of {name.removeprefix('recall_of_')}" for name in recalls}
     by_measure = {name: curves(scores, name) for name in titles}
     active, fixed = (
         {key: points for key, points in by_measure["accuracy"].items() if (key[1] == STATIC) == static}
@@ -176,7 +184,7 @@ def run_comparison(
 
 def write_comparison(plan: ComparisonPlan, scores: list[ArmScore], out: Path) -> Path:
     """Write `comparison.md`, `scores.csv` and the curves (SVG, PNG) into the folder; returns the page's path."""
-    names = list(scores[0].measures)
+    names = _measures_of_all(scores)
     with writing(out / SCORES, ["features", "sampling", "seed", "simulations", *names]) as write:
         write(
             [

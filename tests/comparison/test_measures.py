@@ -48,6 +48,8 @@ def test_the_measures_are_what_counting_says(ran, test_set):
     assert np.abs(distance(test_set.X[near])).max() < 5 * DISPLACEMENT
     small = [i for i in near if inside[i] and sum(test_set.around[i] == 0) >= NEIGHBOURS / 2]
     assert scores["recall_small"] == pytest.approx((p > 0.5)[small].mean())
+    assert scores["recall_of_broken"] == pytest.approx((p > 0.5)[inside].mean())
+    assert scores["recall_of_" + ran.classifier.outcomes[0]] == pytest.approx((p <= 0.5)[~inside].mean())
 
 
 def test_copies_without_an_answer_say_nothing_of_what_is_near(ran, test_set):

@@ -417,6 +417,8 @@ def test_the_validation_set_is_outside_the_budget_and_changes_no_choice(uninterr
         for latent in current_classifier(campaign, store, write=False).latents
     ]
     assert seen[-1].accuracy == np.mean(right[0])
+    whole = sum(np.sum(results.outcome == code) * share for code, share in enumerate(seen[-1].recall.values()))
+    assert whole == pytest.approx(np.sum(right[0]))
     assert [progress.accuracy is None for progress in seen] == [True] * INITIAL_COMMITS + [False] * 5
 
 
