@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from activefail.arguments import path_of
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue
 from activefail.campaign.known_code import code_for, remember_code
@@ -39,15 +40,15 @@ def create_run(
         InputError: if the settings are invalid, or the folder is in use.
         BusyError, StoreError: if the folder cannot be written.
     """
-    folder = Path(folder)
+    folder, code = path_of("folder", folder), None if code is None else path_of("code", code)
     if isinstance(campaign, Mapping):
         settings = checked(CampaignSettings, dict(campaign), "settings")
-        campaign = Campaign.of(settings, None if code is None else Path(code), folder)
+        campaign = Campaign.of(settings, code, folder)
         check_unused(folder, campaign)
     elif isinstance(campaign, Campaign):
         check_unused(folder, campaign)
     else:
-        campaign = campaign_for(folder, Path(campaign), code=None if code is None else Path(code))
+        campaign = campaign_for(folder, path_of("campaign", campaign), code=code)
     store = create_folder(folder, campaign)
     if remember:
         remember_code(folder, campaign)
@@ -110,8 +111,8 @@ def open_run(
         StoreError: if the record cannot be read.
         BusyError: if another process is writing to it.
     """
-    folder, named = Path(folder), code is not None
-    known = None if code is None else Path(code)
+    folder, named = path_of("folder", folder), code is not None
+    known = None if code is None else path_of("code", code)
     if remember and not named:
         known = code_for(folder, simulates=write if simulates is None else simulates, features=features)
     campaign, store = opened(folder, write, known, features)

@@ -341,7 +341,7 @@ WRONG = [
     ({"id": 8, "g": "1_0"}, "column g: must be a number, got '1_0'"),
     ({"id": 8, "g": "wide"}, "column g: must be a number, got 'wide'"),
     ({"id": 8, "g": "1e400"}, "column g: must fit a float64, at most 1.8e308 in size, got '1e400'"),
-    ({"id": "9" * 30, "g": 1.0}, "column id: must be a whole number, got '9999"),
+    ({"id": "9" * 30, "g": 1.0}, "column id: must be a whole number below 2**53, got '9999"),
     ({"id": 8, "g": "", "outcome": "collapse"}, "column outcome: must be one of safe, failure, numerical_failure, got"),
     ({"id": 8, "g": 1.0, "cause": "fog"}, "column cause: must be empty or one of"),
     ({"id": 8, "g": 1.0, "seconds": -1}, "column seconds: `0 <= seconds < inf` must hold, got -1.0"),
@@ -636,6 +636,10 @@ def test_every_public_name_can_be_imported_and_is_documented() -> None:
     "row",
     [
         {"id": 10**400, "g": 1.0},
+        {"id": 2.5, "g": 1.0},
+        {"id": np.float64("inf"), "g": 1.0},
+        {"id": "8.5", "g": 1.0},
+        {"id": True, "g": 1.0},
         {"id": 8, "g": Decimal("sNaN")},
         {"id": 8, "g": 1.0, "cause": ["fog"]},
         {"id": 8, "g": 1.0, "outcome": ("safe",)},
@@ -648,6 +652,26 @@ def test_odd_cells_get_a_message(folder: Path, row: dict[str, Any]) -> None:
         with pytest.raises(InputError, match="row 0, column"):
             run.tell([row])
         assert len(run.history) == 8
+
+
+@pytest.mark.parametrize("number", [2**53, "9007199254740992", 1e300])
+def test_a_whole_number_that_is_too_large_for_an_id_is_refused_as_such(folder: Path, number: Any) -> None:
+    with af.open_run(folder, write=True) as run, pytest.raises(InputError, match=r"must be a whole number below 2\*\*53"):
+        run.tell({"id": number, "g": 1.0})
+
+
+@pytest.mark.parametrize("number", [8, 8.0, "8", "8.0", "8.", np.int8(8), np.float32(8.0)])
+def test_an_id_may_come_as_any_kind_of_whole_number(folder: Path, number: Any) -> None:
+    with af.open_run(folder, write=True) as run:
+        assert run.tell({"id": number, "g": 1.0}) == 1
+
+
+def test_what_is_no_path_is_refused_where_runs_are_created_and_opened(tmp_path: Path) -> None:
+    for call in (lambda: af.open_run(None), lambda: af.create_run(3, {})):
+        with pytest.raises(InputError, match="folder: must be a path, got"):
+            call()
+    with pytest.raises(InputError, match="campaign: must be a path, got NoneType"):
+        af.create_run(tmp_path / "new", None)
 
 
 def test_nothing_to_tell_or_add_is_nothing(folder: Path) -> None:

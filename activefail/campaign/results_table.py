@@ -299,19 +299,16 @@ def _levels(campaign: Campaign) -> tuple[float, ...]:
 
 def _whole(table: Table, row: int) -> int:
     value = table.cell(row, _ID)
-    if value is None:
-        raise table.broken(row, _ID, "must be a whole number", None)
+    number = value
     # pandas writes 7.0 where a column has gaps.
-    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,15}(\.0*)?", value):
-        return int(float(value))
-    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except OverflowError:
-            raise table.broken(row, _ID, "must be a whole number below 2**53", value) from None
-        if abs(number) < 2**53 and number == int(number):
-            return int(number)
-    raise table.broken(row, _ID, "must be a whole number", value)
+    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,300}(\.0*)?", value):
+        number = int(value.partition(".")[0])
+    is_number = isinstance(number, int | float | np.integer | np.floating) and not isinstance(number, bool)
+    if not is_number or (isinstance(number, float | np.floating) and not number.is_integer()):
+        raise table.broken(row, _ID, "must be a whole number", value)
+    if abs(number) >= 2**53:
+        raise table.broken(row, _ID, "must be a whole number below 2**53", value)
+    return int(number)
 
 
 def _designs(campaign: Campaign, table: Table, rows: Sequence[int]) -> Array:
