@@ -656,7 +656,10 @@ def test_odd_cells_get_a_message(folder: Path, row: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("number", [2**53, "9007199254740992", 1e300])
 def test_a_whole_number_that_is_too_large_for_an_id_is_refused_as_such(folder: Path, number: Any) -> None:
-    with af.open_run(folder, write=True) as run, pytest.raises(InputError, match=r"must be a whole number below 2\*\*53"):
+    with (
+        af.open_run(folder, write=True) as run,
+        pytest.raises(InputError, match=r"must be a whole number below 2\*\*53"),
+    ):
         run.tell({"id": number, "g": 1.0})
 
 
