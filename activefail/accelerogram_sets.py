@@ -129,7 +129,7 @@ def read_record_set(
             if value is not None:
                 raise InputError(f"{option}: the records of FEMA P695 have their units and intervals; leave it out.")
         if vertical:
-            raise InputError(f"--vertical: the set {folder} of FEMA P695 has no vertical components.")
+            raise InputError("--vertical: activefail[records] has only horizontal components of the FEMA P695 records.")
         return _p695(str(folder))
     if not folder.is_dir():
         raise InputError(
@@ -223,7 +223,7 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
         raise InputError(f"{shown}: needs a column `file`, got {visible(', '.join(header)) or 'none'}.")
     for name in header:
         if name not in _COLUMNS:
-            raise InputError(f"{shown}: columns must be among {', '.join(_COLUMNS)}, got {visible(name)!r}.")
+            raise InputError(f"{shown}: unknown column {visible(name)!r}; columns are {', '.join(_COLUMNS)}.")
         if header.count(name) > 1:
             raise InputError(f"{shown}: columns must have different names, got {name!r} twice.")
     rows: list[tuple[str, dict[str, str]]] = []

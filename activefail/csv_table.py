@@ -1,4 +1,4 @@
-"""Tables of designs as CSV, checked in full before use, and read and written in constant memory."""
+"""Reads and writes CSV tables of designs in constant memory; the caller states the rules for a row."""
 
 import csv
 import io

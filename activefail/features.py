@@ -249,7 +249,7 @@ def _of_expressions(features: ExpressionFeatures, space: DesignSpace) -> Feature
     expressions = []
     for name, text in features.expressions.items():
         if name in space.names:
-            raise InputError(f"classifier.features.expressions.{visible(name)}: is the name of a variable.")
+            raise InputError(f"classifier.features.expressions.{visible(name)}: must not have the name of a variable.")
         try:
             expressions.append(parse_expression(text, known))
         except ValueError as error:

@@ -43,7 +43,7 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
     ("table", "message"),
     [
         ("name\na.txt\n", r"records.csv: needs a column `file`, got name"),
-        ("file,scale\na.txt,2\n", r"columns must be among file, vertical, unit, event, dt, got 'scale'"),
+        ("file,scale\na.txt,2\n", r"unknown column 'scale'; columns are file, vertical, unit, event, dt"),
         ("file,unit\na.txt,g\na.txt,g\n", r"line 3: file: a.txt is in line 2 already"),
         ("file,unit\n../a.txt,g\nb.AT2,g\n", r"line 2: file: must be the name of a file in this folder"),
         ("file,vertical\na.txt,../b.AT2\n", r"line 2: vertical: must be the name of a file in this folder"),
@@ -119,7 +119,7 @@ def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(f
 
 
 def test_a_set_of_fema_p695_has_no_vertical_components() -> None:
-    with pytest.raises(InputError, match="--vertical: the set farfield of FEMA P695 has no vertical components"):
+    with pytest.raises(InputError, match=r"--vertical: .* has only horizontal components of the FEMA P695 records"):
         read_record_set(Path("farfield"), vertical=True)
 
 

@@ -301,7 +301,7 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
     [
         ([], ["missing: --t-b, --mu, --d-tot, --h-sl-ratio, --h-rim-ratio, --p, --k, --t-p, --a-p", "--csv and --out"]),
         (["--mu", "0.1", "--k", "2e9"], ["missing: --t-b, --d-tot, --h-sl-ratio, --h-rim-ratio, --p, --t-p, --a-p"]),
-        (["--csv", "in.csv"], ["--csv needs --out"]),
+        (["--csv", "in.csv"], ["--csv requires --out"]),
         (["--csv", "in.csv", "--out", "o.csv", "--mu", "0.1"], ["--csv cannot be combined with --mu"]),
         (["--csv", "in.csv", "--out", "o.csv", "--plot", "p.png"], ["--csv cannot be combined with --plot"]),
         (["--csv", "in.csv", "--out", "o.csv", "--animate", "a.gif"], ["--csv cannot be combined with --animate"]),

@@ -307,8 +307,8 @@ def test_a_parquet_file_that_cannot_be_written_is_named_and_nothing_is_left(home
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ((), "export: needs --csv or --parquet, got neither."),
-        (("--csv", "a.csv", "--parquet", "a.parquet"), "export: needs --csv or --parquet, got both."),
+        ((), "export: requires --csv or --parquet, got neither."),
+        (("--csv", "a.csv", "--parquet", "a.parquet"), "export: requires --csv or --parquet, got both."),
         (("--parquet", "-"), "--parquet: must be a file, got '-'; only a CSV table can go to standard output."),
     ],
 )

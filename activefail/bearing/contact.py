@@ -1,4 +1,4 @@
-"""Force laws and geometry of a slider's vertex against the plate that it faces.
+"""Force laws (contact, damping, friction) and geometry of a slider's vertex against the plate that it faces.
 
 All quantities are in the plate's frame: u is the horizontal distance of the vertex from the dish's axis (positive to
 the right) and w its height above the dish's apex, towards the slider. In this frame both plates are alike.

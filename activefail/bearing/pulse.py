@@ -1,4 +1,4 @@
-"""The ground motion: an antisymmetric Ricker pulse (paper, eq. 1)."""
+"""The ground motion: an antisymmetric Ricker pulse (paper, eq. 1), and its peak velocity."""
 
 import math
 

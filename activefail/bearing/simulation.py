@@ -399,7 +399,7 @@ def simulate_records(
     if X.ndim != 2 or X.shape[1] != TABLE_1.dimension - 2:
         raise InputError(f"Bearings must be an (n, {TABLE_1.dimension - 2}) array, got shape {X.shape}.")
     if len(records) != len(X):
-        raise InputError(f"records: must be one for each bearing, {len(X)}, got {len(records)}.")
+        raise InputError(f"records: must be {len(X)}, one for each bearing, got {len(records)}.")
     # Values of a pulse that every check accepts; a record takes its place.
     X = check_designs(np.column_stack([X, np.ones((len(X), 2))]))
     model = model or Model()

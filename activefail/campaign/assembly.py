@@ -280,5 +280,5 @@ def _check_bearing(settings: CampaignSettings) -> None:
     for key, value in settings.bearing:
         if value != getattr(default, key):
             raise InputError(
-                f'bearing.{key}: applies to `simulator = "dfp"`, not to a custom simulator; got {value!r}.'
+                f'bearing.{key}: requires `simulator = "dfp"`, or the features `sliding` or `collision`, got {value!r}.'
             )

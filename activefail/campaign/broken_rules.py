@@ -1,4 +1,4 @@
-"""Messages for settings that break a rule: key, rule and value."""
+"""Messages for settings that break a rule: key, rule and value; for an unknown key, the nearest known one."""
 
 import json
 import re

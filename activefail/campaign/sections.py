@@ -96,7 +96,7 @@ class Variable(Section):
         # The widest reach that settings allow; bounds in the file do not depend on it.
         low, high, mean, sd = self._numbers(_WIDEST)
         if max(-low, high) > LARGEST:
-            raise ValueError(f"`{-LARGEST:g} <= low` and `high <= {LARGEST:g}` must hold, got {low:g} and {high:g}")
+            raise ValueError(f"the range must lie between {-LARGEST:g} and {LARGEST:g}, got {low:g} to {high:g}")
         if fault := distribution_fault(low, high, self.distribution, mean, sd):
             raise ValueError(fault)
         return self

@@ -250,4 +250,4 @@ def export(
             number = opened.export_parquet(parquet)
         print(f"{number} simulations written to {visible(str(parquet))}")
     else:
-        raise InputError(f"export: needs --csv or --parquet, got {'neither' if csv is None else 'both'}.")
+        raise InputError(f"export: requires --csv or --parquet, got {'neither' if csv is None else 'both'}.")

@@ -41,7 +41,7 @@ def hazard(
     from activefail.risk.hazard_summary import HazardSummary, Outside
 
     if folder is None and fixed is not None:
-        raise InputError("--fixed: needs a run folder, whose variables it fixes.")
+        raise InputError("--fixed: requires a run folder, whose variables it fixes.")
     check_output("--out", out)
     read = read_hazard(file)
     summary, outside, space = HazardSummary.of(read), None, None

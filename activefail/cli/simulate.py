@@ -214,7 +214,7 @@ def _simulate_table(source: Path, target: Path | None, model: "Model", tolerance
     from activefail.findings.tables import simulate_table
 
     if target is None:
-        raise InputError("--csv needs --out FILE for the results.")
+        raise InputError("--csv requires --out FILE for the results.")
     start = time.monotonic()
     with table_output("--out", target) as table:
         with progress_bar("simulating") as begin:

@@ -1,4 +1,4 @@
-"""Worker processes with a time limit: one that dies, hangs or runs out of memory costs only its own simulation."""
+"""Worker processes with a time limit: a simulation whose worker dies or hangs is tried once more, then given up."""
 
 import math
 import os

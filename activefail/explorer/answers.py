@@ -228,7 +228,7 @@ class Answers:
         if x == y:
             raise InputError(f"A plane needs two different variables, got {self.space.names[x]} twice.")
         if shown not in (*self.outcomes[1:], "uncertainty"):
-            raise InputError(f"shown: must be an outcome other than the first, or uncertainty, got {shown!r}.")
+            raise InputError(f"shown: must be one of {', '.join(self.outcomes[1:])}, uncertainty, got {shown!r}.")
         low, high = self.space.low, self.space.high
         along_x, along_y = np.linspace(low[x], high[x], _GRID), np.linspace(low[y], high[y], _GRID)
         grid_x, grid_y = np.meshgrid(along_x, along_y)

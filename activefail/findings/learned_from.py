@@ -1,4 +1,4 @@
-"""What each boundary of a campaign is learned from, and why."""
+"""Reports what each boundary of a campaign is learned from, and why."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Simulations done elsewhere: designs are handed out, and their results are recorded when they arrive.
+"""`ask`, `tell`, `drop`, `add`: designs go in flight, and the results of simulations done elsewhere are recorded.
 
 The proposals are those of the loop with batches: `ask` proposes what the loop would simulate next, and `tell` records
 it as the loop does. Asked for and told batch by batch, a campaign has the same bits. Proposals take the designs in

@@ -137,16 +137,18 @@ def _run_in_batches(task: Task) -> bool:
 
 
 _CHECK_IN_FLIGHT = (
-    "The stop rule's check is in flight: `activefail tell` its results, or `activefail drop` its designs, then resume."
+    "The stop rule's check is in flight. Record its results with `activefail tell`, or drop its designs with "
+    "`activefail drop`, then resume."
 )
 
 _NO_OTHERS = (
-    "All proposals were handed out before. `activefail tell` results in flight, or `activefail add` other simulations."
+    "All proposals were handed out before. Record results in flight with `activefail tell`, or other simulations with "
+    "`activefail add`."
 )
 
 _NOTHING_KNOWN = (
-    "The whole initial design is in flight or was dropped, so there is nothing to learn from yet. `activefail tell` "
-    "results in flight, or `activefail add` other simulations."
+    "The whole initial design is in flight or was dropped, so there is nothing to learn from yet. Record results "
+    "in flight with `activefail tell`, or other simulations with `activefail add`."
 )
 
 

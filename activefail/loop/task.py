@@ -74,9 +74,9 @@ class Task:
         if progress.done and not progress.counts.any():
             raise SimulationError(
                 f"None of the {progress.done} simulations gave an outcome, and the rest of the initial design is in "
-                "flight or was dropped. They are recorded. Fix the simulator; then `activefail tell` the results in "
-                f"flight, or `activefail drop` them and `{self.resume_command}`."
-                + first_fault_text(self.observer.faults)
+                "flight or was dropped. They are recorded. Fix the simulator. Then record the results in flight with "
+                f"`activefail tell`, or drop their designs with `activefail drop` and resume "
+                f"with `{self.resume_command}`." + first_fault_text(self.observer.faults)
             )
 
     def judged(

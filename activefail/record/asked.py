@@ -1,6 +1,6 @@
-"""Designs that were handed out to be simulated elsewhere: which are in flight, and which were dropped.
+"""The file `asked.h5`: the designs that `ask` handed out, with a flag for those that were dropped.
 
-The file `asked.h5` lists every design that `ask` handed out, with its id. A design's result is in the batches, like
+It lists every such design with its id. A design's result is in the batches, like
 that of any other simulation; so a design is in flight until a batch holds it, or until it was dropped.
 """
 

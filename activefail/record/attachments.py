@@ -81,5 +81,5 @@ def _dataset_name(name: str) -> str:
 def _state_array(image: Image, name: str) -> NDArray[Any]:
     dtype, shape = image.declared(name)
     if dtype not in (np.dtype("<f8"), np.dtype("<i8")):
-        raise DamagedError(f"declares {unquote(name)!r} as {dtype}")
+        raise DamagedError(f"declares {unquote(name)!r} as {dtype}, not as float64 or int64")
     return image.array(name, dtype, shape)

@@ -1,4 +1,4 @@
-"""Corrections: results of a record that were wrong, and what replaces them; `run_folder` writes them.
+"""Corrections: results of a record that were wrong, and what replaces them, applied when a record is read.
 
 The batches of a record never change. The file `corrections.h5` lists the results that replace others, beside those that
 they replace, in the order in which they were made. A reader applies them in this order to the batches that it has read,

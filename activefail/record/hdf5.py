@@ -140,7 +140,7 @@ class Image:
         if plan.get_external_count():
             raise DamagedError(f"stores {name!r} in another file, which is never read")
         if any(plan.get_filter(i)[0] != h5py.h5z.FILTER_FLETCHER32 for i in range(plan.get_nfilters())):
-            raise DamagedError(f"stores {name!r} behind a filter other than fletcher32")
+            raise DamagedError(f"stores {name!r} with an HDF5 filter other than fletcher32")
         dtype = dataset.dtype
         empty = dataset.get_space().get_simple_extent_type() == h5py.h5s.NULL
         shape: tuple[int, ...] = dataset.shape

@@ -35,7 +35,7 @@ class FolderLock:
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
             self._descriptor = os.open(folder / LOCK, flags, 0o666)
             if not stat.S_ISREG(os.fstat(self._descriptor).st_mode):
-                raise StoreError(f"Cannot write to {folder}: {LOCK} is not a regular file. Remove it.")
+                raise StoreError(f"Cannot write to {folder}: {LOCK} is not a regular file. Remove {LOCK}.")
             try:
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self.held = True

@@ -136,7 +136,7 @@ def recover(segments: Sequence[Segment], damaged: Mapping[str, str], start: str)
             rivals = [other.name for other in chain if other.first <= segment.last and segment.first <= other.last]
             raise StoreError(
                 f"Two writers wrote different designs under the same ids: {segment.name} and {', '.join(rivals)}. "
-                f"Nothing was changed. Move the wrong file out of segments/ to continue."
+                f"Nothing was changed. Decide which file to keep, and move the others out of segments/."
             )
     damaged = {**damaged, **strays}
     if beyond:

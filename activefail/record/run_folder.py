@@ -248,11 +248,11 @@ class FolderStore:
             raise StoreError(f"Cannot read {path}: {error.strerror or error}.") from error
         except UnicodeDecodeError:
             raise StoreError(
-                f"{path} is no longer UTF-8 text. Restore it: a segment holds its text, in the dataset 'settings'."
+                f"{path} is no longer UTF-8 text. Restore it from the dataset 'settings' of a file in segments/."
             ) from None
         except ValueError as error:
             raise StoreError(
-                f"{path} {error}. Restore it: a segment holds its text, in the dataset 'settings'."
+                f"{path} {error}. Restore it from the dataset 'settings' of a file in segments/."
             ) from None
         store = cls(folder, settings, schema, FolderLock(folder) if write else None, provenance or {}, decisive)
         try:

@@ -183,7 +183,7 @@ def checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[st
     state = {name: np.array(array) for name, array in arrays.items()}
     for name, array in state.items():
         if array.dtype not in (np.float64, np.int64):
-            raise InputError(f"A state holds float64 and int64 arrays, got {array.dtype} for {name!r}.")
+            raise InputError(f"A state must hold float64 or int64 arrays, got {array.dtype} for {name!r}.")
     return state
 
 

@@ -1,4 +1,4 @@
-"""The report of a campaign: one self-contained HTML file."""
+"""The report of a campaign, one self-contained HTML file: the values for `report.html.j2`, which holds the prose."""
 
 import hashlib
 from collections.abc import Callable

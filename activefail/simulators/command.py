@@ -150,7 +150,9 @@ class CommandSimulator:
             code = program.wait()
         seconds = time.perf_counter() - began
         if code == -signal.SIGXFSZ:
-            raise RuntimeError(f"a file in {folder} would exceed simulator.largest_file, {self.largest_file} bytes")
+            raise RuntimeError(
+                f"the program exceeded simulator.largest_file ({self.largest_file} bytes) with a file in {folder}"
+            )
         if code != 0:
             # A UTF-8 character has at most four bytes.
             end = end_of(folder / "stderr.txt", 4 * LONGEST_EXCERPT).decode(errors="replace").strip()

@@ -53,8 +53,8 @@ def load_function(
         raise InputError(f"{key}: {module_name} cannot be imported: {visible(str(error))}.") from error
     except _NeverRunError as error:
         raise InputError(
-            f"{key}: {module_name} is {error}, in the run folder, which may come from someone else. Code in a "
-            "run folder runs only if you name that folder with --code. Do so only if you trust it."
+            f"{key}: {module_name} is {error}. It lies in the run folder, which may come from someone else. Code in a "
+            "run folder runs only if you name that folder with --code. Do this only if you trust the folder."
         ) from None
     except KeyboardInterrupt:
         raise

@@ -20,7 +20,7 @@ OUTPUTSCALE_PRIOR = (math.log(10.0), 2.0)
 as large as the likelihood's unit width."""
 
 
-def lengthscale_prior(dimension: int) -> tuple[float, float]:
+def length_scale_prior(dimension: int) -> tuple[float, float]:
     """Mean and standard deviation of a length scale's logarithm, in units of the features' spread.
 
     The length scale grows with the root of the dimension [HvarfnerEtAl2024].
@@ -54,7 +54,7 @@ def log_prior(hyperparameters: Hyperparameters) -> tuple[float, Tensor]:
     log_lengthscale = hyperparameters.log_lengthscale
     scales = torch.cat([log_lengthscale.new_tensor([hyperparameters.log_outputscale]), log_lengthscale])
     m = len(log_lengthscale)
-    mean, sd = torch.tensor([OUTPUTSCALE_PRIOR, *[lengthscale_prior(m)] * m], dtype=torch.float64).T
+    mean, sd = torch.tensor([OUTPUTSCALE_PRIOR, *[length_scale_prior(m)] * m], dtype=torch.float64).T
     away = (scales - mean) / sd
     return float((-0.5 * away**2 - sd.log() - 0.5 * math.log(2.0 * math.pi)).sum()), -away / sd
 

@@ -22,7 +22,7 @@ from activefail.surrogate.covariance import (
     OUTPUTSCALE_PRIOR,
     Hyperparameters,
     check_kernel,
-    lengthscale_prior,
+    length_scale_prior,
 )
 from activefail.surrogate.fitting import Fit
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
@@ -46,7 +46,7 @@ def covariance_module(kernel: str, dimension: int) -> gpytorch.kernels.Kernel:
     common = {
         "ard_num_dims": dimension,
         "lengthscale_constraint": positive,
-        "lengthscale_prior": gpytorch.priors.LogNormalPrior(*lengthscale_prior(dimension)),
+        "lengthscale_prior": gpytorch.priors.LogNormalPrior(*length_scale_prior(dimension)),
     }
     base = gpytorch.kernels.RBFKernel(**common) if kernel == "rbf" else gpytorch.kernels.MaternKernel(nu=2.5, **common)
     outputscale_prior = gpytorch.priors.LogNormalPrior(*OUTPUTSCALE_PRIOR)

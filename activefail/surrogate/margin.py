@@ -1,4 +1,4 @@
-"""GP regression of a limit-state margin: how far a design is from an outcome, negative beyond its boundary.
+"""GP regression of a limit-state margin, negative beyond an outcome's boundary: sites, warping and length scales.
 
 A margin says more than its sign, so its boundary needs far fewer simulations. Where a simulation ends at failure, a
 failed design's margin says no more than its sign: it is censored, and expectation propagation takes it as "at most 0"
@@ -67,7 +67,7 @@ _FARTHEST = 30.0
 def length_scale_prior(dimension: int) -> tuple[float, float]:
     """Mean and standard deviation of a length scale's logarithm: median 2√d, in units of the features' spread.
 
-    It is narrower than the classifier's (`covariance.lengthscale_prior`): with a dozen margins the likelihood alone
+    It is narrower than the classifier's (`covariance.length_scale_prior`): with a dozen margins the likelihood alone
     would take some variables for irrelevant.
     """
     return math.log(2.0 * math.sqrt(dimension)), 1.0

@@ -159,7 +159,7 @@ def _choice(array: NDArray[Any], margins: Array, columns: Collection[int], beyon
         raise DamagedError("holds a choice of margin of another type or shape")
     margin, simulations, margin_score, outcome_score, one_sided = array.tolist()
     if margin not in (OUTCOMES, *columns) or not 1 <= simulations <= len(beyond) or one_sided not in (0.0, 1.0):
-        raise DamagedError("holds a choice of a margin that the campaign does not have")
+        raise DamagedError("holds a choice of a margin that this campaign cannot have made")
     choice = Choice(int(margin), int(simulations), margin_score, outcome_score, bool(one_sided))
     if choice.margin != OUTCOMES and usable(margins[:, choice.margin], beyond):
         raise DamagedError("holds a choice of a margin that contradicts the outcomes")

@@ -626,7 +626,7 @@ def test_values_that_cannot_be_asked_for_end_in_one_message(
 def test_values_need_a_run_folder(tmp_path: Path) -> None:
     path = tmp_path / "site.toml"
     path.write_text(PERIOD + PGV)
-    refused(activefail("hazard", path, "--fixed", path), "--fixed: needs a run folder, whose variables it fixes.")
+    refused(activefail("hazard", path, "--fixed", path), "--fixed: requires a run folder, whose variables it fixes.")
     refused(activefail("hazard", tmp_path / "none.toml"), "none.toml: cannot be read: No such file or directory")
 
 

@@ -310,7 +310,7 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
         (["--hazard", "site.toml", "--range", "1,2"], "bounds (--range): cannot be combined with hazard."),
         (["--hazard", "site.toml", "--question", "site.toml"], "question: cannot be combined with hazard."),
         (["--against", "r", "--intensity", "a_p"], "intensity: requires hazard"),
-        (["--against", "q"], "against: must be one of the uncertain variables, T_p, A_p, r, got 'q'."),
+        (["--against", "q"], "against: must be one of the uncertain variables (T_p, A_p, r), got 'q'."),
         (["--against", "r", "--range", "2,1"], "bounds (--range): `low < high` must hold, got 2,1."),
         (["--against", "r", "--range", "2"], "--range: must be two numbers separated by a comma, got '2'."),
         (["--against", "r", "--fixed", "fixed.toml"], "against: r has the value 1.1; leave it out of --fixed."),
@@ -360,7 +360,7 @@ def test_a_design_under_pulses_of_a_file_needs_no_value_of_the_variable_that_is_
         ({"against": "r", "bounds": (1,)}, "bounds (--range): must be two numbers, got (1,)"),
         ({"against": "r", "bounds": ("a", "b")}, "bounds (--range): must be two numbers, got ('a', 'b')"),
         ({"against": "r", "bounds": 3}, "bounds (--range): must be two numbers, got 3"),
-        ({"against": ["r"]}, "against: must be one of the uncertain variables, T_p, A_p, r, got ['r']"),
+        ({"against": ["r"]}, "against: must be one of the uncertain variables (T_p, A_p, r), got ['r']"),
         ({"hazard": 3}, "hazard: must be a path, got int"),
     ],
 )

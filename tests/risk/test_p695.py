@@ -48,9 +48,12 @@ def test_the_shape_factor_of_an_isolated_bearing_depends_on_its_ductility_alone(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((5.1, 8.0, "dmax", "farfield"), r"--sdc: needs a T_b of at most 5 s, .*, got 5\.1 s\. State --ssf\."),
+        (
+            (5.1, 8.0, "dmax", "farfield"),
+            r"--sdc: T_b must be positive and at most 5 s, .*, got 5\.1 s\. State the shape factor with --ssf\.",
+        ),
         ((3.0, 8.0, "d", "farfield"), r"--sdc: must be one of dmax, dmin, cmax, cmin, bmax, bmin, got 'd'"),
-        ((3.0, 8.0, "dmax", ""), r"--sdc: needs a set of FEMA P695 \(--records farfield\)"),
+        ((3.0, 8.0, "dmax", ""), r"--sdc: requires a set of FEMA P695 \(--records farfield\)"),
     ],
 )
 def test_a_shape_factor_outside_p695_is_refused(arguments: tuple[float, float, str, str], message: str) -> None:
@@ -129,4 +132,4 @@ def test_a_folder_of_records_has_no_shape_factor(tmp_path: Path) -> None:
         (tmp_path / name).write_text("0\n1\n0\n")
     words = ("ida", "--records", tmp_path, "--bearing", tmp_path / "bearing.toml", "--unit", "g", "--dt", "0.01")
     margin = ("--mce", "1.1", "--sdc", "dmax", "--ductility", "4")
-    refused(activefail(*words, *margin), "--sdc: needs a set of FEMA P695", "State --ssf.")
+    refused(activefail(*words, *margin), "--sdc: requires a set of FEMA P695", "State the shape factor with --ssf.")

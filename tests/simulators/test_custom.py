@@ -573,7 +573,7 @@ if float(sys.argv[1]) > 2:
         ("open(sys.argv[-1], 'wb').write(bytes(3_000_000))", "File too large"),
         (
             "signal.signal(signal.SIGXFSZ, signal.SIG_DFL); os.execvp('head', ['head', '-c3000000', '/dev/zero'])",
-            "would exceed simulator.largest_file, 1000000 bytes",
+            "exceeded simulator.largest_file (1000000 bytes)",
         ),
     ],
 )

@@ -282,7 +282,8 @@ def _cost(
         with np.errstate(all="ignore"):  # reported below
             value = float(expression(quantities))
         if not math.isfinite(value):
-            raise InputError(f"cost: must be finite, got {value} for {dict(values)}.")
+            at = ", ".join(f"{name} = {one:g}" for name, one in values.items())
+            raise InputError(f"cost: must be finite, got {value} at {at}.")
         return value
 
     for side in (low, high):

@@ -98,8 +98,8 @@ def variable_ladder(
     if name not in question.space.names:
         known = ", ".join(question.space.names)
         if isinstance(name, str) and (name in question.fixed or name in space.fixed):
-            raise InputError(f"against: {name} has a value; it must be one of the uncertain variables, {known}.")
-        raise InputError(f"against: must be one of the uncertain variables, {known}, got {_shown(name)}.")
+            raise InputError(f"against: {name} has a value; it must be one of the uncertain variables ({known}).")
+        raise InputError(f"against: must be one of the uncertain variables ({known}), got {_shown(name)}.")
     if question.space.dimension < 2:
         raise InputError(f"against: no variable besides {name} is uncertain, so there is nothing to integrate over.")
     parameters = {one.name: one for one in space.parameters}

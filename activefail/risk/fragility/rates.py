@@ -1,4 +1,4 @@
-"""The rate of failure from a fragility curve and the rates at which a site's ground motion is exceeded."""
+"""The rate of failure from a fragility curve and the rates at which ground motion is exceeded; the risk in 50 years."""
 
 import math
 from typing import NamedTuple

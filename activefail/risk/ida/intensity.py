@@ -79,7 +79,9 @@ class Intensity:
             "pgv": lambda: motion.peak_velocity,
             "sa": lambda: spectral_acceleration(motion, self.period) / GRAVITY,
         }[self.kind]()
-        if not (math.isfinite(value) and value > 0.0) or motion.peak == 0.0:
+        if motion.peak == 0.0:
+            raise InputError(f"{motion.name}: does not move the ground, so it cannot be scaled.")
+        if not (math.isfinite(value) and value > 0.0):
             raise InputError(f"{motion.name}: its {self.name} must be positive, got {value:g}.")
         return value
 

