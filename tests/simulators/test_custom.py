@@ -802,7 +802,7 @@ def test_a_function_in_a_run_folder_is_not_run_where_a_folder_around_it_is_named
 ) -> None:
     names(received, module)
     result = activefail("resume", received, "--budget", "20", "--code", tmp_path / named)
-    refused(result, f"simulator.python: {module} is {received / 'model.py'}, in the run folder", "with --code")
+    refused(result, f"simulator.python: {module} is {received / 'model.py'}. It lies in the run folder", "with --code")
     assert not (tmp_path / "ran").exists()
 
 
