@@ -150,6 +150,10 @@ def describe_outcome(response: Response) -> str:
             return f"Numerical failure ({cause}): no statement about the bearing"
 
 
+_LONGEST_NAME = 32
+"""Characters of a record's name in a title."""
+
+
 def describe_design(response: Response) -> str:
     """The bearing and the pulse in one line, with units, as mathtext."""
     bearing, pulse = response.bearing, response.pulse
@@ -174,6 +178,7 @@ def _describe_motion(pulse: Pulse | Accelerogram) -> tuple[str, ...]:
     if isinstance(pulse, Accelerogram):
         # A dollar sign would begin mathtext.
         name = visible(pulse.name).replace("$", "")
+        name = name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
         return (*([name] if name else []), rf"PGA {pulse.peak / GRAVITY:.3f} g", rf"PGV {pulse.peak_velocity:.2f} m/s")
     return rf"$T_p$ {pulse.period:.2f} s", rf"$A_p$ {minus(f'{pulse.amplitude / GRAVITY:.3f}')} g"
 

@@ -20,7 +20,7 @@ def plot_ida(findings: IdaFindings) -> Figure:
             where="post",
             color=BLACK,
             linewidth=1.2,
-            label="records that have failed",
+            label="share of records",
         )
         if (fragility := findings.fragility) is not None:
             x = np.linspace(1e-3, 1.0, 400) * findings.highest

@@ -134,7 +134,10 @@ def titled_figure(response: Response, width: float, height: float) -> Figure:
     )
     looks: tuple[dict[str, Any], ...] = ({"weight": "bold", "color": colour}, {})
     for (down, text, size), look in zip(lines, looks, strict=True):
-        figure.text(0.5, 1.0 - down / height, text, ha="center", va="center", fontsize=size, **look)
+        title = figure.text(0.5, 1.0 - down / height, text, ha="center", va="center", fontsize=size, **look)
+        # A record has a name, which may be long.
+        room = 0.98 * figure.bbox.width / title.get_window_extent().width
+        title.set_fontsize(size * min(1.0, room))
     return figure
 
 

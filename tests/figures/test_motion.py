@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from patience import PATIENCE
 
-from activefail.bearing import Bearing, Pulse, Response, Tolerance, simulate_one
+from activefail.bearing import Accelerogram, Bearing, Pulse, Response, Tolerance, simulate_one
 from activefail.bearing.contact import gap
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import lever
@@ -278,3 +278,15 @@ def test_matplotlib_is_imported_by_the_pictures_alone_and_pyplot_by_nothing():
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=PATIENCE)
+
+
+@pytest.mark.parametrize("name", ["RSN953_NORTHR_MUL009", "W" * 255])
+def test_the_title_of_a_bearing_under_a_record_fits_into_the_figure(name: str) -> None:
+    motion = Accelerogram(3.0 * np.sin(np.arange(0.0, 6.0, 0.02)), 0.02, name)
+    figure = m.titled_figure(simulate_one(FAILING, motion), 8.0, 5.0)
+    assert name[:16] in words(figure)
+    for text in figure.texts:
+        box = text.get_window_extent()
+        assert figure.bbox.x0 <= box.x0
+        assert box.x1 <= figure.bbox.x1
+        assert text.get_fontsize() > 5.0
