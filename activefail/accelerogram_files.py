@@ -25,6 +25,9 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 _USUAL = (0.005, 3.0)
 """Peak accelerations of strong motion [g]; other values may have another unit."""
 
+_USUAL_DT = (1e-4, 0.1)
+"""Intervals of strong-motion records [s]."""
+
 _DRIFT = 0.25
 """Largest velocity at the end of a record, over its PGV, that needs no baseline correction."""
 
@@ -85,6 +88,8 @@ def _doubts(record: Accelerogram) -> list[str]:
     found, peak = [], record.peak / GRAVITY
     if not _USUAL[0] <= peak <= _USUAL[1]:
         found.append(f"has a PGA of {peak:.3g} g, which is unusual. Check its unit.")
+    if not _USUAL_DT[0] <= record.dt <= _USUAL_DT[1]:
+        found.append(f"has an interval of {record.dt:.3g} s between samples, which is unusual.")
     a = record.acceleration
     end = abs(float(np.sum(0.5 * record.dt * (a[1:] + a[:-1]))))
     if end > _DRIFT * record.peak_velocity:
@@ -150,8 +155,6 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
         raise InputError(f"must have at least 2 samples, got {len(values)}.")
     steps = np.diff(values[:, 0])
     mean = float((values[-1, 0] - values[0, 0]) / len(steps))
-    if dt is not None and abs(mean - dt) > EVEN * dt:
-        raise InputError(f"dt: the times have an interval of {mean:.6g} s, got {dt:g} s.")
     # Times are rounded to the digits of the file.
     rounding = 2.0 * 10.0 ** -max(_digits(lines[rows[1][0] - 1]), 0)
     bad = np.flatnonzero(~(np.abs(steps - mean) <= np.maximum(EVEN * abs(mean), min(rounding, 0.4 * abs(mean)))))
@@ -164,6 +167,8 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
         raise InputError(
             f"line {rows[k][0]}: times must rise by equal intervals (median: {median:.6g} s), got {steps[k - 1]:.6g} s."
         )
+    if dt is not None and abs(mean - dt) > EVEN * dt:
+        raise InputError(f"dt: the times have an interval of {mean:.6g} s, got {dt:g} s.")
     return values[:, 1], mean
 
 

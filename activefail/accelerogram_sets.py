@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from activefail.accelerogram_files import doubts, read_accelerogram
+from activefail.accelerogram_files import UNITS, doubts, read_accelerogram
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
@@ -144,6 +144,8 @@ def read_record_set(
         name, stated = row["file"], row.get("unit") or unit
         if not stated:
             raise InputError(f"{place}: needs a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
+        if stated not in UNITS:
+            raise InputError(f"{place}: unit: must be one of {', '.join(UNITS)}, got {visible(stated)!r}.")
         interval = _interval(place, row.get("dt"), dt)
         motion = read_accelerogram(folder / name, stated, interval)
         if vertical:

@@ -246,6 +246,7 @@ def compare_under_records(python, name, n, seed, least):
             ("bearing, slow creep", "OpenSees, elastic"),
         ),
     )
+    return compared
 
 
 def compare_outcomes(python, n, seed):

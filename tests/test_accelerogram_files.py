@@ -145,6 +145,10 @@ def test_doubtful_records_are_named(tmp_path: Path, values: list[float], doubt: 
 
 def test_a_usual_record_is_not_doubted(tmp_path: Path) -> None:
     assert doubts(read_accelerogram(written(tmp_path, "0\n1\n-1\n1\n-1\n0\n"), "m/s2", 0.05)) == []
+    assert (
+        "has an interval of 0.5 s between samples, which is unusual."
+        in doubts(read_accelerogram(written(tmp_path, "0\n1\n-1\n1\n-1\n0\n"), "m/s2", 0.5))[0]
+    )
     # Its velocity is always zero at the samples.
     assert doubts(read_accelerogram(written(tmp_path, "1\n-1\n1\n-1\n"), "m/s2", 0.05)) == []
 

@@ -50,7 +50,7 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
         ("file,unit\na.txt\n", r"line 2: must have 2 values, got 1"),
         ("file,unit,dt\na.txt,g,soon\nb.AT2,g,\n", r"line 2: dt: must be a number, got 'soon'"),
         ("file\na.txt\nb.AT2\n", r"line 2: needs a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
-        ("file,unit\na.txt,feet\nb.AT2,g\n", r"unit: must be one of g, m/s2, cm/s2, got 'feet'"),
+        ("file,unit\na.txt,feet\nb.AT2,g\n", r"records\.csv: line 2: unit: must be one of g, m/s2, cm/s2, got 'feet'"),
         ("file,unit\nb.AT2,g\n", r"must have at least 2 records, got 1"),
         ("file,unit,dt\nnone.txt,g,0.01\nb.AT2,g,\n", r"none.txt: No such file"),
         ("", r"needs a column `file`, got none"),

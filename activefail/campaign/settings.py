@@ -256,14 +256,23 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise InputError(f"{source}: not valid TOML: an integer has thousands of digits.") from None
 
 
+_LARGEST_FILE = 10_000_000
+"""Most bytes of a TOML file."""
+
+
 def read_text(path: Path) -> str:
     """The text of a TOML file.
 
     Raises:
-        InputError: if the file cannot be read or is not UTF-8.
+        InputError: if the file cannot be read, is too large or is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            # A device has no end.
+            data = file.read(_LARGEST_FILE + 1)
+        if len(data) > _LARGEST_FILE:
+            raise InputError(f"{path}: cannot be read: it is larger than {_LARGEST_FILE} bytes.")
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

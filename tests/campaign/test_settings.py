@@ -40,6 +40,11 @@ def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path:
     assert any("What it shows" in line for line in comment)
 
 
+def test_a_file_without_an_end_is_refused() -> None:
+    with pytest.raises(InputError, match="/dev/zero: cannot be read: it is larger than 10000000 bytes"):
+        read_settings(Path("/dev/zero"))
+
+
 def test_there_are_campaigns_that_ship() -> None:
     assert {"paper.toml", "quick.toml"} <= {path.name for path in SHIPPED}
 

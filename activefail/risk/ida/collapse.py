@@ -13,8 +13,15 @@ from activefail.space import Array
 
 CONFIDENCE = 0.95
 
-_BOUNDS = (math.log(0.02), math.log(3.0))
-"""Of the logarithm of the dispersion, beyond which data of a few records say nothing."""
+LARGEST = 3.0
+"""Largest dispersion of a fit, beyond which data of a few records say nothing."""
+
+_BOUNDS = (math.log(0.02), math.log(LARGEST))
+"""Of the logarithm of the dispersion."""
+
+_POWER = -2.0 / 3.0
+"""Of the dispersion in its interval. The estimate of a variance, to the power 1/3, is nearly normal, with a standard
+deviation in proportion to the true value's [WilsonHilferty1931]; the interval is thus one of the reciprocal."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,9 @@ def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:
         return None
     with np.errstate(divide="ignore"):
         low, high = np.log(below), np.log(capacity)
+    # A record without an answer, in (0, inf], says nothing.
+    informs = np.isfinite(low) | np.isfinite(high)
+    low, high = low[informs], high[informs]
 
     def loss(parameters: Array) -> float:
         mean, scale = parameters[0], math.exp(parameters[1])
@@ -49,7 +59,7 @@ def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:
         inside = upper + np.log(-np.expm1(np.minimum(lower - upper, -1e-300)))
         return -float(np.where(never, tail, np.maximum(inside, -1e3)).sum())
 
-    middle = np.where(np.isfinite(high), np.where(np.isfinite(low), 0.5 * (low + high), high), low)
+    middle = 0.5 * (np.where(np.isinf(low), high, low) + np.where(np.isinf(high), low, high))
     start = np.array([float(np.median(middle)), math.log(max(0.1, float(np.std(middle))))])
     found = minimize(
         loss, start, method="Nelder-Mead", bounds=[(None, None), _BOUNDS], options={"xatol": 1e-5, "fatol": 1e-7}
@@ -75,9 +85,9 @@ def fitted(below: Array, capacity: Array, events: Sequence[str]) -> Fragility | 
     """The fit with its intervals; None without a fit.
 
     Records of one event are not independent. The intervals therefore come from fits that leave one event out at a time
-    (jackknife), on the logarithms of median and dispersion, with Student's t of one degree of freedom less than events.
-    `experiments/ida_intervals.py` measures how often they hold, also beside a bootstrap over events. They need at least
-    three events, and a fit without any of them.
+    (jackknife), with Student's t of one degree of freedom less than events: on the logarithm of the median, and on the
+    dispersion to the power -2/3, without its bias. `experiments/ida_intervals.py` measures how often they hold, also
+    beside a bootstrap over events. They need at least three events, and a fit without any of them.
 
     Args:
         below, capacity: (n,) see `fit_lognormal`.
@@ -87,19 +97,22 @@ def fitted(below: Array, capacity: Array, events: Sequence[str]) -> Fragility | 
     if fit is None:
         return None
 
-    def logarithm(quantity: Callable[[Lognormal], float]) -> Callable[[NDArray[np.bool_]], float]:
-        def of_rows(rows: NDArray[np.bool_]) -> float:
-            one = fit_lognormal(below[rows], capacity[rows])
-            return math.nan if one is None else math.log(quantity(one))
+    def of_rows(rows: NDArray[np.bool_]) -> tuple[float, float]:
+        one = fit_lognormal(below[rows], capacity[rows])
+        return (math.nan, math.nan) if one is None else (math.log(one.median), one.dispersion**_POWER)
 
-        return of_rows
-
-    median = jackknife(logarithm(lambda one: one.median), events)
-    dispersion = jackknife(logarithm(lambda one: one.dispersion), events)
+    left_out = _left_out(of_rows, events)
+    if left_out is None:
+        return Fragility(fit, (), ())
+    half_of_median, half = _half_width(left_out).tolist()
+    count, value = len(left_out), fit.dispersion**_POWER
+    centre = value + (count - 1) * (value - float(left_out[:, 1].mean()))
+    # A power that is not positive has no dispersion, so that only the fit's bound is left.
+    ends = [end ** (1.0 / _POWER) if end > 0.0 else LARGEST for end in (centre + half, centre - half)]
     return Fragility(
         fit,
-        () if median is None else _around(fit.median, median),
-        () if dispersion is None else _around(fit.dispersion, dispersion),
+        (fit.median * math.exp(-half_of_median), fit.median * math.exp(half_of_median)),
+        (ends[0], min(ends[1], LARGEST)),
     )
 
 
@@ -113,19 +126,24 @@ def jackknife(statistic: Callable[[NDArray[np.bool_]], float], events: Sequence[
     Returns:
         None with fewer than three events, or where the statistic does not exist without one of them.
     """
-    names, count = np.array(events), len(set(events))
-    if count < 3:
-        return None
-    left_out = np.array([statistic(names != event) for event in dict.fromkeys(events)])
-    if np.isnan(left_out).any():
-        return None
-    error = math.sqrt((count - 1) / count * float(((left_out - left_out.mean()) ** 2).sum()))
-    return float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * error
+    left_out = _left_out(lambda rows: (statistic(rows),), events)
+    return None if left_out is None else float(_half_width(left_out)[0])
 
 
-def _around(value: float, half: float) -> tuple[float, float]:
-    """The interval of a half width in the logarithm."""
-    return value * math.exp(-half), value * math.exp(half)
+def _left_out(statistics: Callable[[NDArray[np.bool_]], tuple[float, ...]], events: Sequence[str]) -> Array | None:
+    """Statistics with one event left out at a time, (events, k); None with fewer than three events, or for NaN."""
+    names = np.array(events)
+    if len(set(events)) < 3:
+        return None
+    found = np.array([statistics(names != event) for event in dict.fromkeys(events)])
+    return None if np.isnan(found).any() else found
+
+
+def _half_width(left_out: Array) -> Array:
+    """Half widths of the intervals of k statistics from their values with one event left out, (events, k)."""
+    count = len(left_out)
+    error = np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    return np.asarray(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE) * error)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.design import Model, Tolerance
 from activefail.risk.ida.capacity import Capacities
-from activefail.risk.ida.collapse import CONFIDENCE, Fragility, Margin
+from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, Margin
 from activefail.risk.ida.equivalent_pulse import PulseComparison
 from activefail.risk.ida.intensity import Intensity
 from activefail.risk.ida.p695 import MarginOptions
@@ -153,6 +153,11 @@ class IdaFindings:
             )
         elif not self.fragility.median:
             notes.append("The curve has no interval: there are too few events, or too few of them with a capacity.")
+        elif self.fragility.dispersion and self.fragility.dispersion[1] == LARGEST:
+            notes.append(
+                f"The interval of the dispersion ends at {LARGEST:g}, the largest that a fit may have: there are too "
+                "few events to say more."
+            )
         if self.fragility is not None and self.fragility.fit.median > self.highest:
             notes.append("The median lies above the highest level: it is an extrapolation. Raise the levels with --to.")
         notes += self.records.notes
