@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -55,26 +56,63 @@ class FeatureMap:
         names: names of the features.
         raw: function of designs, (n, d), to unscaled features, (n, m).
         logarithmic: (m,) whether a feature enters as its logarithm.
-        center: (m,) mean of the (logarithms of) features.
-        spread: (m,) their standard deviation.
+        space: the design space.
         formula: `raw` as differentiable arithmetic on the columns of a design array of any library, list of d -> list
             of m; None if there is no such formula.
+        known: `scaling`, if it is known; it is computed at first use otherwise.
     """
 
     names: tuple[str, ...]
     raw: Callable[[Array], Array]
     logarithmic: np.ndarray
-    center: Array
-    spread: Array
+    space: DesignSpace
     formula: Callable[[Sequence[Any]], list[Any]] | None = None
+    known: tuple[Array, Array] | None = None
 
     def __call__(self, X: Array) -> Array:
         """Scaled features of designs, (n, d) -> (n, m)."""
-        return (self._transformed(X) - self.center) / self.spread
+        center, spread = self.scaling
+        return (self._transformed(X) - center) / spread
+
+    @cached_property
+    def scaling(self) -> tuple[Array, Array]:
+        """Mean and standard deviation of the (logarithms of) features over the design measure, each (m,).
+
+        Raises:
+            InputError: if a feature is not finite over the space, or constant, or varies too little or too much.
+        """
+        return self._scaling_over_space() if self.known is None else self.known
 
     def _transformed(self, X: Array) -> Array:
         F = self.raw(X)
         return np.where(self.logarithmic, np.log(np.where(self.logarithmic, F, 1.0)), F)
+
+    def _scaling_over_space(self) -> tuple[Array, Array]:
+        # A fixed sample: the scaling belongs to the feature set's definition and must not depend on a campaign's seed.
+        X = self.space.sobol(4096, np.random.default_rng(0))
+        F = self._transformed(X)
+        for column, name in enumerate(self.names):
+            bad = np.flatnonzero(~np.isfinite(F[:, column]))
+            if len(bad):
+                raise InputError(
+                    f"classifier.features: {visible(name)} must be finite over the space, got {F[bad[0], column]} "
+                    f"for {dict(zip(self.space.names, X[bad[0]].tolist(), strict=True))}."
+                )
+            if np.ptp(F[:, column]) == 0.0:
+                raise InputError(
+                    f"classifier.features: {visible(name)} must vary over the space, got {F[0, column]} everywhere."
+                )
+        with np.errstate(all="ignore"):  # reported below
+            center, spread = F.mean(axis=0), F.std(axis=0)
+            scaled = (F - center) / spread
+        for column, name in enumerate(self.names):
+            # Squares of tiny differences underflow, and those of huge ones overflow.
+            if not (np.finfo(np.float64).tiny <= spread[column] < np.inf and np.isfinite(scaled[:, column]).all()):
+                raise InputError(
+                    f"classifier.features: {visible(name)} must have a standard deviation over the space that fits a "
+                    f"float64, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
+                )
+        return center, spread
 
 
 @dataclass(frozen=True)
@@ -144,7 +182,10 @@ def _on_all_cores(function: Callable[[Array], Array], X: Array) -> Array:
 
 
 def feature_map(
-    features: FeatureSet | CustomFeatures | ExpressionFeatures, space: DesignSpace, model: Model | None = None
+    features: FeatureSet | CustomFeatures | ExpressionFeatures,
+    space: DesignSpace,
+    model: Model | None = None,
+    check: bool = True,
 ) -> FeatureMap:
     """A feature set on a design space, scaled by its mean and standard deviation over the design measure.
 
@@ -157,11 +198,21 @@ def feature_map(
             lognormal variables enter as logarithms.
         space: the design space.
         model: settings of the bearing model that the sliding block and the reduced model share.
+        check: whether to compute, and so to check, the scaling now; at its first use otherwise.
 
     Raises:
         InputError: if "paper", "sliding" or "collision" is requested for a space without the paper's nine variables, or
             if a feature is not finite over the space, or constant, or varies too little or too much to be scaled.
     """
+    mapped = _mapped(features, space, model)
+    if check:
+        _ = mapped.scaling
+    return mapped
+
+
+def _mapped(
+    features: FeatureSet | CustomFeatures | ExpressionFeatures, space: DesignSpace, model: Model | None
+) -> FeatureMap:
     match features:
         case "design":
             return _scaled(space.names, np.asarray, space, _logarithms(space), list)
@@ -287,29 +338,4 @@ def _scaled(
     # `logarithmic` may cover only the first features.
     mask = np.arange(len(names)) < 0
     mask[: len(logarithmic)] = logarithmic
-    unscaled = FeatureMap(names, raw, mask, np.zeros(len(names)), np.ones(len(names)))
-    # A fixed sample: the scaling belongs to the feature set's definition and must not depend on a campaign's seed.
-    X = space.sobol(4096, np.random.default_rng(0))
-    F = unscaled(X)
-    for column, name in enumerate(names):
-        bad = np.flatnonzero(~np.isfinite(F[:, column]))
-        if len(bad):
-            raise InputError(
-                f"classifier.features: {visible(name)} must be finite over the space, got {F[bad[0], column]} "
-                f"for {dict(zip(space.names, X[bad[0]].tolist(), strict=True))}."
-            )
-        if np.ptp(F[:, column]) == 0.0:
-            raise InputError(
-                f"classifier.features: {visible(name)} must vary over the space, got {F[0, column]} everywhere."
-            )
-    with np.errstate(all="ignore"):  # reported below
-        center, spread = F.mean(axis=0), F.std(axis=0)
-        scaled = (F - center) / spread
-    for column, name in enumerate(names):
-        # Squares of tiny differences underflow, and those of huge ones overflow.
-        if not (np.finfo(np.float64).tiny <= spread[column] < np.inf and np.isfinite(scaled[:, column]).all()):
-            raise InputError(
-                f"classifier.features: {visible(name)} must have a standard deviation over the space that fits a "
-                f"float64, got values from {F[:, column].min()} to {F[:, column].max()}. Use other units."
-            )
-    return FeatureMap(names, raw, mask, center, spread, formula)
+    return FeatureMap(names, raw, mask, space, formula)

@@ -36,7 +36,7 @@ from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
 from activefail.record.layout import COMPARISON, CURVES, DESIGNS, ESTIMATE, REPORT, SCORES
-from activefail.surrogate.threads import one_thread
+from activefail.surrogate.threads import one_thread, one_thread_of_blas
 from activefail.visible import visible
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from activefail.risk.sensitivity.findings import Begin, Sensitivity
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
+    from activefail.surrogate.saved import SavedClassifier
     from activefail.verification.error import ErrorEstimate
     from activefail.verification.probability_estimator import Estimator
 
@@ -119,6 +120,7 @@ class Run:
         # Threads take turns: two that ask at once must not get the same designs.
         self._turn = threading.RLock()
         self._learned: Learned | None = None
+        self._predicts: SavedClassifier | None = None
         self._memory: Memory | None = None
 
     # ------------------------------------------------------------------------------------------- properties
@@ -333,7 +335,7 @@ class Run:
             with rows_named(told):
                 record = asking.correct if correct else asking.tell
                 new = record(self.campaign, self.store, told.ids, told.results, handed_out, warn)
-            self._learned = None
+            self._learned = self._predicts = None
             if correct:
                 # It learned from the former results.
                 self._memory = None
@@ -416,7 +418,7 @@ class Run:
             warn = self._warner(added)
             with rows_named(added):
                 new = add(self.campaign, self.store, added.designs, added.results, warn)
-            self._learned = None
+            self._learned = self._predicts = None
         return new
 
     def _warner(self, results: "ResultTable", others: "Sequence[str]" = ()) -> Callable[[], None]:
@@ -508,7 +510,7 @@ class Run:
                 )
             finally:
                 # The loop recorded results and saved newer states, also if it failed later.
-                self._learned = self._memory = None
+                self._learned = self._predicts = self._memory = None
         progress = standing(self.campaign, self.store.batches, target)
         stop_rule = how_stop_rule_was_met(self.settings, progress.done) if finished and progress.done < target else ""
         return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
@@ -543,6 +545,24 @@ class Run:
                 else:
                     self._learned = current(self.campaign, self.store, self._write, self._remembered)
             return self._learned
+
+    def _predicting(self, after: int | None = None) -> "SavedClassifier":
+        """The classifier of all recorded simulations, or of the first ones, for predictions alone.
+
+        It comes from the saved state where this is of all simulations, so that torch is not loaded.
+        """
+        from activefail.loop.learning import saved_current
+        from activefail.surrogate.saved import SavedClassifier
+
+        if after is not None:
+            return SavedClassifier.of(self.classifier_after(after))
+        with self._turn:
+            if self._predicts is None and self._learned is None and len(self.history):
+                with one_thread_of_blas():
+                    self._predicts = saved_current(self.campaign, self.store)
+            if self._predicts is None:
+                self._predicts = SavedClassifier.of(self.classifier)
+            return self._predicts
 
     @property
     def _remembered(self) -> "Memory":
@@ -620,8 +640,8 @@ class Run:
         """
         from activefail.findings.dataframes import designs_of, predictions_frame
 
-        designs, classifier = designs_of(self.campaign, X), self.classifier
-        with one_thread():
+        designs, classifier = designs_of(self.campaign, X), self._predicting()
+        with one_thread_of_blas():
             # The table's own index: pandas joins columns by it.
             return predictions_frame(self.campaign, classifier, designs, X.index if hasattr(X, "columns") else None)
 
@@ -661,8 +681,8 @@ class Run:
         from activefail.findings.tables import predict_table
 
         source, target = source_of("source", source), target_of("target", target)
-        classifier = self.classifier if after is None else self.classifier_after(after)
-        with one_thread():
+        classifier = self._predicting(after)
+        with one_thread_of_blas():
             return predict_table(self.campaign, classifier, source, target, begin)
 
     def export_table(self, target: "Target | str") -> int:

@@ -30,7 +30,7 @@ from activefail.surrogate.covariance import JITTER
 from activefail.surrogate.sites import Sites, solve_sites
 
 PROBIT = sites.probit_expectations
-NODES, WEIGHTS = sites.NODES, sites.WEIGHTS
+NODES, WEIGHTS = sites.quadrature()
 
 
 def density(z, log_scale):

@@ -26,7 +26,7 @@ ALL = {*LEARNING, "scipy", "numba", "matplotlib"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run folder with a saved classifier, and a table of designs beside it."""
+    """A finished run folder with a classifier that this version saved, and a table of designs beside it."""
     run = Path(shutil.copytree(OLD_RUNS / "finished" / "paper", tmp_path_factory.mktemp("paper") / "run"))
     table = run.with_name("all.csv")
     assert activefail("export", run, "--csv", table).code == 0
@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["--help"], ALL),
         (["status", "run"], ALL),
         (["export", "run", "--csv", "again.csv"], {*LEARNING, "matplotlib"}),
-        (["predict", "run", "--csv", "designs.csv", "--out", "predicted.csv"], {*MODEL, "matplotlib"}),
+        (["predict", "run", "--csv", "designs.csv", "--out", "predicted.csv"], {*LEARNING, "matplotlib"}),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )

@@ -40,7 +40,7 @@ class TorchFeatures(torch.nn.Module):
             )
         self._formula = features.formula
         self._logarithmic = torch.from_numpy(np.asarray(features.logarithmic, dtype=bool))
-        self._center, self._spread = torch.from_numpy(features.center), torch.from_numpy(features.spread)
+        self._center, self._spread = (torch.from_numpy(array) for array in features.scaling)
         self._space = space
 
     def forward(self, U: Tensor) -> Tensor:

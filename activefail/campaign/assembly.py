@@ -59,6 +59,7 @@ class Campaign:
         *,
         simulator: Simulator | None = None,
         custom_features: bool = True,
+        check_features: bool = True,
     ) -> "Campaign":
         """Build the campaign that the settings describe.
 
@@ -70,6 +71,7 @@ class Campaign:
                 None.
             simulator: replaces the simulator in the settings.
             custom_features: whether features that are a Python function are needed; if not, the variables replace them.
+            check_features: whether to check now that features can be scaled; at their first use otherwise.
 
         Raises:
             InputError: if simulator, design space, features and boundary are inconsistent.
@@ -89,7 +91,7 @@ class Campaign:
                 )
         _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
-        mapped = feature_map(features, space, settings.bearing.model())
+        mapped = feature_map(features, space, settings.bearing.model(), check_features)
         return cls(settings, space, simulator, mapped, question_of(settings, space), sources | source, code)
 
     @property

@@ -28,14 +28,14 @@ def read_campaign(
         path: the campaign file.
         seed, budget: replace those of the file.
         code, run, features: see `Campaign.of`.
-        frozen: whether the file is that of a run folder (see `parse_settings`).
+        frozen: whether the file is that of a run folder (see `parse_settings`), which was checked when it was created.
 
     Raises:
         InputError: naming the file and the rule, if the file is unreadable, invalid or inconsistent.
     """
     settings = read_settings(path, frozen).with_overrides(seed, budget)
     try:
-        return Campaign.of(settings, code, run, custom_features=features)
+        return Campaign.of(settings, code, run, custom_features=features, check_features=not frozen)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

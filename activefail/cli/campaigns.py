@@ -184,9 +184,6 @@ def predict(
     with table_output("--out", out) as target:
         with opened_run(folder, code=code) as opened:
             summary = opened.summary if after is None else opened.summary_after(after)
-            if after is None:
-                opened.learn()
-                show_warnings(opened.store.new_warnings())
             with progress_bar("predicting") as begin:
                 outside = opened.predict_table(table_input(csv), target, begin, after)
             show_unseen(summary)

@@ -36,6 +36,7 @@ from activefail.reliability.estimate import Standardised
 from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array
+from activefail.surrogate.moments import outcome_probabilities
 from activefail.visible import or_worse, visible
 
 if TYPE_CHECKING:
@@ -200,7 +201,7 @@ class Answers:
         with self.turn():
             F = self.campaign.features(np.array([point]))
             moments = [latent.moments(F) for latent in classifier.latents]
-            probabilities = classifier.weighed(moments)[0]
+            probabilities = outcome_probabilities(moments)[0]
         boundaries = []
         for name, latent_moments in zip(self.outcomes[1:], moments, strict=True):
             low, high = (float(end[0]) for end in interval(latent_moments))

@@ -17,7 +17,7 @@ LONG = 4.0
 
 def length_scales(classifier: Classifier) -> Array:
     """Length scales in standard deviations of each feature over the design space, (boundaries, m)."""
-    return np.stack([np.exp(latent.trained.hyperparameters.log_lengthscale.numpy()) for latent in classifier.latents])
+    return np.stack([np.exp(latent.trained.hyperparameters.log_lengthscale) for latent in classifier.latents])
 
 
 def plot_length_scales(scales: Array, quantities: Sequence[Quantity], outcomes: Sequence[str]) -> Figure:

@@ -131,7 +131,7 @@ def _variable_coordinates(findings: Findings) -> Coordinates:
     # variables' influence on the prediction.
     if campaign.features.names == space.names:
         latent = findings.classifier.latents[campaign.severity - 1]
-        order = np.argsort(latent.trained.hyperparameters.log_lengthscale.numpy())
+        order = np.argsort(latent.trained.hyperparameters.log_lengthscale)
     else:
         order = np.argsort(-findings.influence, kind="stable")
     middle = 0.5 * (space.low + space.high)

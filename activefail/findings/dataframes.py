@@ -17,7 +17,7 @@ from activefail.space import Array
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from activefail.surrogate.classifier import Classifier
+    from activefail.surrogate.saved import SavedClassifier
 
 
 def designs_frame(campaign: Campaign, asked: Asked) -> "DataFrame":
@@ -52,7 +52,7 @@ def corrections_frame(campaign: Campaign, store: Store) -> "DataFrame":
     return pd.DataFrame(columns)
 
 
-def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array, index: Any = None) -> "DataFrame":
+def predictions_frame(campaign: Campaign, classifier: "SavedClassifier", X: Array, index: Any = None) -> "DataFrame":
     """Predictions for designs, (n, d): the variables, the probability of each outcome, and the latent's moments.
 
     Args:
@@ -62,8 +62,9 @@ def predictions_frame(campaign: Campaign, classifier: "Classifier", X: Array, in
     """
     import pandas as pd
 
-    latent = classifier.latent(campaign.settings.acquisition.main_boundary).moments(campaign.features(X))
-    values = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
+    from activefail.findings.prediction import predicted_values
+
+    values = predicted_values(campaign, classifier, X)
     columns = dict(zip(campaign.space.names, X.T, strict=True))
     return pd.DataFrame(columns | dict(zip(predicted_columns(classifier.outcomes), values.T, strict=True)), index=index)
 

@@ -8,7 +8,8 @@ from scipy.special import ndtr
 from activefail.campaign.assembly import Campaign
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Moments
-from activefail.surrogate.moments import MarginMoments
+from activefail.surrogate.moments import MarginMoments, outcome_probabilities
+from activefail.surrogate.saved import SavedClassifier
 
 CONFIDENCE = 0.95
 """Confidence of the intervals of probabilities in the report and the explorer."""
@@ -55,9 +56,17 @@ def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
     latents = [latent.moments(F) for latent in classifier.latents]
     moments = latents[campaign.severity - 1]
     return Prediction(
-        classifier.weighed(latents),
+        outcome_probabilities(latents),
         *interval(moments),
         moments.probability,
         moments.mean,
         moments.sd,
     )
+
+
+def predicted_values(campaign: Campaign, classifier: SavedClassifier, X: Array) -> Array:
+    """The values of `predicted_columns` for designs, (n, d) -> (n, number of outcomes + 2)."""
+    F = classifier.features(X)
+    latents = [latent.moments(F) for latent in classifier.latents]
+    moments = latents[campaign.severity - 1]
+    return np.column_stack([outcome_probabilities(latents), moments.mean, moments.sd])

@@ -19,7 +19,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, Results, cause_na
 from activefail.space import Array
 
 if TYPE_CHECKING:
-    from activefail.surrogate.classifier import Classifier
+    from activefail.surrogate.saved import SavedClassifier
 
 _ORIGINS = {INITIAL: "seed", ACTIVE: "active", CHECK: "check", GIVEN: "given"}
 
@@ -95,7 +95,7 @@ def simulate_table(
 
 def predict_table(
     campaign: Campaign,
-    classifier: "Classifier",
+    classifier: "SavedClassifier",
     source: Source,
     target: Target,
     begin: Callable[[int], Advance] = lambda _: lambda _: None,
@@ -108,12 +108,14 @@ def predict_table(
     Raises:
         InputError: naming the file, row, column, rule and value of the first bad cell; nothing is written then.
     """
-    space, boundary = campaign.space, campaign.settings.acquisition.main_boundary
+    from activefail.findings.prediction import predicted_values
+
+    space = campaign.space
     added = predicted_columns(classifier.outcomes)
 
     def check(design: Array) -> str | None:
         with np.errstate(all="ignore"):
-            if np.isfinite(campaign.features(design[None])).all():
+            if np.isfinite(classifier.features(design[None])).all():
                 return None
         for parameter, value in zip(space.parameters, design.tolist(), strict=True):
             if parameter.low > 0.0 >= value:
@@ -127,8 +129,7 @@ def predict_table(
         with writing(target, [*table.header, *added]) as write:
             for texts, X in table.chunks():
                 outside += int(np.count_nonzero(~space.contains(X)))
-                latent = classifier.latent(boundary).moments(campaign.features(X))
-                predictions = np.column_stack([classifier.probabilities(X), latent.mean, latent.sd])
+                predictions = predicted_values(campaign, classifier, X)
                 write([[*text, *map(repr, row)] for text, row in zip(texts, predictions.tolist(), strict=True)])
                 advance(len(X))
     return outside

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from activefail.record.batch import Batch
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, LearnableMargins, train
-from activefail.surrogate.state import classifier_from_state, classifier_state
+from activefail.surrogate.saved import SavedClassifier
+from activefail.surrogate.state import classifier_from_state, classifier_state, saved_classifier
 
 
 def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier | None) -> Classifier:
@@ -52,8 +53,7 @@ def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     return LearnableMargins(values, columns, learns != "auto")
 
 
-Saved = tuple[int, dict[str, NDArray[Any]], Classifier]
-"""A saved state: its iteration, its arrays and its classifier."""
+AnyClassifier = TypeVar("AnyClassifier", Classifier, SavedClassifier)
 
 
 def restore(
@@ -61,14 +61,16 @@ def restore(
     store: Store,
     through: int,
     check: Callable[[int, Mapping[str, NDArray[Any]]], None] = lambda iteration, state: None,
-) -> Saved | None:
-    """The newest valid state up to iteration `through`; None if there is none.
+    build: Callable[..., AnyClassifier] = classifier_from_state,
+) -> tuple[int, dict[str, NDArray[Any]], AnyClassifier] | None:
+    """The newest valid state up to iteration `through`: its iteration, arrays and classifier; None if there is none.
 
     Args:
         campaign: the campaign of the state.
         store: the store that holds it.
         through: the last recorded iteration.
         check: further check of a state; raises DamagedError.
+        build: restores the classifier; takes the arguments of `classifier_from_state`.
     """
     kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
     while (saved := store.latest_state()) is not None and saved[0] <= through:
@@ -77,9 +79,7 @@ def restore(
         try:
             check(iteration, state)
             margins = margins_of(campaign, known)
-            classifier = classifier_from_state(
-                state, known.designs, known.outcome, outcomes, campaign.features, kernel, margins
-            )
+            classifier = build(state, known.designs, known.outcome, outcomes, campaign.features, kernel, margins)
             return iteration, state, classifier
         except KeyError:  # an older version saved fewer arrays: retrain from the record
             break
@@ -162,6 +162,13 @@ def current(campaign: Campaign, store: Store, write: bool, memory: Memory | None
     # In this order: interrupted between two of them, the memory does not hold.
     memory.simulations, memory.learned, memory.iteration = len(history), learned, last
     return learned
+
+
+def saved_current(campaign: Campaign, store: Store) -> SavedClassifier | None:
+    """The classifier of all recorded batches, for predictions alone; None if no saved state holds it."""
+    last = History.of(store.batches).last_iteration
+    saved = restore(campaign, store, last, lambda _, state: check_looks(campaign, state), saved_classifier)
+    return saved[2] if saved is not None and saved[0] == last else None
 
 
 def classifier_after(campaign: Campaign, batches: Sequence[Batch]) -> Classifier:

@@ -215,7 +215,7 @@ def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
             return _Trained(process.probability, scales, scales > 0.99 * LENGTH_SCALE[1], process.converged)
         case _:
             fitted = fit(torch.from_numpy(F), torch.from_numpy(np.where(failed, 1.0, -1.0)), "rbf")
-            scales = np.exp(fitted.hyperparameters.log_lengthscale.numpy())
+            scales = np.exp(fitted.hyperparameters.log_lengthscale)
             latent = Latent(fitted)
             # Its weak prior keeps length scales finite, and its search always ends at a minimum.
             return _Trained(lambda G: latent.moments(G).probability, scales, np.zeros(len(scales), dtype=bool), True)

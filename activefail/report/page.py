@@ -176,7 +176,7 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
     def in_units(length: float, column: int, unit: str) -> str:
         if length > LONG:
             return "more than its range"
-        step = length * float(features.spread[column])
+        step = length * float(features.scaling[1][column])
         if features.logarithmic[column]:
             return f"a factor of {significant(float(np.exp(step)), 2)}"
         return f"± {significant(step, 2)} {unit}".rstrip()

@@ -12,36 +12,31 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, softmax
-from torch import Tensor
 
 from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array
 from activefail.surrogate.fitting import Fit, Readout, fit, leave_one_out, predict, predict_jointly, readout
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.margin import LARGEST_FEATURE, ROWS_AT_ONCE, MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
 from activefail.surrogate.moments import Moments as Moments
+from activefail.surrogate.moments import outcome_probabilities
 
 if TYPE_CHECKING:
+    import torch
     from botorch.models.approximate_gp import ApproximateGPyTorchModel
+    from torch import Tensor
+else:
+    from activefail.surrogate import lazy_torch as torch
 
 Kernel = Literal["rbf", "matern52"]
 
-_ROWS_AT_ONCE = 4096
-"""Most points per call of a prediction, which limits its memory to n x 4096 numbers."""
 
-
-_FARTHEST = 1e3
-"""Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space."""
-
-
-def _bounded(F: Array) -> Tensor:
+def _bounded(F: Array) -> "Tensor":
     # Far outside the space nothing is known, and one huge number would dominate the sums of squares in the covariance
     # of the other rows.
-    return torch.from_numpy(np.clip(F, -_FARTHEST, _FARTHEST))
+    return torch.from_numpy(np.clip(F, -LARGEST_FEATURE, LARGEST_FEATURE))
 
 
 @dataclass(frozen=True)
@@ -80,7 +75,7 @@ class Latent:
     def moments(self, F: Array) -> Moments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         means, variances = zip(
-            *(predict(self.trained, self.readout, rows) for rows in _bounded(F).split(_ROWS_AT_ONCE)), strict=True
+            *(predict(self.trained, self.readout, rows) for rows in _bounded(F).split(ROWS_AT_ONCE)), strict=True
         )
         return Moments(torch.cat(means).numpy(), torch.cat(variances).sqrt().numpy())
 
@@ -115,24 +110,12 @@ class Classifier:
         return self.latents[self.outcomes.index(outcome) - 1]
 
     def probabilities(self, X: Array) -> Array:
-        """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1.
-
-        Latent i gives the probability P_i that the outcome is at least as severe as outcome i. The latents are taken as
-        independent, conditional on being consistent: p_j ∝ Π_{i≤j} P_i · Π_{i>j} (1 − P_i). So the most severe outcome
-        is slightly less probable than its latent alone predicts.
-        """
+        """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1."""
         F = self.features(X)
-        return self.weighed([latent.moments(F) for latent in self.latents])
-
-    def weighed(self, moments: Sequence[Moments]) -> Array:
-        """As `probabilities`, from the moments of each latent, for callers that need these too."""
-        z = np.stack([latent_moments.standardised for latent_moments in moments], axis=1)
-        beyond = np.pad(np.cumsum(log_ndtr(z), axis=1), ((0, 0), (1, 0)))
-        short = np.pad(np.cumsum(log_ndtr(-z)[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
-        return np.asarray(softmax(beyond + short, axis=1))
+        return outcome_probabilities([latent.moments(F) for latent in self.latents])
 
 
-def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> Tensor:
+def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> "Tensor":
     return torch.from_numpy(np.where(outcome >= severity, 1.0, -1.0))
 
 

@@ -4,13 +4,21 @@ Training and prediction use the values and derivatives of this module. `gpytorch
 covariance in GPyTorch, for BoTorch's model; tests compare the two.
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from scipy.spatial.distance import cdist
-from torch import Tensor
+
+from activefail.space import Array
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+else:
+    from activefail.surrogate import lazy_torch as torch
 
 JITTER = 1e-6
 """Added to the diagonal of K, as in the GPyTorch model of the result."""
@@ -33,7 +41,23 @@ class Hyperparameters(NamedTuple):
 
     mean: float
     log_outputscale: float
-    log_lengthscale: Tensor  # (m,)
+    log_lengthscale: Array  # (m,)
+
+    @property
+    def lengthscale(self) -> Array:
+        """Length scales, (m,)."""
+        return np.asarray(torch.from_numpy(self.log_lengthscale).exp())
+
+
+class SavedHyperparameters(Hyperparameters):
+    """Hyperparameters for predictions without torch, whose exponential may differ from NumPy's in the last bit."""
+
+    __slots__ = ()
+
+    @property
+    def lengthscale(self) -> Array:
+        """Length scales, (m,)."""
+        return np.exp(self.log_lengthscale)
 
 
 def check_kernel(kernel: str) -> None:
@@ -51,7 +75,7 @@ def log_prior(hyperparameters: Hyperparameters) -> tuple[float, Tensor]:
 
     The mode of this density does not depend on the scales' units.
     """
-    log_lengthscale = hyperparameters.log_lengthscale
+    log_lengthscale = torch.from_numpy(hyperparameters.log_lengthscale)
     scales = torch.cat([log_lengthscale.new_tensor([hyperparameters.log_outputscale]), log_lengthscale])
     m = len(log_lengthscale)
     mean, sd = torch.tensor([OUTPUTSCALE_PRIOR, *[length_scale_prior(m)] * m], dtype=torch.float64).T
@@ -59,12 +83,7 @@ def log_prior(hyperparameters: Hyperparameters) -> tuple[float, Tensor]:
     return float((-0.5 * away**2 - sd.log() - 0.5 * math.log(2.0 * math.pi)).sum()), -away / sd
 
 
-def _scaled(hyperparameters: Hyperparameters, *features: Tensor) -> list[np.ndarray]:
-    scale = hyperparameters.log_lengthscale.exp()
-    return [(F / scale).numpy() for F in features]
-
-
-def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tensor) -> Tensor:
+def covariance_array(kernel: str, hyperparameters: Hyperparameters, F: Array, G: Array) -> Array:
     """k(f, g) of features, (n, m) and (l, m) -> (n, l).
 
     Args:
@@ -74,14 +93,15 @@ def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tens
         ValueError: if the kernel is unknown.
     """
     check_kernel(kernel)
-    F_scaled, G_scaled = _scaled(hyperparameters, F, G)
+    scale = hyperparameters.lengthscale
+    F_scaled, G_scaled = F / scale, G / scale
     s2 = math.exp(hyperparameters.log_outputscale)
     if kernel == "rbf":
         K = cdist(F_scaled, G_scaled, "sqeuclidean")
         K *= -0.5
         np.exp(K, out=K)
         K *= s2
-        return torch.from_numpy(K)
+        return np.asarray(K)
     # s² (1 + d + d²/3) exp(−d), d = √5 r; in place, because memory access dominates the time for many points.
     d = cdist(F_scaled, G_scaled)
     d *= math.sqrt(5.0)
@@ -92,7 +112,12 @@ def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tens
     K += d
     K += 1.0
     K *= fall
-    return torch.from_numpy(K)
+    return np.asarray(K)
+
+
+def covariance(kernel: str, hyperparameters: Hyperparameters, F: Tensor, G: Tensor) -> Tensor:
+    """As `covariance_array`, of tensors."""
+    return torch.from_numpy(covariance_array(kernel, hyperparameters, F.numpy(), G.numpy()))
 
 
 def covariance_gradient(
@@ -104,7 +129,8 @@ def covariance_gradient(
         K: k(F, G), (n, l).
         by_K: derivative by each entry of K, (n, l).
     """
-    F_scaled, G_scaled = _scaled(hyperparameters, F, G)
+    scale = hyperparameters.lengthscale
+    F_scaled, G_scaled = F.numpy() / scale, G.numpy() / scale
     by_logarithm = K * by_K
     by_outputscale = by_logarithm.sum().reshape(1)
     # ∂k/∂log ℓ = h (f − g)²/ℓ², where h is k itself (rbf) or s² (5/3) (1 + d) exp(−d) (matern52).

@@ -5,15 +5,15 @@ The hyperparameters maximise the bound at the optimal sites, whose gradient need
 training or prediction; `activefail.surrogate.classifier.Latent.model` passes the result to it.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from scipy.linalg.lapack import dtrtri
-from torch import Tensor
 
 from activefail.surrogate.covariance import (
     JITTER,
@@ -26,6 +26,12 @@ from activefail.surrogate.covariance import (
 from activefail.surrogate.inducing import LEFT, MOST, choose, project
 from activefail.surrogate.sites import Posterior, Projection, Sites, column_squares, posterior, solve_sites, whitened
 from activefail.surrogate.sites import probit_expectations as probit_expectations
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+else:
+    from activefail.surrogate import lazy_torch as torch
 
 EXACT = 1000
 """Most points without inducing points: a step of the sites costs the cube of their number."""
@@ -191,7 +197,7 @@ def _default_start(features: Tensor, labels: Tensor) -> tuple[Hyperparameters, S
     mean = float(torch.special.ndtri(share))
     # A length scale of the features' spread times the root of their number, as in the prior.
     lengthscale = math.log(math.sqrt(m))
-    hyperparameters = Hyperparameters(mean, math.log(10.0), torch.full((m,), lengthscale, dtype=torch.float64))
+    hyperparameters = Hyperparameters(mean, math.log(10.0), np.full(m, lengthscale))
     return hyperparameters, Sites(0.1 * labels, torch.full((n,), 0.1, dtype=torch.float64))
 
 
@@ -292,14 +298,12 @@ def _evaluate_projected(
 
 def pack(hyperparameters: Hyperparameters) -> np.ndarray:
     """Hyperparameters as one vector, (2 + m,), in the order of `Evaluation.gradient`."""
-    return np.concatenate(
-        [[hyperparameters.mean, hyperparameters.log_outputscale], hyperparameters.log_lengthscale.numpy()]
-    )
+    return np.concatenate([[hyperparameters.mean, hyperparameters.log_outputscale], hyperparameters.log_lengthscale])
 
 
 def unpack(packed: np.ndarray) -> Hyperparameters:
     """The inverse of `pack`."""
-    return Hyperparameters(float(packed[0]), float(packed[1]), torch.from_numpy(packed[2:].copy()))
+    return Hyperparameters(float(packed[0]), float(packed[1]), packed[2:].copy())
 
 
 def fit(features: Tensor, labels: Tensor, kernel: str, warm: Fit | None = None, tolerance: float = 1e-3) -> Fit:

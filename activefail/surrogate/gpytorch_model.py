@@ -59,7 +59,7 @@ def set_hyperparameters(covariance: gpytorch.kernels.Kernel, hyperparameters: Hy
     """Write the scales into a covariance from `covariance_module`."""
     with torch.no_grad():
         covariance.raw_outputscale.fill_(hyperparameters.log_outputscale)
-        covariance.base_kernel.raw_lengthscale.copy_(hyperparameters.log_lengthscale.reshape(1, -1))
+        covariance.base_kernel.raw_lengthscale.copy_(torch.from_numpy(hyperparameters.log_lengthscale).reshape(1, -1))
 
 
 class _VariationalGP(gpytorch.models.ApproximateGP):

@@ -9,13 +9,19 @@ GPyTorch's model of the result (`activefail.surrogate.classifier.Latent.model`) 
 compare its posterior and bound with those here.
 """
 
-import math
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+import math
+from typing import TYPE_CHECKING
 
 from activefail.surrogate.covariance import JITTER, Hyperparameters, covariance, prior_covariance
 from activefail.surrogate.sites import Projection, column_squares, whitened
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+else:
+    from activefail.surrogate import lazy_torch as torch
 
 LEFT = 1.0
 """Σ W_i rest_i below which no more inducing points are added; measured, it costs at most a fifth of a nat."""

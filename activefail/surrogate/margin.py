@@ -15,18 +15,21 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import erfcx, log_ndtr
 
 from activefail.space import Array
-from activefail.surrogate.covariance import Hyperparameters, covariance, covariance_gradient
+from activefail.surrogate.covariance import Hyperparameters, covariance_array, covariance_gradient
 from activefail.surrogate.fitting import pack, unpack
 from activefail.surrogate.moments import MarginMoments
 
 if TYPE_CHECKING:
+    import torch
+
     from activefail.surrogate.gpytorch_model import MarginModel
+else:
+    from activefail.surrogate import lazy_torch as torch
 
 KERNEL = "matern52"
 """The kernel of every regression."""
@@ -54,8 +57,8 @@ _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 _ALWAYS, _GROWTH = 30, 0.05
 """Number of points up to which hyperparameters are always relearned, and the growth that triggers it beyond."""
 
-_ROWS_AT_ONCE = 4096
-"""Most points per call of a prediction, which limits its memory."""
+ROWS_AT_ONCE = 4096
+"""Most points per call of a prediction, which limits its memory to n x 4096 numbers."""
 
 LARGEST_FEATURE = 1e3
 """Largest magnitude of a scaled feature in a prediction, in standard deviations over the design space."""
@@ -207,8 +210,7 @@ class MarginFit:
         return bool(top > 0.0 and len(np.unique(self.features[self.margin == top], axis=0)) >= _TIED)
 
     def _covariance(self, F: Array) -> Array:
-        X = torch.from_numpy(self.features)
-        return covariance(KERNEL, self.hyperparameters, X, torch.from_numpy(F)).numpy()
+        return covariance_array(KERNEL, self.hyperparameters, self.features, F)
 
     def moments(self, F: Array) -> tuple[Array, Array]:
         """Mean and standard deviation of the warped margin at scaled features, (l, m); each (l,).
@@ -226,7 +228,7 @@ class MarginFit:
         """Covariance of the warped margins at scaled features, (l, m) and (k, m) -> (l, k), without the nugget."""
         L, _, ones, total = self.solved
         k, j = self._covariance(F), self._covariance(G)
-        prior = covariance(KERNEL, self.hyperparameters, torch.from_numpy(F), torch.from_numpy(G)).numpy()
+        prior = covariance_array(KERNEL, self.hyperparameters, F, G)
         explained = solve_triangular(L, k, lower=True).T @ solve_triangular(L, j, lower=True)
         return np.asarray(prior - explained + np.outer(1.0 - ones @ k, 1.0 - ones @ j) / total)
 
@@ -270,8 +272,7 @@ class MarginFit:
 
 def linear_system(trained: MarginFit) -> tuple[Array, Array]:
     """A = K + site variances, (n, n), and the sites' means, (n,): the warped margins where they are not censored."""
-    X = torch.from_numpy(trained.features)
-    A = covariance(KERNEL, trained.hyperparameters, X, X).numpy()
+    A = covariance_array(KERNEL, trained.hyperparameters, trained.features, trained.features)
     target = WARPINGS[trained.warping][0](trained.margin / trained.unit)
     noise = np.full(len(A), NUGGET * math.exp(trained.hyperparameters.log_outputscale))
     if trained.truncated:
@@ -296,9 +297,8 @@ def penalised_likelihood(
 ) -> PenalisedLikelihood:
     """Log likelihood of warped margins plus the log prior of the length scales, and its gradient."""
     h = unpack(packed)
-    X = torch.from_numpy(features)
-    plain = covariance(KERNEL, h, X, X)
-    K = plain.numpy().copy()
+    plain = covariance_array(KERNEL, h, features, features)
+    K = plain.copy()
     s2 = math.exp(h.log_outputscale)
     K[np.diag_indices(len(K))] += NUGGET * s2
     exact = ~censored
@@ -320,7 +320,8 @@ def penalised_likelihood(
     b = cho_solve((factor, True), target)
     # At the sites' fixed point the likelihood changes with K as that of Gaussian observations does.
     by_K = 0.5 * (np.outer(b, b) - cho_solve((factor, True), np.eye(len(A))))
-    by_scales = covariance_gradient(KERNEL, h, X, X, plain, torch.from_numpy(by_K)).numpy()
+    X, plain_tensor, by_K_tensor = (torch.from_numpy(array) for array in (features, plain, by_K))
+    by_scales = covariance_gradient(KERNEL, h, X, X, plain_tensor, by_K_tensor).numpy()
     by_scales[0] += NUGGET * s2 * float(np.trace(by_K))
     center, sd = length_scale_prior(features.shape[1])
     offset = (packed[2:] - center) / sd
@@ -382,7 +383,7 @@ def _fit_warped(features: Array, margin: Array, truncated: bool, warping: str, w
     y = warp(margin / unit)
     center, _ = length_scale_prior(features.shape[1])
     scale = max(float(y[~censored].std()), 1e-3)
-    lengths = np.full(features.shape[1], center) if warm is None else warm.hyperparameters.log_lengthscale.numpy()
+    lengths = np.full(features.shape[1], center) if warm is None else warm.hyperparameters.log_lengthscale
     start = np.concatenate([[float(y[~censored].mean()), 2.0 * math.log(2.0 * scale)], lengths])
     sites = _first_sites(censored, scale)
 
@@ -458,8 +459,8 @@ class MarginLatent:
     def moments(self, F: Array) -> MarginMoments:
         """Marginal mean and standard deviation at scaled features, (n, m)."""
         F = np.clip(F, -LARGEST_FEATURE, LARGEST_FEATURE)
-        rows = range(0, max(1, len(F)), _ROWS_AT_ONCE)
-        parts = [self._moments(F[first : first + _ROWS_AT_ONCE]) for first in rows]
+        rows = range(0, max(1, len(F)), ROWS_AT_ONCE)
+        parts = [self._moments(F[first : first + ROWS_AT_ONCE]) for first in rows]
         mean, sd = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         return MarginMoments(-mean, sd)
 

@@ -5,16 +5,20 @@ Evidence decides: the log probability that each model gives to the side of a des
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from activefail.space import Array
 from activefail.surrogate.fitting import Fit, fit, leave_one_out
 from activefail.surrogate.margin import MarginFit, fit_margin, is_truncated
+
+if TYPE_CHECKING:
+    import torch
+else:
+    from activefail.surrogate import lazy_torch as torch
 
 OUTCOMES = -1
 """The choice of the outcomes alone."""

@@ -7,14 +7,21 @@ The algebra is implemented here, on dense matrices. Tests compare the posterior 
 check that GPyTorch's optimiser, started there, does not improve the bound (`tests/surrogate/test_fitting.py`).
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from scipy.linalg.blas import dsyrk, dtrmm
 from scipy.linalg.lapack import dtrtri
-from torch import Tensor
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+else:
+    from activefail.surrogate import lazy_torch as torch
 
 _FIRST_SHARE, _LEAST_SHARE = 0.6, 0.02
 """First and least share of a natural-gradient step; undamped steps oscillate."""
@@ -28,8 +35,12 @@ _MEMORY = 6
 _WEAK_SITE = 1e-6
 """Precision of a site times the prior variance below which a point's variance is the prior's to six digits."""
 
-NODES, WEIGHTS = (torch.from_numpy(a) for a in np.polynomial.hermite_e.hermegauss(20))
-WEIGHTS = WEIGHTS / WEIGHTS.sum()
+
+@cache
+def quadrature() -> tuple[Tensor, Tensor]:
+    """Nodes and weights of the Gauss-Hermite rule, (20,)."""
+    nodes, weights = (torch.from_numpy(a) for a in np.polynomial.hermite_e.hermegauss(20))
+    return nodes, weights / weights.sum()
 
 
 class Sites(NamedTuple):
@@ -65,14 +76,15 @@ def probit_expectations(labels: Tensor, mean: Tensor, variance: Tensor) -> tuple
     one quadrature, so that the sites maximise the reported bound. The second derivative is nearly a step in f, which
     the nodes resolve poorly where the latent is wide.
     """
+    nodes, weights = quadrature()
     sd = variance.sqrt()
-    f = mean.unsqueeze(-1) + sd.unsqueeze(-1) * NODES  # n -> n x 20
+    f = mean.unsqueeze(-1) + sd.unsqueeze(-1) * nodes  # n -> n x 20
     y = labels.unsqueeze(-1)
     log_cdf = torch.special.log_ndtr(y * f)
     slope = y * torch.exp(-0.5 * f * f - 0.5 * math.log(2.0 * math.pi) - log_cdf)  # yφ/Φ
     # Negative only by rounding: the slope decreases with f.
-    curvature = (-(slope @ (WEIGHTS * NODES)) / sd).clamp_min(0.0)
-    return log_cdf @ WEIGHTS, slope @ WEIGHTS, curvature
+    curvature = (-(slope @ (weights * nodes)) / sd).clamp_min(0.0)
+    return log_cdf @ weights, slope @ weights, curvature
 
 
 def posterior(prior: Tensor | Projection, prior_mean: float, labels: Tensor, sites: Sites) -> Posterior:

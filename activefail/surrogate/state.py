@@ -1,39 +1,52 @@
 """Conversion of a trained classifier to named arrays and back."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from activefail.errors import DamagedError
 from activefail.features import FeatureMap
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Kernel, Latent, LearnableMargins
-from activefail.surrogate.covariance import Hyperparameters
+from activefail.surrogate.covariance import Hyperparameters, SavedHyperparameters
 from activefail.surrogate.fitting import EXACT, Fit
 from activefail.surrogate.inducing import MOST
 from activefail.surrogate.margin import WARPINGS, CensoredSites, MarginFit, MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES, Choice, defined, usable
+from activefail.surrogate.saved import SavedClassifier, SavedLatent
 from activefail.surrogate.sites import Sites
 
-AnyLatent = TypeVar("AnyLatent", Latent, MarginLatent)
+if TYPE_CHECKING:
+    import torch
+else:
+    from activefail.surrogate import lazy_torch as torch
+
+AnyLatent = TypeVar("AnyLatent", Latent, SavedLatent, MarginLatent)
+OutcomeLatent = TypeVar("OutcomeLatent", Latent, SavedLatent)
+
+State = Mapping[str, NDArray[Any]]
 
 _LARGEST_LOGARITHM = 100.0
 """Largest magnitude of a learned scale's logarithm: the priors keep it far lower, and its square does not overflow."""
 
 
+_SCALING = ("features/center", "features/spread")
+"""The scaling of the features, for predictions alone."""
+
+
 def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
-    """The learned quantities of a classifier, as named arrays."""
-    state: dict[str, Any] = {}
+    """The learned quantities of a classifier, and the scaling of its features, as named arrays."""
+    state: dict[str, Any] = dict(zip(_SCALING, classifier.features.scaling, strict=True))
     for name, latent in zip(classifier.outcomes[1:], classifier.latents, strict=True):
         trained = latent.trained
         state |= {
             f"{name}/mean": np.float64(trained.hyperparameters.mean),
             f"{name}/log_outputscale": np.float64(trained.hyperparameters.log_outputscale),
-            f"{name}/log_lengthscale": trained.hyperparameters.log_lengthscale.numpy(),
+            f"{name}/log_lengthscale": trained.hyperparameters.log_lengthscale,
             f"{name}/learned_on": np.int64(trained.learned_on),
         }
         if isinstance(trained, MarginFit):
@@ -61,9 +74,7 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(array) for name, array in state.items()}
 
 
-def _check_arrays(
-    state: Mapping[str, NDArray[Any]], name: str, expected: Mapping[str, tuple[str, tuple[int, ...]]]
-) -> None:
+def _check_arrays(state: State, name: str, expected: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
     """Check the types and shapes of one boundary's arrays, that they are finite, and that scales are not extreme.
 
     Raises:
@@ -80,7 +91,7 @@ def _check_arrays(
         raise DamagedError("holds a site_precision below 0")
 
 
-def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -> None:
+def _check_state(state: State, name: str, n: int, m: int) -> None:
     """Check the arrays of one boundary's latent, trained on n designs with m features.
 
     Raises:
@@ -112,7 +123,7 @@ def _check_state(state: Mapping[str, NDArray[Any]], name: str, n: int, m: int) -
 
 
 def classifier_from_state(
-    state: Mapping[str, NDArray[Any]],
+    state: State,
     X: Array,
     outcome: NDArray[np.int8],
     outcomes: Sequence[str],
@@ -133,8 +144,64 @@ def classifier_from_state(
         DamagedError: if training cannot produce the arrays, or they give no predictions: an intact file may still come
             from someone else.
     """
+    latents, choices = _restored(state, X, outcome, outcomes, features, kernel, margins, _latent, Hyperparameters)
+    return Classifier(tuple(outcomes), features, latents, choices)
+
+
+def saved_classifier(
+    state: State,
+    X: Array,
+    outcome: NDArray[np.int8],
+    outcomes: Sequence[str],
+    features: FeatureMap,
+    kernel: Kernel,
+    margins: LearnableMargins | None = None,
+) -> SavedClassifier:
+    """The classifier from its `classifier_state`, for predictions alone, with the scaling of the features in the state.
+
+    Args and errors as for `classifier_from_state`.
+    """
+    features = _scaled(features, state, X)
+    latents, _ = _restored(state, X, outcome, outcomes, features, kernel, margins, _saved_latent, SavedHyperparameters)
+    return SavedClassifier(tuple(outcomes), features, latents)
+
+
+def _scaled(features: FeatureMap, state: State, X: Array) -> FeatureMap:
+    """The features with the scaling in a state, trained on designs X, (n, d); earlier versions saved none.
+
+    Raises:
+        DamagedError: if no features have this scaling.
+    """
+    if any(name not in state for name in _SCALING):
+        return features
+    center, spread = (state[name] for name in _SCALING)
+    for name in _SCALING:
+        array = state[name]
+        if array.dtype != np.float64 or array.shape != features.logarithmic.shape or not np.isfinite(array).all():
+            raise DamagedError(f"holds a {name} that is not an array of finite numbers, one for each feature")
+    if not (spread > 0.0).all():
+        raise DamagedError(f"holds a {_SCALING[1]} that is not positive")
+    scaled = replace(features, known=(center, spread))
+    with np.errstate(all="ignore"):
+        if not np.isfinite(scaled(X)).all():
+            raise DamagedError("holds a scaling that gives features that are not finite")
+    return scaled
+
+
+def _restored(
+    state: State,
+    X: Array,
+    outcome: NDArray[np.int8],
+    outcomes: Sequence[str],
+    features: FeatureMap,
+    kernel: Kernel,
+    margins: LearnableMargins | None,
+    of_outcomes: Callable[[State, str, Array, NDArray[np.bool_], Kernel], OutcomeLatent],
+    of_prior: type[Hyperparameters],
+) -> tuple[tuple[OutcomeLatent | MarginLatent, ...], tuple[Choice, ...]]:
+    """The latents and what they are learned from; `of_outcomes` and `of_prior` build them."""
     F = features(X)
-    latents: list[Latent | MarginLatent] = []
+    latents: list[OutcomeLatent | MarginLatent] = []
     choices = []
     for severity, name in enumerate(outcomes[1:], start=1):
         beyond = outcome >= severity
@@ -143,10 +210,10 @@ def classifier_from_state(
             choice = _choice(state[f"{name}/choice"], values, margins.columns, beyond)
             choices.append(choice)
             if choice.margin != OUTCOMES:
-                latents.append(_checked(_margin_latent(state, name, F, values[:, choice.margin])))
+                latents.append(_checked(_margin_latent(state, name, F, values[:, choice.margin], of_prior)))
                 continue
-        latents.append(_checked(_latent(state, name, F, beyond, kernel)))
-    return Classifier(tuple(outcomes), features, tuple(latents), tuple(choices))
+        latents.append(_checked(of_outcomes(state, name, F, beyond, kernel)))
+    return tuple(latents), tuple(choices)
 
 
 def _choice(array: NDArray[Any], margins: Array, columns: Collection[int], beyond: NDArray[np.bool_]) -> Choice:
@@ -166,17 +233,30 @@ def _choice(array: NDArray[Any], margins: Array, columns: Collection[int], beyon
     return choice
 
 
-def _hyperparameters(state: Mapping[str, NDArray[Any]], name: str) -> Hyperparameters:
-    return Hyperparameters(
+AnyPrior = TypeVar("AnyPrior", bound=Hyperparameters)
+
+
+def _hyperparameters(state: State, name: str, kind: type[AnyPrior]) -> AnyPrior:
+    return kind(
         float(state[f"{name}/mean"]),
         float(state[f"{name}/log_outputscale"]),
-        torch.from_numpy(state[f"{name}/log_lengthscale"]),
+        state[f"{name}/log_lengthscale"],
     )
 
 
-def _latent(
-    state: Mapping[str, NDArray[Any]], name: str, F: Array, beyond: NDArray[np.bool_], kernel: Kernel
-) -> Latent:
+def _saved_latent(state: State, name: str, F: Array, beyond: NDArray[np.bool_], kernel: Kernel) -> SavedLatent:
+    _check_state(state, name, *F.shape)
+    return SavedLatent(
+        kernel,
+        F,
+        _hyperparameters(state, name, SavedHyperparameters),
+        state[f"{name}/site_linear"],
+        state[f"{name}/site_precision"],
+        state.get(f"{name}/inducing"),
+    )
+
+
+def _latent(state: State, name: str, F: Array, beyond: NDArray[np.bool_], kernel: Kernel) -> Latent:
     _check_state(state, name, *F.shape)
     inducing = state.get(f"{name}/inducing")
     return Latent(
@@ -184,7 +264,7 @@ def _latent(
             kernel,
             torch.from_numpy(F),
             torch.from_numpy(np.where(beyond, 1.0, -1.0)),
-            _hyperparameters(state, name),
+            _hyperparameters(state, name, Hyperparameters),
             Sites(torch.from_numpy(state[f"{name}/site_linear"]), torch.from_numpy(state[f"{name}/site_precision"])),
             float(state[f"{name}/elbo"]),
             int(state[f"{name}/evaluations"]),
@@ -194,7 +274,7 @@ def _latent(
     )
 
 
-def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margin: Array) -> MarginLatent:
+def _margin_latent(state: State, name: str, F: Array, margin: Array, of_prior: type[Hyperparameters]) -> MarginLatent:
     values, has_undefined = defined(margin)
     number, reals = ("<f8", ()), "<f8"
     for key in ("truncated", "warping", "learned_on"):
@@ -222,7 +302,7 @@ def _margin_latent(state: Mapping[str, NDArray[Any]], name: str, F: Array, margi
             truncated=bool(truncated),
             warping=list(WARPINGS)[warping],
             unit=float(state[f"{name}/unit"]),
-            hyperparameters=_hyperparameters(state, name),
+            hyperparameters=_hyperparameters(state, name, of_prior),
             sites=CensoredSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"]),
             log_likelihood=math.nan,
             learned_on=learned_on,

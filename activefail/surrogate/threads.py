@@ -5,15 +5,23 @@ from contextlib import contextmanager
 
 
 @contextmanager
+def one_thread_of_blas() -> Iterator[None]:
+    """As `one_thread`, where torch is not used."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+@contextmanager
 def one_thread() -> Iterator[None]:
     """Limit torch and BLAS to one thread, so that sums have the same order in every run and workers get the cores."""
     import torch
-    from threadpoolctl import threadpool_limits
 
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        with threadpool_limits(1):
+        with one_thread_of_blas():
             yield
     finally:
         torch.set_num_threads(before)

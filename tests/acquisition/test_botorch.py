@@ -52,7 +52,7 @@ def test_the_features_in_torch_are_the_features(learned):
 
 
 def test_features_that_are_only_a_function_are_refused():
-    opaque = FeatureMap(("v",), lambda X: X[:, :1], np.array([False]), np.zeros(1), np.ones(1))
+    opaque = FeatureMap(("v",), lambda X: X[:, :1], np.array([False]), TABLE_1)
     with pytest.raises(InputError, match="Gradients require features that are expressions; v come from a Python"):
         TorchFeatures(opaque, TABLE_1)
 

@@ -280,7 +280,7 @@ def test_scores_that_no_comparison_could_have_had_are_refused_by_row(tmp_path, c
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
     with open_campaign(folder, write=False) as (campaign, store):
         classifier = current_classifier(campaign, store, write=False)
-    scales = np.exp(classifier.latent("failure").trained.hyperparameters.log_lengthscale.numpy())
+    scales = np.exp(classifier.latent("failure").trained.hyperparameters.log_lengthscale)
     rows = Page(html).tables["lengths"][1:]
     shown = {row[0]: row[4] for row in rows}
     names = [quantity.text.replace("_", "") for quantity in quantities.features(campaign)]

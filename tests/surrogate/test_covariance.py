@@ -15,7 +15,7 @@ from activefail.surrogate.covariance import (
 )
 from activefail.surrogate.gpytorch_model import covariance_module, set_hyperparameters
 
-SCALES = Hyperparameters(0.3, 2.1, torch.tensor([-0.4, 0.9, 0.1], dtype=torch.float64))
+SCALES = Hyperparameters(0.3, 2.1, np.array([-0.4, 0.9, 0.1]))
 
 
 def gpytorch_s(kernel):

@@ -23,7 +23,7 @@ def points(n, m=2, seed=0):
 
 
 def hyperparameters(m=2, mean=0.3, outputscale=9.0, lengthscale=1.3):
-    return Hyperparameters(mean, math.log(outputscale), torch.full((m,), math.log(lengthscale), dtype=torch.float64))
+    return Hyperparameters(mean, math.log(outputscale), np.full(m, math.log(lengthscale)))
 
 
 @pytest.mark.parametrize("label", [1.0, -1.0])

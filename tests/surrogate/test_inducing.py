@@ -22,7 +22,7 @@ def points(n, m=3, seed=0):
 
 
 def hyperparameters(m=3, mean=0.3, outputscale=25.0, lengthscale=1.5):
-    return Hyperparameters(mean, math.log(outputscale), torch.full((m,), math.log(lengthscale), dtype=torch.float64))
+    return Hyperparameters(mean, math.log(outputscale), np.full(m, math.log(lengthscale)))
 
 
 def uniform_sites(y):

@@ -321,7 +321,7 @@ def _notes_on_rareness(found: Decomposition, samples: int) -> list[str]:
 
 def length_scales(latent: Latent | MarginLatent, features: FeatureMap) -> dict[str, float]:
     """Length scales of a boundary's latent by feature, in standard deviations of the feature over the design space."""
-    scales = np.exp(latent.trained.hyperparameters.log_lengthscale.numpy())
+    scales = np.exp(latent.trained.hyperparameters.log_lengthscale)
     return dict(zip(features.names, scales.tolist(), strict=True))
 
 
