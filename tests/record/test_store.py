@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace as changed
 from itertools import pairwise
@@ -216,18 +217,35 @@ def test_a_folder_that_cannot_be_written_is_refused_with_the_systems_reason(
         FolderStore.open(tmp_path / "there", SCHEMA, write=True)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_without_permission_to_write_is_refused(tmp_path: Path) -> None:
-    written(tmp_path / "run", 2)
-    (tmp_path / "run").chmod(0o500)
-    (tmp_path / "run" / ".lock").chmod(0o400)
+@pytest.fixture
+def place_of_a_user(tmp_path: Path) -> Iterator[Path]:
+    """A folder of the user who runs the test. That is not root, who may write everywhere."""
+    if os.geteuid() != 0:
+        yield tmp_path
+        return
+    nobody = 65534
+    with tempfile.TemporaryDirectory() as folder:
+        os.chown(folder, nobody, nobody)
+        os.seteuid(nobody)
+        try:
+            yield Path(folder)
+        finally:
+            os.seteuid(0)
+
+
+def test_a_folder_without_permission_to_write_is_refused(place_of_a_user: Path) -> None:
+    run = place_of_a_user / "run"
+    written(run, 2)
+    run.chmod(0o500)
+    (run / ".lock").chmod(0o400)
     try:
         with pytest.raises(StoreError, match="Permission denied"):
-            FolderStore.open(tmp_path / "run", SCHEMA, write=True)
+            FolderStore.open(run, SCHEMA, write=True)
         with pytest.raises(StoreError, match="Permission denied"):
-            FolderStore.create(tmp_path / "run" / "new", SETTINGS, SCHEMA)
+            FolderStore.create(run / "new", SETTINGS, SCHEMA)
     finally:
-        (tmp_path / "run").chmod(0o700)
+        run.chmod(0o700)
+    FolderStore.open(run, SCHEMA, write=False).close()
 
 
 def test_a_file_system_without_hard_links_is_refused_before_simulating(
