@@ -5,8 +5,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from activefail.screen import terminal
 from activefail.shares import interval_percent, lognormal_interval, percent
@@ -15,8 +16,11 @@ from activefail.visible import visible
 
 if TYPE_CHECKING:
     from activefail.campaign.assembly import Campaign
+    from activefail.execution.executor import AsynchronousExecutor
     from activefail.loop.probability_rule import Looks
     from activefail.loop.progress import Observer, Progress
+    from activefail.simulators.interface import Results, Simulator
+    from activefail.space import Array
     from activefail.verification.error import ErrorEstimate
 
 
@@ -50,7 +54,7 @@ def with_times(enter: Callable[[str], None]) -> Callable[[str], None]:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]:
-    """A progress bar on a terminal, otherwise nothing.
+    """A progress bar on a terminal and in a notebook, otherwise nothing.
 
     Yields a function that takes the total number of rows and returns a callback for finished rows.
     """
@@ -58,6 +62,9 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(file=terminal(sys.stderr), stderr=True)
+    if console.is_jupyter:
+        # Rich's own bars for notebooks need ipywidgets; a cell shows a line that returns to its start.
+        console = Console(file=sys.stderr, force_terminal=True, force_jupyter=False, width=79)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=is_quiet() or not console.is_terminal) as bar:
 
@@ -66,6 +73,32 @@ def progress_bar(title: str) -> Iterator[Callable[[int], Callable[[int], None]]]
             return lambda done: bar.advance(task, done)
 
         yield begin
+
+
+@dataclass(frozen=True)
+class ShownExecutor:
+    """An executor that shows a progress bar while it simulates designs."""
+
+    executor: "AsynchronousExecutor"
+
+    def run(self, simulator: "Simulator", X: "Array", progress: Callable[[int], None] | None = None) -> "Results":
+        """As `Executor.run`."""
+        with progress_bar("simulating") as begin:
+            show = begin(len(X))
+
+            def advance(done: int) -> None:
+                show(done)
+                if progress is not None:
+                    progress(done)
+
+            return self.executor.run(simulator, X, advance)
+
+    def __enter__(self) -> Self:
+        self.executor.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.executor.__exit__(*exception)
 
 
 @contextmanager

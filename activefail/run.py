@@ -27,7 +27,7 @@ from activefail.arguments import (
 )
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
-from activefail.display import campaign_display
+from activefail.display import ShownExecutor, campaign_display
 from activefail.errors import InputError, StoreError
 from activefail.files import writing_to
 from activefail.findings.summary import Summary
@@ -715,7 +715,7 @@ class Run:
         check_whole("simulations", simulations, 1)
         self._check_initial_design("verify")
         classifier, iteration = self.classifier, self.history.last_iteration
-        with nullcontext(executor) if executor else self._local_executor() as pool, one_thread():
+        with nullcontext(executor) if executor else self._shown_executor() as pool, one_thread():
             return verify(self.campaign, self.store, pool, classifier, iteration, simulations, confidence)
 
     def probability(
@@ -956,7 +956,7 @@ class Run:
 
         self._check_initial_design("estimate")
         learned, last = self.learn(stage), self.history.last_iteration
-        with nullcontext(executor) if executor or not simulates else self._local_executor() as pool, one_thread():
+        with nullcontext(executor) if executor or not simulates else self._shown_executor() as pool, one_thread():
             yield Estimator(self.campaign, self.store, pool, learned.classifier, last)
 
     def _boundary_named(self, outcome: str | None) -> str:
@@ -1020,7 +1020,7 @@ class Run:
         from activefail.figures.style import save_png_and_svg
 
         check_whole("hypercubes", hypercubes, 1)
-        with nullcontext(executor) if executor else self._local_executor() as pool:
+        with nullcontext(executor) if executor else self._shown_executor() as pool:
             scores = compare(self.campaign, self.store, pool, budgets, test_designs, stage, static, hypercubes)
         results = self.folder / COMPARISON
         figure = plot_learning_curves(scores, self.boundary, scores[0].test_designs)
@@ -1084,6 +1084,9 @@ class Run:
         with writing_to(target):
             write_report(page, target)
         return evidence
+
+    def _shown_executor(self) -> ShownExecutor:
+        return ShownExecutor(self._local_executor())
 
     def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
         from activefail.execution.local import local_executor

@@ -188,8 +188,8 @@ def _simulate_one(
     if animate is not None:
         from activefail.figures.animation import save_animation
 
-        with writing_to(animate):
-            save_animation(response, animate)
+        with writing_to(animate), progress_bar("drawing") as begin:
+            save_animation(response, animate, begin=begin)
         _print_file("film", animate, as_json)
     if response.outcome_name == "numerical_failure":
         raise typer.Exit(1)

@@ -4,7 +4,7 @@ import importlib.util
 import math
 import shutil
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,13 @@ WIDTH = 8.0
 """Width of a frame [inch], at 100 pixels per inch."""
 
 
-def save_animation(response: Response, path: str | Path, fps: float = 25.0, slow_motion: float | None = None) -> Path:
+def save_animation(
+    response: Response,
+    path: str | Path,
+    fps: float = 25.0,
+    slow_motion: float | None = None,
+    begin: Callable[[int], Callable[[int], None]] = lambda _: lambda _: None,
+) -> Path:
     """Write an animation of the bearing, from just before it moves to its failure or the end of the simulation.
 
     Args:
@@ -55,6 +61,7 @@ def save_animation(response: Response, path: str | Path, fps: float = 25.0, slow
         path: file to write, .gif or .mp4; MP4 needs ffmpeg.
         fps: frames per second; fewer if there would be more than `MOST_FRAMES`.
         slow_motion: seconds of animation per second of motion; if None, for about ten seconds of animation.
+        begin: called with the number of frames; returns a callback for drawn frames.
 
     Returns:
         The path.
@@ -82,12 +89,18 @@ def save_animation(response: Response, path: str | Path, fps: float = 25.0, slow
     count = int(np.clip(round(fps * film) + 1, 12, MOST_FRAMES))
     times = np.linspace(motion.onset, motion.end, count)
     interval = film / (count - 1)
-    frames = render(motion, times, slow_motion)
+    frames = _counted(render(motion, times, slow_motion), begin(count))
     if suffix == ".gif":
         _write_gif(path, frames, count, interval)
     else:
         _write_mp4(path, frames, interval, ffmpeg)
     return path
+
+
+def _counted(frames: Iterator[Frame], advance: Callable[[int], None]) -> Iterator[Frame]:
+    for frame in frames:
+        yield frame
+        advance(1)
 
 
 def default_slow_motion(duration: float) -> float:

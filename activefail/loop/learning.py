@@ -61,8 +61,7 @@ def restore(
     store: Store,
     through: int,
     check: Callable[[int, Mapping[str, NDArray[Any]]], None] = lambda iteration, state: None,
-    build: Callable[..., AnyClassifier] = classifier_from_state,
-) -> tuple[int, dict[str, NDArray[Any]], AnyClassifier] | None:
+) -> tuple[int, dict[str, NDArray[Any]], Classifier] | None:
     """The newest valid state up to iteration `through`: its iteration, arrays and classifier; None if there is none.
 
     Args:
@@ -70,8 +69,18 @@ def restore(
         store: the store that holds it.
         through: the last recorded iteration.
         check: further check of a state; raises DamagedError.
-        build: restores the classifier; takes the arguments of `classifier_from_state`.
     """
+    return _restored(campaign, store, through, check, classifier_from_state)
+
+
+def _restored(
+    campaign: Campaign,
+    store: Store,
+    through: int,
+    check: Callable[[int, Mapping[str, NDArray[Any]]], None],
+    build: Callable[..., AnyClassifier],
+) -> tuple[int, dict[str, NDArray[Any]], AnyClassifier] | None:
+    """As `restore`; `build` takes the arguments of `classifier_from_state`."""
     kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
     while (saved := store.latest_state()) is not None and saved[0] <= through:
         iteration, state = saved
@@ -167,7 +176,7 @@ def current(campaign: Campaign, store: Store, write: bool, memory: Memory | None
 def saved_current(campaign: Campaign, store: Store) -> SavedClassifier | None:
     """The classifier of all recorded batches, for predictions alone; None if no saved state holds it."""
     last = History.of(store.batches).last_iteration
-    saved = restore(campaign, store, last, lambda _, state: check_looks(campaign, state), saved_classifier)
+    saved = _restored(campaign, store, last, lambda _, state: check_looks(campaign, state), saved_classifier)
     return saved[2] if saved is not None and saved[0] == last else None
 
 
