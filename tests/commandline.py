@@ -46,7 +46,44 @@ def activefail(*words: str | Path) -> CommandResult:
         except SystemExit as left:
             code = left.code or 0
     assert isinstance(code, int)
+    if "--json" in words and out.getvalue():
+        _check_documented(str(words[0]), json.loads(out.getvalue()))
     return CommandResult(code, out.getvalue(), err.getvalue())
+
+
+_BY_NAME = {
+    "at_limit_of_range",
+    "bearing",
+    "counts",
+    "estimates",
+    "fixed",
+    "first_free_variable_by_confidence",
+    "free",
+    "length_scales",
+}
+_BY_NAME |= {"margins", "model", "outcomes", "p_values", "probability", "properties", "pulses", "recall"}
+_BY_NAME |= {"record_factor", "statistics", "targets", "uncertainty", "values"}
+"""Keys of JSON objects whose own keys are names of variables, outcomes and the like."""
+
+
+def _check_documented(command: str, printed: dict[str, object]) -> None:
+    """Assert that the page on JSON, or for `ida` that on records, has every key that a command prints."""
+    assert printed["version"] == 1
+    pages = TESTS.parent / "docs"
+    text = (pages / "reference" / "json.md").read_text(encoding="utf-8").partition(f"\n## {command}\n")[2]
+    text = (pages / "records.md").read_text(encoding="utf-8") if command == "ida" else text.partition("\n## ")[0]
+
+    def undocumented(value: object, by_name: bool = False) -> set[str]:
+        if isinstance(value, list):
+            return {key for one in value for key in undocumented(one)}
+        if not isinstance(value, dict):
+            return set()
+        missing = set() if by_name else {key for key in value if f"`{key}`" not in text and f".{key}`" not in text}
+        return missing.union(*(undocumented(one, key in _BY_NAME) for key, one in value.items()))
+
+    del printed["version"]
+    missing = undocumented(printed)
+    assert not missing, f"{command} --json: {sorted(missing)}"
 
 
 def refused(result: CommandResult, *parts: str, code: int = 2) -> None:

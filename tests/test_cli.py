@@ -591,10 +591,6 @@ def test_the_figures_of_status_verify_and_compare_are_printed_as_json_too(folder
         (30, 1),
     ]
     assert compare["equivalent"]["series"] == 2
-    # The guide explains every key.
-    guide = (Path(__file__).parents[1] / "docs" / "guide.md").read_text(encoding="utf-8")
-    keys = {*status, *verify, *compare, *compare["scores"][0], "size", "lowest", "highest", "largest"}
-    assert [key for key in sorted(keys) if f"`{key}`" not in guide] == []
 
 
 def test_a_campaign_file_is_not_compared_as_json(tiny: Path, tmp_path: Path) -> None:

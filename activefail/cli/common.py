@@ -1,10 +1,8 @@
 """Options, executors and warnings shared by the commands."""
 
-import json
-import math
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Literal
@@ -13,6 +11,7 @@ import typer
 
 from activefail.display import is_quiet, is_verbose
 from activefail.errors import InputError
+from activefail.json_text import json_text
 from activefail.record.layout import check_output
 from activefail.screen import table_stream
 from activefail.visible import visible
@@ -164,17 +163,9 @@ def make_executor(
     return DaskExecutor(scheduler, campaign.time_limit, show_stage, simulation_versions)
 
 
-def print_json(values: object) -> None:
-    """Print values as JSON, with null for a number that is none."""
-    print(json.dumps(_without_nan(values), indent=2, allow_nan=False))
-
-
-def _without_nan(values: object) -> object:
-    if isinstance(values, dict):
-        return {name: _without_nan(value) for name, value in values.items()}
-    if isinstance(values, list | tuple):
-        return [_without_nan(value) for value in values]
-    return None if isinstance(values, float) and not math.isfinite(values) else values
+def print_json(values: Mapping[str, object]) -> None:
+    """Print figures as JSON."""
+    print(json_text(values))
 
 
 def show_stage(text: str) -> None:

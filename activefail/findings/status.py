@@ -49,7 +49,7 @@ class Status:
         return [("campaign", title), *self.estimate, lines[0], ("learner", self._learner), *lines[1:], *learned]
 
     def as_json(self) -> dict[str, Any]:
-        """The state as JSON values; `docs/guide.md` describes the keys."""
+        """The state as JSON values; `docs/reference/json.md` describes the keys."""
         summary = self.summary
         names = (*summary.outcomes, NUMERICAL)
         counts = {

@@ -1,6 +1,5 @@
 """The files of a design: a page, its numbers, the bearing as values of variables, and pictures."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +8,7 @@ from activefail.errors import InputError
 from activefail.figures.design import marks_of, plot_required
 from activefail.figures.style import save_png_and_svg
 from activefail.files import make_folder, replacing, target_of
+from activefail.json_text import json_text
 from activefail.report.environment import page_environment
 from activefail.report.picture import picture
 from activefail.risk.design.findings import DesignFindings
@@ -34,7 +34,7 @@ def write_design(findings: DesignFindings, folder: Path) -> list[Path]:
     make_folder(folder)
     texts = {
         PAGE: render_design(findings),
-        NUMBERS: json.dumps(findings.as_json(), indent=2) + "\n",
+        NUMBERS: json_text(findings.as_json()) + "\n",
         VALUES: values_text(findings),
     }
     files = [folder / name for name in texts]

@@ -71,7 +71,7 @@ class ErrorEstimate:
         return f"{self.simulations} {total}fresh simulations"
 
     def as_json(self) -> dict[str, float | int]:
-        """The estimate as JSON values; `docs/guide.md` describes the keys."""
+        """The estimate as JSON values; `docs/reference/json.md` describes the keys."""
         return {
             "error": self.error,
             "low": self.low,

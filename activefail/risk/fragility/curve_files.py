@@ -1,12 +1,12 @@
 """The files of fragility curves: tables, and exports to other programs."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from activefail.csv_table import Target, writing
 from activefail.files import replacing, target_of
+from activefail.json_text import json_text
 from activefail.risk.fragility.deaggregation import Deaggregation
 from activefail.risk.fragility.exports import OPENQUAKE, PELICUN, openquake_model, pelicun_table, why_no_exports
 from activefail.risk.fragility.findings import FragilityFindings
@@ -61,7 +61,7 @@ def write_files(findings: FragilityFindings, folder: Path) -> list[Path]:
     Raises:
         InputError, OSError: if a file cannot be written.
     """
-    texts = {FINDINGS: json.dumps(findings.as_json(), indent=2) + "\n"}
+    texts = {FINDINGS: json_text(findings.as_json()) + "\n"}
     if not why_no_exports(findings.ladder):
         curves = {one.outcome: one.curve.probability for one in findings.boundaries}
         texts[PELICUN] = pelicun_table(findings.ladder, curves, _COMPONENT)
