@@ -54,7 +54,10 @@ def activefail(*words: str | Path) -> CommandResult:
 _BY_NAME = {
     "at_limit_of_range",
     "bearing",
-    "counts",
+    "all",
+    "chosen",
+    "given",
+    "initial",
     "estimates",
     "fixed",
     "first_free_variable_by_confidence",
