@@ -221,7 +221,7 @@ def test_what_is_no_record_is_refused(acceleration: list[float], dt: float, mess
 
 
 def test_bearings_and_records_must_match() -> None:
-    with pytest.raises(InputError, match="one for each bearing, 2, got 1"):
+    with pytest.raises(InputError, match="records: must be 2, one for each bearing, got 1"):
         simulate_records(bearings(2), [synthetic(0)])
     with pytest.raises(InputError, match=r"\(n, 7\) array"):
         simulate_records(np.ones((2, 9)), [synthetic(0)] * 2)

@@ -151,7 +151,7 @@ def test_a_point_outside_the_space_is_refused_by_variable_rule_and_value(answers
 def test_a_plane_of_one_variable_or_of_nothing_is_refused(answers):
     with pytest.raises(InputError, match="got T_p twice"):
         answers.plane(FAILING, 7, 7, "failure")
-    with pytest.raises(InputError, match="shown: must be an outcome"):
+    with pytest.raises(InputError, match="shown: must be one of"):
         answers.plane(FAILING, 7, 8, "no_impact")
     with pytest.raises(InputError, match="variable: must be one of"):
         answers.variable("x_t")
