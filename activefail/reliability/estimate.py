@@ -26,7 +26,7 @@ from activefail.surrogate.classifier import Latent
 from activefail.surrogate.margin import MarginLatent
 from activefail.weighted import WeightedRows
 
-_RADIAL = 20_000
+RADIAL = 20_000
 """Designs of the radial population from which the simulations are drawn."""
 
 UNIFORM = 0.3
@@ -259,7 +259,7 @@ def plan_estimate(
     standardised: Standardised, space: DesignSpace | WeightedRows, integral: Integral, m: int, rng: np.random.Generator
 ) -> Plan:
     """Plan m fresh simulations that correct a classifier's failure probability, `integral`."""
-    drawn = population(space, _RADIAL, None, rng)
+    drawn = population(space, RADIAL, None, rng)
     return _planned(drawn.X, drawn.weight, standardised(drawn.X), integral, m, rng, isinstance(space, WeightedRows))
 
 

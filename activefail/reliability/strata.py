@@ -6,24 +6,26 @@ by volume, so that an interval claims no more than the simulations show where th
 docs/decisions/0019 compares other priors, and the importance sampling of mistakes (`estimate`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from activefail.reliability.estimate import SURE, ProbabilityEstimate, Standardised
+from activefail.acquisition.population import population
+from activefail.reliability.estimate import RADIAL, SURE, Integral, ProbabilityEstimate, Standardised
 from activefail.space import REACH, Array, DesignSpace
 from activefail.weighted import WeightedRows
 
 _EDGES = (0.0005, 0.02, 0.15)
-"""Probabilities of being wrong that separate the strata of each side."""
+"""Probabilities of being wrong that separate the strata of each side. The first falls with a rarer outcome."""
 
 _BY_VOLUME = 0.5
 """Share of the simulations that is allocated to strata by volume."""
 
 _PRIOR = (0.2, 1.5)
-"""The prior of the share q of wrong predictions of a stratum is Beta(0.2 + q, 1.5 − q), q by the classifier."""
+"""The prior of the share q of wrong predictions of a stratum is Beta(0.2 + q, 1.5 − q), q by the classifier. The 0.2
+falls with a rarer outcome."""
 
 _RIGHT_BELOW = 0.2
 """At the lower end of an interval, the prior of a stratum beyond the boundary is Beta(0.2 + q, 0.2): a classifier that
@@ -41,8 +43,10 @@ _SEQUENCES, _SEQUENCE_LENGTHS = 8, (1024, 4096)
 _ACCURACY = 0.03
 """Relative standard error of the classifier's probability above which sequences are too short."""
 
-_RARE = 0.01
-"""Probability below which an outcome is rare: the simulations by volume would make the interval too wide."""
+_RARE, _LEAST = 0.01, 0.001
+"""Probability below which an outcome is rare, and least one for strata. With the full prior, the simulations by volume
+would make the interval of a rare outcome too wide. So the failures that the prior expects where the classifier is
+surest fall in proportion to the probability."""
 
 _IMAGINED = 16
 """Imagined sets of outcomes that predict the width of an interval."""
@@ -61,6 +65,7 @@ class StratifiedPlan:
         is_beyond: (s,) bool, whether the classifier puts the stratum beyond the boundary.
         doubt: (s,) share of wrong predictions that the classifier expects in each stratum.
         standard_error: of the classifier's probability, from its integration.
+        fallibility: factor on the first parameter of the prior, 1 unless the outcome is rare.
     """
 
     designs: Array
@@ -71,6 +76,7 @@ class StratifiedPlan:
     is_beyond: NDArray[np.bool_]
     doubt: Array
     standard_error: float
+    fallibility: float = 1.0
 
     @property
     def probability(self) -> float:
@@ -144,7 +150,7 @@ class StratifiedPlan:
         wrong, n, (a, b) = self._wrong(beyond), self.counts, _PRIOR
         second = np.minimum(b - self.doubt, np.where(self.is_beyond, right, np.inf))
         rng = np.random.default_rng(0)
-        return np.asarray(rng.beta(a + self.doubt + wrong, second + n - wrong, (_DRAWS, len(n))))
+        return np.asarray(rng.beta(a * self.fallibility + self.doubt + wrong, second + n - wrong, (_DRAWS, len(n))))
 
     def _parts(self, shares: Array) -> tuple[Array, Array]:
         """Probability of what the classifier puts beyond the boundary rightly, and of what it misses."""
@@ -183,7 +189,7 @@ class StratifiedPlan:
 def plan_strata(
     standardised: Standardised, space: DesignSpace | WeightedRows, m: int, rng: np.random.Generator
 ) -> StratifiedPlan | None:
-    """Plan m fresh simulations in strata of the classifier's doubt; None if the outcome is rare.
+    """Plan m fresh simulations in strata of the classifier's doubt; None if the outcome is rare (`plan_wide_strata`).
 
     Randomised Sobol' sequences integrate the classifier and hold the designs to simulate; they are drawn without
     replacement. Weighted rows are the distribution itself, and are drawn with replacement by their weights.
@@ -203,8 +209,45 @@ def plan_strata(
     return None
 
 
+def plan_wide_strata(
+    standardised: Standardised, space: DesignSpace | WeightedRows, integral: Integral, m: int, rng: np.random.Generator
+) -> StratifiedPlan | None:
+    """Plan m fresh simulations of a rare outcome in strata of the classifier's doubt; None if it is too rare.
+
+    The designs come from a wider sample of the distribution, and are drawn by their weights.
+
+    Args:
+        standardised: mean/sd of the latent.
+        space: the distribution.
+        integral: the classifier's probability.
+        m: number of simulations.
+        rng: draws them.
+    """
+    if integral.probability < _LEAST:
+        return None
+    drawn = population(space, RADIAL, None, rng)
+    z, error = standardised(drawn.X), integral.standard_error
+    if not isinstance(space, WeightedRows):
+        # The simulations are drawn from a population, which itself is a sample.
+        error = float(np.sqrt(error**2 + np.sum(drawn.weight**2 * ndtr(-np.abs(z))) / len(z) ** 2))
+    plan = _planned(drawn.X, drawn.weight, z, m, rng, error, True, min(1.0, integral.probability / _RARE))
+    if not 0.0 < plan.probability < 1.0:
+        return None
+    # The population says how each side is divided, the integral how large it is.
+    beyond = integral.probability / plan.probability
+    short = (1.0 - integral.probability) / (1.0 - plan.probability)
+    return replace(plan, volume=plan.volume * np.where(plan.is_beyond, beyond, short))
+
+
 def _planned(
-    X: Array, weight: Array, z: Array, m: int, rng: np.random.Generator, error: float, with_replacement: bool
+    X: Array,
+    weight: Array,
+    z: Array,
+    m: int,
+    rng: np.random.Generator,
+    error: float,
+    with_replacement: bool,
+    fallibility: float = 1.0,
 ) -> StratifiedPlan:
     """The plan with m designs of a weighted sample.
 
@@ -216,15 +259,16 @@ def _planned(
         rng: draws them.
         error: standard error of the classifier's probability.
         with_replacement: whether a row may be drawn again.
+        fallibility: of the prior.
     """
     wrong = ndtr(-np.abs(z))
     sides = 1 + len(_EDGES)
-    stratum = np.searchsorted(_EDGES, wrong, side="right")
+    stratum = np.searchsorted((fallibility * _EDGES[0], *_EDGES[1:]), wrong, side="right")
     stratum = stratum + sides * (z > 0.0)
     volume = np.bincount(stratum, weights=weight, minlength=2 * sides) / weight.sum()
     in_doubt = np.bincount(stratum, weights=weight * wrong, minlength=2 * sides) / weight.sum()
     doubt = np.divide(in_doubt, volume, out=np.zeros(2 * sides), where=volume > 0.0)
-    neyman = volume * np.sqrt(np.maximum(doubt, _LEAST_DOUBT) * (1.0 - doubt))
+    neyman = volume * np.sqrt(np.maximum(doubt, _LEAST_DOUBT * fallibility**2) * (1.0 - doubt))
     rows_of = [np.flatnonzero((stratum == k) & (weight > 0.0)) for k in range(2 * sides)]
     most = np.array([m if with_replacement and len(rows) else len(rows) for rows in rows_of])
     counts = _rounded(m * ((1.0 - _BY_VOLUME) * neyman / neyman.sum() + _BY_VOLUME * volume), most)
@@ -242,6 +286,7 @@ def _planned(
         is_beyond=np.arange(2 * sides) >= sides,
         doubt=doubt,
         standard_error=error,
+        fallibility=fallibility,
     )
 
 

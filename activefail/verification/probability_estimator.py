@@ -25,7 +25,7 @@ from activefail.reliability.estimate import (
     plan_estimate,
     standardised_latent,
 )
-from activefail.reliability.strata import StratifiedPlan, plan_strata
+from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent
@@ -300,7 +300,7 @@ def _planned(
 ) -> Plan | StratifiedPlan:
     """The fresh simulations that estimate a probability under a question.
 
-    They are drawn by importance under the campaign's own distribution, where the outcome is rare, and where the
+    They are drawn by importance under the campaign's own distribution, where the outcome is very rare, and where the
     boundary is learned from a margin: unlike outcomes, margins show how far from it a design is.
     """
     of_designs = standardised_latent(latent, campaign.features)
@@ -311,9 +311,10 @@ def _planned(
     def standardised(X: Array) -> Array:
         return of_designs(question.designs(X))
 
-    if not (question.is_own or isinstance(latent, MarginLatent)):
-        plan = plan_strata(standardised, question.space, simulations, rng)
-        if plan is not None:
-            return plan
+    in_strata = not (question.is_own or isinstance(latent, MarginLatent))
+    if in_strata and (plan := plan_strata(standardised, question.space, simulations, rng)) is not None:
+        return plan
     integral = integrated(standardised, question.space, rng)
+    if in_strata and (plan := plan_wide_strata(standardised, question.space, integral, simulations, rng)) is not None:
+        return plan
     return plan_estimate(standardised, question.space, integral, simulations, rng)

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from activefail.parameter import Parameter
-from activefail.reliability.strata import StratifiedPlan, plan_strata
+from activefail.reliability.estimate import Integral, integrated, plan_estimate
+from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.space import Array, DesignSpace
 from activefail.weighted import WeightedRows
 
@@ -135,6 +136,73 @@ def test_an_outcome_that_is_rare_for_the_classifier_has_no_strata() -> None:
     assert plan_strata(lambda X: X[:, 0] - 4.0, SPACE, 100, rng) is None
     rows = WeightedRows(("u",), np.linspace(0.0, 1.0, 1000)[:, None], np.ones(1000))
     assert plan_strata(lambda X: X[:, 0] - 0.995, rows, 100, rng) is None
+
+
+def rare_latent(probability: float):
+    return lambda X: (X[:, 0] - norm.isf(probability)) / 0.05
+
+
+@pytest.mark.parametrize("probability", [0.009, 0.003])
+def test_hidden_failure_is_within_the_bound_of_a_rare_outcome_where_importance_sampling_misses_it(
+    probability: float,
+) -> None:
+    of, limit = rare_latent(probability), norm.isf(probability)
+
+    def with_islands(X: Array) -> NDArray[np.bool_]:
+        # A fifth of the probability, scattered where the classifier is sure of survival.
+        cells = np.floor(20.0 * X).astype(np.int64)
+        return np.asarray((X[:, 0] > limit) | ((cells[:, 0] * 7919 + cells[:, 1] * 104729) % 5000 < 1000 * probability))
+
+    true = float(with_islands(SPACE.from_unit(np.random.default_rng(0).random((1_000_000, 2)))).mean())
+    assert 1.1 * probability < true < 1.4 * probability
+    integral = integrated(of, SPACE, np.random.default_rng(0))
+    held = {"strata": 0, "importance": 0}
+    for seed in range(25):
+        for name, plans in (("strata", plan_wide_strata), ("importance", plan_estimate)):
+            plan = plans(of, SPACE, integral, 250, np.random.default_rng(seed))
+            found = plan.estimate(with_islands(plan.designs), all_answered(plan), 0.9)
+            held[name] += found.high >= true
+            assert found.low <= true
+    assert held["strata"] >= 22
+    assert held["importance"] <= 12
+
+
+def test_a_rare_outcome_has_the_probability_of_its_integral_and_no_wider_interval_than_at_the_switch() -> None:
+    over = []
+    for probability in (0.011, 0.009, 0.002):
+        of, rng = rare_latent(probability), np.random.default_rng(3)
+        plan = plan_strata(of, SPACE, 300, rng)
+        assert (plan is None) == (probability < 0.01)
+        if plan is None:
+            integral = integrated(of, SPACE, rng)
+            plan = plan_wide_strata(of, SPACE, integral, 300, rng)
+            assert plan is not None
+            assert plan.volume.sum() == pytest.approx(1.0)
+            assert plan.probability == pytest.approx(integral.probability, rel=1e-9)
+        beyond = plan.standardised > 0.0
+        over.append(plan.estimate(beyond, all_answered(plan), 0.9).high / probability)
+    assert over[1] == pytest.approx(over[0], rel=0.1)
+    assert 1.1 < over[2] < 1.3 * over[0]
+
+
+def test_a_rare_outcome_of_weighted_rows_has_strata_of_its_rows() -> None:
+    rows = WeightedRows(("u",), np.linspace(0.0, 1.0, 4000)[:, None], np.ones(4000))
+    limit = 0.995
+
+    def of(X: Array) -> Array:
+        return (X[:, 0] - limit) / 0.001
+
+    integral = Integral(float((rows.X[:, 0] > limit).mean()), 0.0)
+    plan = plan_wide_strata(of, rows, integral, 300, np.random.default_rng(0))
+    assert plan is not None
+    assert plan.standard_error == 0.0
+    estimate = plan.estimate(plan.designs[:, 0] > limit, all_answered(plan), 0.9)
+    assert estimate.probability == pytest.approx(0.005, rel=1e-6)
+    assert 0.0051 < estimate.high < 0.01
+
+
+def test_an_outcome_rarer_than_one_in_a_thousand_has_no_strata() -> None:
+    assert plan_wide_strata(rare_latent(8e-4), SPACE, Integral(8e-4, 0.0), 100, np.random.default_rng(0)) is None
 
 
 def test_the_expected_width_is_that_of_intervals_if_the_classifier_is_right() -> None:
