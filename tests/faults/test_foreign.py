@@ -572,7 +572,7 @@ def test_without_flock_a_kill_locks_nothing_and_a_lock_made_elsewhere_is_not_bus
 def test_a_lock_that_is_no_file_is_refused(received: Path) -> None:
     (received / ".lock").unlink()
     os.mkfifo(received / ".lock")
-    with pytest.raises(StoreError, match=r"\.lock is not a regular file\. Remove it\."):
+    with pytest.raises(StoreError, match=r"\.lock is not a regular file\. Remove \.lock\."):
         FolderStore.open(received, write=True)
 
 
