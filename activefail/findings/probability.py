@@ -23,7 +23,7 @@ BOUND_CONFIDENCE = 0.9
 
 
 _DEVIATING = 2.0
-"""Deviation of the fresh margins above which it is told: the interval allows for this much in any case."""
+"""Deviation of the fresh margins above which a note reports it: the interval allows for this much in any case."""
 
 
 def upper_bound(hits: int, draws: int, confidence: float) -> float:
