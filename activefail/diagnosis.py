@@ -134,5 +134,9 @@ def _campaign() -> str:
             run.tell(designs.assign(outcome=np.where(outside, "outside", "inside")))
         predicted = run.predict({"x": [0.0, 1.9], "y": [0.0, 1.9]})["p_outside"].to_numpy()
     if not predicted[0] < 0.5 < predicted[1]:
-        raise SelfTestError(f"the probabilities of being outside a circle are {predicted.tolist()} in it and out of it")
+        at_centre, far_away = predicted.tolist()
+        raise SelfTestError(
+            f"P(outside a circle) is {at_centre:.3g} at its centre and {far_away:.3g} far outside; the first must be "
+            "below 0.5, the second above"
+        )
     return "a circle is learned from thirty simulations in a run folder"

@@ -97,11 +97,11 @@ def parameters_fault(
     name = f"{'an' if distribution == 'exponential' else 'a'} {in_words(distribution)} distribution"
     if set(parameters) not in map(set, sets):
         needed = ", or ".join(" and ".join(f"`{one}`" for one in names) for names in sets if names)
-        needs = f"{name} needs {needed}" if needed else f"{name} takes only `low` and `high`"
+        needs = f"{name} requires {needed}" if needed else f"{name} takes only `low` and `high`"
         shown = " and ".join(f"`{key} = {number:g}`" for key, number in parameters.items()) or "none of them"
         return f"{needs}; got {shown}"
     if distribution in BOUNDED and (low is None or high is None):
-        return f"{name} needs `low` and `high`"
+        return f"{name} requires `low` and `high`"
     for key, number in parameters.items():
         if not math.isfinite(number):
             return f"`{key}` must be finite, got {number}"
@@ -109,7 +109,7 @@ def parameters_fault(
         if positive and not number > 0.0:
             return f"`{key} > 0` must hold, got {number}"
     if "cov" in parameters and parameters["mean"] == 0.0:
-        return "a coefficient of variation needs a mean other than 0"
+        return "a coefficient of variation requires a mean other than 0"
     if parameters:
         try:
             mean, sd = moments(distribution, low, high, parameters)

@@ -241,14 +241,14 @@ def _check_bearing(features: str, space: DesignSpace) -> None:
     for name in TABLE_1.names:
         if name not in (*space.names, *space.fixed):
             raise InputError(
-                f"classifier.features: {features!r} needs the variables of a bearing, but space lacks the variable "
+                f"classifier.features: {features!r} requires the variables of a bearing, but space lacks the variable "
                 f"{name!r}; its variables are {', '.join((*space.names, *space.fixed))}."
             )
 
 
 def _of_paper(space: DesignSpace) -> FeatureMap:
     if np.any(space.table(space.low[None], TABLE_1.names) <= 0.0):
-        raise InputError("The paper's features need positive variables, but a lower bound is not positive.")
+        raise InputError("The paper's features require positive variables, but a lower bound is not positive.")
     return _scaled(
         PAPER_FEATURES,
         lambda X: paper_features(space.table(X, TABLE_1.names)),

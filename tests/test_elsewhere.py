@@ -1070,7 +1070,7 @@ def test_status_names_tell_wherever_designs_are_in_flight(tmp_path: Path) -> Non
     said = activefail("status", folder).out
     assert f"continue   activefail resume {folder}\n           activefail tell {folder} --csv answers.csv\n" in said
     said = activefail("resume", folder, "--workers", "1").out
-    assert "in flight  2 designs, ids 0, 1; included in the budget (`activefail tell` or `activefail drop`)" in said
+    assert "in flight  2 designs, ids 0, 1; they count towards the budget. Record their results with `" in said
     assert f"continue   activefail tell {folder} --csv answers.csv\n" in activefail("status", folder).out
 
 

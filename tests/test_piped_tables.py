@@ -289,7 +289,9 @@ def test_without_pyarrow_the_command_that_installs_it_is_named(
     monkeypatch.setattr(importlib, "import_module", missing)
     with (
         af.open_run(home / "run", code=home) as run,
-        pytest.raises(InputError, match=r"needs the package pyarrow; install it with `pip install 'activefail\[parq"),
+        pytest.raises(
+            InputError, match=r"requires the package pyarrow; install it with `pip install 'activefail\[parq"
+        ),
     ):
         run.export_parquet(tmp_path / "all.parquet")
     assert os.listdir(tmp_path) == []

@@ -101,7 +101,7 @@ def test_a_margin_of_the_wrong_sign_is_not_learned_from_and_the_reason_is_told(t
     assert result.code == 0, result.err
     assert "learned    failure from the outcomes; the margin g is not used: its sign contradicts" in result.out
     assert "exactly beyond the boundary; stop.probability cannot end the campaign\n" in result.out
-    reason = "it does not tell the side of the boundary; stop.probability cannot end the campaign\n"
+    reason = "it does not show on which side of the boundary a design lies; stop.probability cannot end the campaign\n"
     status = activefail("status", tmp_path / "run").out
     assert f"failure from the outcomes; the margin g is not used: {reason}" in status
 

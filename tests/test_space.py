@@ -120,7 +120,7 @@ def test_a_uniform_variable_is_sampled_to_the_bit_as_low_plus_u_times_the_width(
             {"distribution": "log_uniform", "low": 0.0},
             "`low > 0` must hold for a log-uniform distribution, got 0.0",
         ),
-        ({"distribution": "truncated_normal"}, "needs `mean` and `sd`, or `mean` and `cov`; got none"),
+        ({"distribution": "truncated_normal"}, "requires `mean` and `sd`, or `mean` and `cov`; got none"),
         ({"mean": 0.5, "sd": 0.1}, "a uniform distribution takes only `low` and `high`"),
         ({"distribution": "truncated_normal", "mean": 0.5, "sd": 0.0}, "'x': `sd > 0` must hold, got 0.0"),
         (

@@ -60,7 +60,10 @@ def record_features(
     model = model or Model()
     X, which, factors = np.ascontiguousarray(X, dtype=np.float64), np.asarray(which), np.asarray(factors, np.float64)
     if X.ndim != 2 or X.shape[1] != TABLE_1.dimension - 2:
-        raise InputError(f"Bearings must be an (n, {TABLE_1.dimension - 2}) array, got shape {X.shape}.")
+        raise InputError(
+            f"bearings: must be an array of shape (n, {TABLE_1.dimension - 2}) with the columns "
+            f"{', '.join(TABLE_1.names[:-2])}, got shape {X.shape}."
+        )
     if which.shape != (len(X),) or factors.shape != (len(X),):
         raise InputError(f"{len(X)} bearings need as many records and factors, got {which.shape} and {factors.shape}.")
     if len(X) and (which.min() < 0 or which.max() >= len(records)):

@@ -397,7 +397,10 @@ def simulate_records(
     check_compiled()
     X = np.asarray(X)
     if X.ndim != 2 or X.shape[1] != TABLE_1.dimension - 2:
-        raise InputError(f"Bearings must be an (n, {TABLE_1.dimension - 2}) array, got shape {X.shape}.")
+        raise InputError(
+            f"bearings: must be an array of shape (n, {TABLE_1.dimension - 2}) with the columns "
+            f"{', '.join(TABLE_1.names[:-2])}, got shape {X.shape}."
+        )
     if len(records) != len(X):
         raise InputError(f"records: must be {len(X)}, one for each bearing, got {len(records)}.")
     # Values of a pulse that every check accepts; a record takes its place.

@@ -144,8 +144,8 @@ class Campaign:
         if self.is_elsewhere:
             raise InputError(
                 "simulator.elsewhere: activefail cannot run these simulations. `activefail create` creates the run "
-                "folder, `activefail ask` hands designs out, and `activefail tell` records their results; commands "
-                "that need fresh simulations (verify, probability, compare) need a simulator that activefail can call."
+                "folder, `activefail ask` hands designs out, and `activefail tell` records their results. Commands "
+                "with fresh simulations (verify, probability, compare) require a simulator that activefail can call."
             )
 
     @property

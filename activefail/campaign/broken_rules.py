@@ -72,7 +72,7 @@ def broken_rule(settings: type[BaseModel], error: Any) -> str:
         case "string_pattern_mismatch":
             return f'{path}: must be "module:function", got {shown(error["input"])}'
         case "model_type" | "dict_type":
-            return f"{path}: must be a table, got {shown(error['input'])}"
+            return f"{path}: must be a table of keys and values, got {shown(error['input'])}"
         case "too_short" | "too_long" if "actual_length" in error["ctx"]:
             least, most = error["ctx"].get("min_length"), error["ctx"].get("max_length")
             number = least if most is None else most

@@ -318,7 +318,7 @@ def hazard_question(
         open_ones = [name for name in space.names if name not in {PERIOD, AMPLITUDE, *fixed}]
         if open_ones:
             raise InputError(
-                f"{open_ones[0]}: needs a value, because the hazard is a table of pulses. Give it with --fixed."
+                f"{open_ones[0]}: requires a value, because the hazard is a table of pulses. Give it with --fixed."
             )
         values = {**fixed, **certain}
         return Question(hazard.title, space.names, pulses, values, factors, assumptions=tuple(hazard.assumptions))

@@ -231,7 +231,7 @@ class HazardSettings(Section):
         if len(periods) == 2:
             raise ValueError("`magnitude` cannot be combined with `pulse_period`: both give the pulse period")
         if not periods:
-            raise ValueError("needs `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them")
+            raise ValueError("requires `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them")
         if self.pgv is None:
             raise ValueError(f"`{periods[0]}` requires `pgv`, which is missing; `samples` may replace both")
         return self

@@ -255,7 +255,7 @@ def check_pulse(space: DesignSpace, what: str) -> None:
     for name, unit in ((PERIOD, "s"), (AMPLITUDE, "g")):
         known = dict(zip(space.names, space.parameters, strict=True))
         if name not in known:
-            raise InputError(f"{what}: needs the variable {name!r} of a pulse; the campaign has {', '.join(known)}.")
+            raise InputError(f"{what}: requires the variable {name!r} of a pulse; the campaign has {', '.join(known)}.")
         if known[name].unit not in ("", unit):
             raise InputError(f"{what}: {name} must be in {unit}, but the campaign has it in {known[name].unit!r}.")
 

@@ -155,7 +155,7 @@ class CampaignSettings(Section):
             }
             for key, is_set in rules.items():
                 if is_set:
-                    raise ValueError(f"`{key}` needs a simulator that activefail can call, not `elsewhere`")
+                    raise ValueError(f"`{key}` requires a simulator that activefail can call, not `elsewhere`")
         return self
 
     @property

@@ -147,7 +147,10 @@ def _take(
         print(f"stop rule  {visible(taken.stop_rule)}")
     show_unseen(run.summary)
     if flight := run.summary.flight_in_words:
-        print(f"in flight  {flight}; included in the budget (`activefail tell` or `activefail drop`)")
+        print(
+            f"in flight  {flight}; they count towards the budget. Record their results with `activefail tell`, or drop "
+            "them with `activefail drop`"
+        )
     print(f"results    {visible(str(run.folder))}")
 
 

@@ -56,7 +56,7 @@ def design(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the page design.html, design.json, design.toml and pictures.", show_default=False
+            help="Folder for the page design.html, its pictures, and design.json and design.toml.", show_default=False
         ),
     ] = None,
     code: Code = None,

@@ -68,7 +68,7 @@ def fragility(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the page fragility.html, fragility.json, tables, pictures, and files for pelicun and "
+            help="Folder for the page fragility.html, its pictures, fragility.json, tables, and files for pelicun and "
             "OpenQuake.",
             show_default=False,
         ),

@@ -94,7 +94,10 @@ def _show(summary: "HazardSummary") -> None:
             f"{bounds.D_tot_lower:g}"
         )
     if (factor := settings.record_factor) is not None:
-        print(f"records      bias {factor.bias:g}, dispersion {factor.dispersion:g} of the capacity")
+        print(
+            f"records      capacity over that under pulses: bias {factor.bias:g} and dispersion {factor.dispersion:g} "
+            "of the logarithm"
+        )
     if (added := settings.uncertainty) is not None:
         print(
             f"uncertainty  design requirements {added.design_requirements:g}, test data {added.test_data:g}, modelling "

@@ -48,7 +48,7 @@ def probability(
     estimate = findings.estimate
     name = visible(or_worse(findings.outcome, boundaries))
     learned = f"the margin {visible(findings.learned_from)}" if findings.learned_from else "the outcomes"
-    failed = f", {estimate.unanswered} of them numerical failures" if estimate.unanswered else ""
+    failed = f"; {estimate.unanswered} failed numerically" if estimate.unanswered else ""
     under = f" under {visible(findings.question)}" if findings.question else ""
     print(f"probability of {name}{under}: {estimate.probability:.3g}")
     interval = f"{estimate.low:.3g} to {estimate.high:.3g}"
@@ -57,8 +57,8 @@ def probability(
     else:
         print(f"interval   {interval}, with {100 * confidence:g} % confidence")
     print(
-        f"from       {findings.learned} simulations of the campaign, {findings.seen} of them ended in {name}; and "
-        f"{estimate.simulations} fresh simulations{failed}, of which {estimate.beyond} ended in {name}"
+        f"from       {findings.learned} simulations of the campaign ({findings.seen} ended in {name}) and "
+        f"{estimate.simulations} fresh simulations ({estimate.beyond} ended in {name}{failed})"
     )
     print(
         f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; {estimate.wrong} of the fresh "

@@ -28,8 +28,8 @@ def report(
     target: Annotated[
         str | None,
         typer.Option(
-            help="With --hazard: largest acceptable probability, such as 0.10, or a risk category; all three by "
-            "default.",
+            help="With --hazard: largest acceptable probability, such as 0.10, or a risk category; by default all "
+            "three categories.",
             show_default=False,
         ),
     ] = None,

@@ -54,7 +54,7 @@ def compare(
     static: Annotated[
         str | None,
         typer.Option(
-            help="Sizes of static designs; by default the file's initial and budget, or with a run folder the budgets."
+            help="Sizes of static designs. Default: `initial` and `budget` of the file; with a run folder, --budgets."
         ),
     ] = None,
     test: Annotated[
@@ -76,8 +76,8 @@ def compare(
     """Compare active sampling with static designs.
 
     Both are scored on the same fresh designs. For a run folder: compares the campaign with static designs, and ends
-    with the static size that is as often right. For a campaign file: compares campaigns and static designs over seeds,
-    criteria and features; after an interruption, the same command continues.
+    with the size of a static design that is as accurate. For a campaign file: compares campaigns and static designs
+    over seeds, criteria and features; after an interruption, the same command continues.
     """
     from activefail.campaign.shipped import campaign_file
 

@@ -1,4 +1,4 @@
-"""How many static simulations are as often right as a campaign."""
+"""The size of a static design that is as accurate as a campaign."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from activefail.shares import percent
 
 @dataclass(frozen=True)
 class Equivalent:
-    """The static size that is as often right about the target boundary as a campaign's last score.
+    """The size of a static design that is as accurate at the target boundary as a campaign's last score.
 
     The size is interpolated in the logarithm of the size, on the medians of the static designs' accuracies. It has no
     confidence interval: `lowest` and `highest` are the sizes along the single series of static designs, and there is
@@ -22,7 +22,7 @@ class Equivalent:
         simulations: of the campaign.
         accuracy: its accuracy.
         test_designs: number of test designs.
-        size: as often right as the campaign; None if the largest static design is less often right.
+        size: of a static design as accurate as the campaign; None if the largest one is less accurate.
         lowest, highest: the same for each series of static designs; None as for `size`.
         series: number of static designs of each size.
         smallest, largest: static sizes.
@@ -51,7 +51,7 @@ class Equivalent:
         else:
             text = f"{right}, as often as static sampling after about {_rounded(self.size):,}"
         if self.series == 1:
-            return f"{text} (one static design of each size; others differ)."
+            return f"{text} (from one static design of each size; another gives another number)."
         low, high = (self._bound(size) for size in (self.lowest, self.highest))
         along = low if low == high else f"{low} to {high}"
         return f"{text} ({along} over the {self.series} series of static designs)."

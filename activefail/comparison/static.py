@@ -276,8 +276,8 @@ def given_in_words(scores: Sequence[Score]) -> str:
     if not counts:
         return ""
     return (
-        f"The campaign did not ask for {counts} of its simulations. They count among them; if they were chosen near "
-        "the boundary, the comparison favours the active side."
+        f"The campaign did not ask for {counts} of its simulations. The comparison includes them. If they were chosen "
+        "near the boundary, it favours the active side."
     )
 
 

@@ -67,7 +67,7 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> Results:
             for column in (results.outcome, results.cause, results.margins, results.seconds)
         )
     except (TypeError, ValueError) as error:
-        raise UnusableAnswerError(f"the answers must be numbers: {error}") from error
+        raise UnusableAnswerError(f"the results must be numbers: {error}") from error
     # Comparisons with NaN are false, so NaN is rejected too.
     has_outcome = (outcome >= NUMERICAL_FAILURE) & (outcome < len(simulator.outcomes)) & (outcome % 1 == 0)
     has_cause = (cause >= 0) & (cause < len(simulator.causes)) & (cause % 1 == 0)

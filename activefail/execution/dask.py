@@ -60,7 +60,8 @@ class DaskExecutor:
             from distributed import Client
         except ImportError:
             raise InputError(
-                "--executor dask: needs the package distributed; install it with `pip install 'activefail[cluster]'`."
+                "--executor dask: requires the package distributed; install it with `pip install "
+                "'activefail[cluster]'`."
             ) from None
         # Dask logs lost connections with tracebacks; the exceptions raised here report what matters.
         for name in logging.root.manager.loggerDict:

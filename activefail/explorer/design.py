@@ -317,12 +317,11 @@ class DesignAnswers:
         if not is_met:
             low, high = (significant(end) for end in self._range)
             return (
-                f"At no {self._quantity.text} from {low} to {self._quantity_text(high)} does the probability meet the "
-                f"target and stay below it for every larger {self._quantity.text}. {event} = {percent(probability)} at "
-                f"{here}."
+                f"No {self._quantity.text} from {low} to {self._quantity_text(high)} is large enough that it and every "
+                f"larger one meet the target. {event} = {percent(probability)} at {here}."
             )
-        if at in self._range:
-            return f"Already {here}, an end of its range, meets the target: {event} = {percent(probability)} there."
+        if at == self._range[0]:
+            return f"{here}, the lower end of the range, meets the target: {event} = {percent(probability)} there."
         return f"The target {100.0 * target:g} % requires {here}. {event} = {percent(probability)} there."
 
     def _estimated(self, value: float, numbers: Mapping[str, Any]) -> str:
@@ -402,4 +401,4 @@ def _check_keys(name: str, values: dict[str, Any], needed: tuple[str, ...], opti
             raise InputError(f"{name}: has the unknown key {visible(key)[:40]!r}; it takes {', '.join(needed)}.")
     for key in needed:
         if key not in values:
-            raise InputError(f"{name}: needs the key {key!r}.")
+            raise InputError(f"{name}: requires the key {key!r}.")

@@ -58,7 +58,7 @@ def save_animation(
 
     Args:
         response: from `activefail.bearing.simulate_one`.
-        path: file to write, .gif or .mp4; MP4 needs ffmpeg.
+        path: file to write, .gif or .mp4; MP4 requires ffmpeg.
         fps: frames per second; fewer if there would be more than `MOST_FRAMES`.
         slow_motion: seconds of animation per second of motion; if None, for about ten seconds of animation.
         begin: called with the number of frames; returns a callback for drawn frames.
@@ -122,8 +122,8 @@ def find_ffmpeg() -> str:
     path = shutil.which("ffmpeg")
     if path is None:
         raise InputError(
-            "MP4 needs ffmpeg, which was not found. Install it with `pip install activefail[video]` or put ffmpeg on "
-            "PATH. GIF needs no further program."
+            "MP4 requires ffmpeg, which was not found. Install it with `pip install 'activefail[video]'` or put ffmpeg "
+            "on PATH. GIF requires no other program."
         )
     return path
 

@@ -42,7 +42,7 @@ def stop_rule_warning(settings: CampaignSettings, learns_from_margins: bool) -> 
     bound = largest_unseen_share(rule.simulations, confidence_of_look(rule.confidence, 1))
     return (
         f"stop.simulations: with {rule.simulations} simulations the first look cannot show an error below "
-        f"{percent(bound)}, even if none is misclassified; {100 * rule.error:g} % takes at least {least}"
+        f"{percent(bound)}, even if none is misclassified; an error of {100 * rule.error:g} % requires at least {least}"
     )
 
 

@@ -99,7 +99,7 @@ def failure_findings(
         stage(f"learning from the first {n} simulations")
         fitted = classifier if n == len(history) else learn_from(campaign, history[:n], fitted)
         rows.append((n, *_probability(campaign, fitted, outcome), _seen(campaign, history[:n])))
-    stage("searching the most probable failure")
+    stage("searching for the most probable failure")
     point = design_point(standardised_latent(latent, campaign.features), campaign.space, np.random.default_rng(0))
     simulations, probability, low, high, seen = np.array(rows, dtype=np.float64).T
     return FailureFindings(

@@ -58,5 +58,5 @@ def _pyarrow() -> tuple[Any, Any]:
         return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
     except ImportError:
         raise InputError(
-            "--parquet: needs the package pyarrow; install it with `pip install 'activefail[parquet]'`."
+            "--parquet: requires the package pyarrow; install it with `pip install 'activefail[parquet]'`."
         ) from None

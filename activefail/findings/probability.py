@@ -178,11 +178,11 @@ class ProbabilityFindings:
         if estimate.deviation > _DEVIATING:
             sentences.append(
                 f"The margins of the fresh simulations lie {estimate.deviation:.2g} times as far from the classifier's "
-                "as its standard deviations say (root mean square). The interval is wider by that. "
+                "as its standard deviations say (root mean square). This widens the interval. "
                 + (
-                    "To learn this part of the variables, begin a campaign whose [space] is the question's."
+                    "To learn where the question's designs lie, begin a campaign whose [space] is the question's."
                     if self.question
-                    else "Continue the campaign for a narrower one."
+                    else "Continue the campaign for a narrower interval."
                 )
             )
         sentences.append(f"Method of the fresh simulations: {estimate.method}.")

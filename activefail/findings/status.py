@@ -135,7 +135,9 @@ class Status:
             outcome, margin, *_ = choice
             text = sentence(*choice)
             if not text and candidate:
-                text = sentence_without(outcome, candidate, "it does not tell the side of the boundary")
+                text = sentence_without(
+                    outcome, candidate, "it does not show on which side of the boundary a design lies"
+                )
             if text:
                 lines.append(("learned", text + of_rule(outcome, margin, settings.stop_outcome)))
         if self._rule_is_met:
@@ -166,7 +168,7 @@ class Status:
                 name, simulations = visible(or_worse(outcome, self.summary.outcomes)), int(numbers["simulations"])
                 interval = f"{100.0 * confidence:g} % interval {low:.3g} to {high:.3g}"
                 if numbers["extrapolated"]:
-                    interval = f"at most {high:.2g} without a model, because no simulation ended in it"
+                    interval = f"at most {high:.2g} without a model, because no simulation ended in {name}"
                 under = f" under {visible(question)}" if (question := numbers.get("question")) else ""
                 text = (
                     f"probability of {name}{under} {probability:.3g}, {interval}, from {simulations} fresh "

@@ -121,7 +121,7 @@ class SettingsInBrief:
                     _stop_outcome(settings.get("stop")),
                 )
             case _:
-                raise ValueError("These are not the settings of a campaign with all defaults.")
+                raise ValueError("The settings must be those of a campaign, with every default written out.")
 
 
 def _stop_simulations(rule: object) -> int | None:

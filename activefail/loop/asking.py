@@ -48,8 +48,8 @@ def check_batches(campaign: Campaign) -> None:
         raise InputError(
             "sampling.asynchronous: `ask`, `add` and corrections work only on campaigns in batches, because the "
             "designs in flight of an asynchronous campaign follow from its results. Create a campaign without this "
-            "setting and `add` the table of `activefail export` to it: `ask` learns from every result told so far, "
-            "whatever their order."
+            "setting and `add` the table of `activefail export` to it: `ask` learns from all results so far, in any "
+            "order."
         )
 
 

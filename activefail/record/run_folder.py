@@ -676,8 +676,8 @@ class FolderStore:
         if is_noted:
             self._write_asked(self.asked, kept)
         self._warn(
-            f"{CORRECTIONS}: the results that {lost} of the corrections replaced were lost; these corrections were "
-            f"removed. {aside.name} has the former file."
+            f"{CORRECTIONS}: {lost} of the corrections were removed, because the results that they replaced were lost. "
+            f"{aside.name} is the former file."
         )
 
     def correct(self, place: NDArray[np.int64], results: Results) -> None:

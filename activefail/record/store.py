@@ -179,7 +179,9 @@ def checked_state(iteration: int, arrays: Mapping[str, NDArray[Any]]) -> dict[st
         InputError: if an array has another type, a name is empty or the iteration is negative.
     """
     if iteration < 0 or not all(arrays):
-        raise InputError(f"A state needs `iteration >= 0` and names, got {iteration} and {list(arrays)}.")
+        raise InputError(
+            f"A state must have `iteration >= 0` and a name for each array, got {iteration} and {list(arrays)}."
+        )
     state = {name: np.array(array) for name, array in arrays.items()}
     for name, array in state.items():
         if array.dtype not in (np.float64, np.int64):

@@ -86,7 +86,7 @@ def risk_options(
     if len(requirements) > 1:
         raise InputError(f"target: must be one target, got {text!r}.")
     if requirements[0].years is not None:
-        raise InputError(f"target: a report needs a probability given a pulse of the hazard, got {text!r}.")
+        raise InputError(f"target: a report requires a probability given a pulse of the hazard, got {text!r}.")
     site = f"--hazard {quoted(hazard) if isinstance(hazard, Path | str) else 'HAZARD.toml'}"
     if fixed is not None:
         site += f" --fixed {quoted(fixed) if isinstance(fixed, Path | str) else 'DESIGN.toml'}"
@@ -118,7 +118,7 @@ def risk_findings(
         return RiskFindings(asked, campaign.space, curves, None, why, ())
     chart = chart_of(estimator, design_task(campaign, question, (requirement,)), {}, stage)
     if chart is None:
-        why = f"a chart needs values of two variables besides {DEFAULT_FREE}; --fixed gives them."
+        why = f"a chart requires values of two variables besides {DEFAULT_FREE}; --fixed gives them."
         return RiskFindings(asked, campaign.space, curves, None, why, ())
     requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
     designs = stored_designs(estimator, folder, question, DEFAULT_FREE, requirements)

@@ -260,7 +260,7 @@ def test_a_regular_table_is_thinned_without_missing_a_part_of_it() -> None:
 
 def test_rows_need_values_of_all_other_variables(tmp_path: Path) -> None:
     read = rows(tmp_path, "T_p,PGV\n2.0,1.0\n")
-    with pytest.raises(InputError, match=r"^k: needs a value, because the hazard is a table of pulses"):
+    with pytest.raises(InputError, match=r"^k: requires a value, because the hazard is a table of pulses"):
         hazard_question(read, SETTINGS, TABLE_1, {name: value for name, value in BEARING.items() if name != "k"})
 
 
@@ -377,7 +377,7 @@ def test_a_file_is_a_hazard_or_a_question_by_its_keys(tmp_path: Path) -> None:
     path.write_text("[space]\nmu = { value = 0.05 }\n")
     assert "mu" not in read_question(path, SETTINGS, TABLE_1, {}).space.names
     path.write_text("[curve]\npgv_m_s = [1, 2]\nannual_rate = [0.1, 0.01]\n")
-    with pytest.raises(InputError, match=r"needs `magnitude`, `pulse_period` or `samples`"):
+    with pytest.raises(InputError, match=r"requires `magnitude`, `pulse_period` or `samples`"):
         read_question(path, SETTINGS, TABLE_1, {})
     path.write_text("[space]\nT_p = { value = 2.0 }\nPGV = { value = 1.0 }\n")
     question = read_question(path, SETTINGS, TABLE_1, {})
@@ -397,12 +397,12 @@ def test_a_velocity_so_far_out_that_no_period_belongs_to_it_is_refused(tmp_path:
 
 UNIT = "; is it in cm/s?"
 WRONG = [
-    (PGV, "needs `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them"),
+    (PGV, "requires `magnitude`, `pulse_period` or `samples` for the pulse period, got none of them"),
     (PERIOD, "`pulse_period` requires `pgv`, which is missing; `samples` may replace both"),
     ("[magnitude]\nM = 7\n" + PERIOD + PGV, "`magnitude` cannot be combined with `pulse_period`"),
     (f'samples = "a.csv"\n{PGV}', "`samples` cannot be combined with `pgv`"),
     ('samples = ""\n', "samples: "),
-    ("", "needs `magnitude`"),
+    ("", "requires `magnitude`"),
     (PERIOD + PGV.replace("0.8", "80"), f"pgv.median_m_s: must be at most 5 m/s, got 80{UNIT}"),
     (PERIOD + PGV.replace("0.3", "0"), "pgv.dispersion: must be greater than or equal to 0.001, got 0"),
     (PERIOD + PGV.replace("0.3", "1e-9"), "pgv.dispersion: must be greater than or equal to 0.001, got 1e-09"),
@@ -420,7 +420,7 @@ WRONG = [
         PERIOD + PGV + "correlation_with_period = 1.0\n",
         "pgv.correlation_with_period: must be less than or equal to 0.99",
     ),
-    ("magnitude = 7\n" + PGV, "magnitude: must be a table, got 7"),
+    ("magnitude = 7\n" + PGV, "magnitude: must be a table of keys and values, got 7"),
     ("[magnitude]\nM = 12\n" + PGV, "magnitude.M: must be less than or equal to 9, got 12"),
     ('[magnitude]\nM = 7\nrelation = "baker"\n' + PGV, "magnitude.relation: must be 'shahi-baker-2011', 'baker-2007'"),
     (

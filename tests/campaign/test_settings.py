@@ -115,7 +115,7 @@ BROKEN = {
     ),
     "a normal without its spread": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15, distribution = 'truncated_normal'}",
-        ["space.mu: a truncated normal distribution needs `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`"],
+        ["space.mu: a truncated normal distribution requires `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`"],
     ),
     "a normal far from its bounds": (
         "space.mu = {low = 0.1, high = 0.2, mean = 9.0, sd = 0.1, distribution = 'truncated_normal'}",
@@ -206,23 +206,23 @@ BROKEN = {
     "number for a table": ("sampling = 500", ["sampling: must be", "500"]),
     "number for a variable": ("space.mu = 0.06", ["space.mu: must be", "0.06"]),
     "text for a switch": ('bearing.loss_of_confinement = "maybe"', ["bearing.loss_of_confinement: must be", "'maybe'"]),
-    "half a variable": ("space.mu = {low = 0.1}", ["space.mu: a uniform distribution needs `low` and `high`"]),
+    "half a variable": ("space.mu = {low = 0.1}", ["space.mu: a uniform distribution requires `low` and `high`"]),
     "four outcomes": (
         'simulator = { python = "a:b", outcomes = ["a", "b", "c", "d"] }',
         ["simulator.outcomes: must have at most 3 entries, got ['a', 'b', 'c', 'd']"],
     ),
-    "no table": ("space.mu = [0.1, 0.2]", ["space.mu: must be a table, got [0.1, 0.2]"]),
+    "no table": ("space.mu = [0.1, 0.2]", ["space.mu: must be a table of keys and values, got [0.1, 0.2]"]),
     "a section that is none": (
         "stop = 0.05",
         ["stop: must be a table with `error` or a table with `probability`, got 0.05"],
     ),
     "a mean without sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal", mean = 0.15 }',
-        ["needs `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`"],
+        ["requires `mean` and `sd`, or `mean` and `cov`; got `mean = 0.15`"],
     ),
     "neither mean nor sd": (
         'space.mu = { low = 0.1, high = 0.2, distribution = "truncated_normal" }',
-        ["needs `mean` and `sd`, or `mean` and `cov`; got none of them"],
+        ["requires `mean` and `sd`, or `mean` and `cov`; got none of them"],
     ),
     "a mean alone": (
         "space.mu = {low = 0.1, high = 0.2, mean = 0.15}",

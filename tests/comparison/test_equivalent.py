@@ -47,7 +47,7 @@ def test_a_campaign_that_no_static_design_is_worse_than_is_said_to_be_no_better_
 def test_one_static_design_of_each_size_gives_no_range() -> None:
     same = equivalent([scored("active", 500, 0.961), *(row for row in STATIC if row.hypercube == 0)])
     assert same is not None
-    assert same.in_words("failure").endswith("(one static design of each size; others differ).")
+    assert same.in_words("failure").endswith("(from one static design of each size; another gives another number).")
 
 
 def test_without_one_of_the_samplings_there_is_nothing_to_compare() -> None:

@@ -349,7 +349,7 @@ def test_no_design_needs_no_worker(executor: Executor) -> None:
         (Lying(outcome=0.5), "unusable_answer", "got outcome 0.5"),
         (Nothing(), "unusable_answer", "the simulator must return Results, got NoneType"),
         (Short(), "unusable_answer", "the margins must have shape (1, 1), got (0, 1)"),
-        (Textual(), "unusable_answer", "the answers must be numbers"),
+        (Textual(), "unusable_answer", "the results must be numbers"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, Disc) else None,
 )

@@ -112,14 +112,16 @@ def test_a_target_out_of_reach_says_so_with_the_least_probability(design):
     reply = design.required(design.asked(REQUEST | {"site": strong, "target": 0.001}))
     assert reply["required"] is None
     assert reply["probability"] == pytest.approx(min(reply["curve"]))
-    assert reply["text"].startswith("At no D_tot from 0.450 to 0.850 m does the probability meet the target and stay ")
+    assert reply["text"].startswith(
+        "No D_tot from 0.450 to 0.850 m is large enough that it and every larger one meet the target."
+    )
 
 
 def test_a_target_that_the_smallest_value_meets_says_that_it_is_an_end_of_the_range(design):
     weak = SITE | {"median_pgv": 0.1, "pgv_dispersion": 0.05}
     reply = design.required(design.asked(REQUEST | {"site": weak, "target": 0.9}))
     assert reply["required"] == 0.45
-    assert reply["text"].startswith("Already D_tot = 0.450 m, an end of its range, meets the target")
+    assert reply["text"].startswith("D_tot = 0.450 m, the lower end of the range, meets the target")
 
 
 # --- verified -----------------------------------------------------------------------------------------------------
@@ -213,12 +215,12 @@ def server(answers: Answers):
         ({"site": SITE | {"median_pgv": None}}, "site.median_pgv: must lie between"),
         ({"site": SITE | {"median_period": 2.0}}, "site: must have either magnitude or median_period"),
         ({"site": {}}, "site: must have either magnitude or median_period"),
-        ({"site": {"magnitude": 7.0}}, "site: needs the key 'period_dispersion'"),
+        ({"site": {"magnitude": 7.0}}, "site: requires the key 'period_dispersion'"),
         ({"site": SITE | {"samples": "../../etc/passwd"}}, "site: has the unknown key 'samples'"),
         ({"bearing": BEARING | {"T_b": 9.0}}, "bearing.T_b: must lie between 2.5 and 5.5, got 9.0"),
         ({"bearing": BEARING | {"D_tot": 0.6}}, "bearing: has the unknown key 'D_tot'"),
         ({"bearing": BEARING | {"A_p": 0.5}}, "bearing: has the unknown key 'A_p'"),
-        ({"bearing": {"T_b": 4.0}}, "bearing: needs the key 'mu'"),
+        ({"bearing": {"T_b": 4.0}}, "bearing: requires the key 'mu'"),
         ({"simulations": 10**9}, "request: has the unknown key 'simulations'"),
         ({"x" * 1000: 1}, "request: has the unknown key"),
     ],

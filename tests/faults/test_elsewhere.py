@@ -226,7 +226,10 @@ def test_a_correction_whose_batch_was_lost_is_not_applied_to_another_result(begu
         assert not [text for text in store.warnings if "corrections" in text]
         left = len(store.corrections)
     with opened(begun) as store:
-        assert any("the results that 1 of the corrections replaced were lost" in text for text in store.warnings)
+        assert any(
+            "1 of the corrections were removed, because the results that they replaced were lost" in text
+            for text in store.warnings
+        )
         assert len(store.corrections) == left == 4
         # The same place, the same design, the same result as the one that was corrected.
         tell(campaign(), store, last, result)

@@ -367,7 +367,7 @@ def test_a_variable_that_is_no_table_is_refused_by_its_key(tmp_path: Path) -> No
     text = CAMPAIGN.replace('x = { low = 0.0, high = 1.0, unit = "m" }', "x = 5")
     (tmp_path / "run" / "campaign.toml").write_text(text)
     for words in commands(tmp_path / "run"):
-        refused(activefail(*words), "campaign.toml", "space.x: must be a table, got 5")
+        refused(activefail(*words), "campaign.toml", "space.x: must be a table of keys and values, got 5")
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "endless", "folder"])

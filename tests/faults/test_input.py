@@ -152,7 +152,7 @@ def test_a_value_that_a_key_cannot_have_is_refused_by_file_key_rule_and_value(
             rule
         )
         assert re.search(
-            r"got |; in |unknown key|required|at least 1|must be an identifier|lacks|no such|there is no|cannot|needs",
+            r"got |; in |unknown key|at least 1|must be an identifier|lacks|no such|there is no|cannot|needs|require",
             rule,
         ), rule
 

@@ -233,7 +233,7 @@ def test_a_hazard_says_nothing_of_a_campaign_without_a_pulse(ended: Path, tmp_pa
     assert activefail("run", tmp_path / "plain.toml", "--out", tmp_path / "run").code == 0
     refused(
         activefail("report", tmp_path / "run", "--hazard", ended / "site.toml"),
-        "hazard: needs the variable 'T_p' of a pulse; the campaign has x.",
+        "hazard: requires the variable 'T_p' of a pulse; the campaign has x.",
     )
     with open_run(tmp_path / "run", code=tmp_path) as opened:
         with pytest.raises(InputError, match="design_target: requires hazard"):

@@ -299,7 +299,7 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
     assert numbers["failure"]["verified"] == []
     assert 10 < sum(level["simulations"] for level in numbers["damage"]["verified"]) <= 20
     assert numbers["failure"]["risk"] is None
-    assert numbers["failure"]["risk_reason"] == "a risk needs a hazard with annual rates"
+    assert numbers["failure"]["risk_reason"] == "a risk requires a hazard with annual rates"
 
 
 @pytest.mark.parametrize(
@@ -400,7 +400,7 @@ def test_a_hazard_that_cannot_be_asked_for_is_refused_with_its_file(
     path.write_text('samples = "pulses.csv"\n')
     if name == "fragility":
         result = activefail(name, ended / "run", "--code", ended, "--hazard", path)
-        refused(result, f"{path}: r: needs a value, because the hazard is a table of pulses")
+        refused(result, f"{path}: r: requires a value, because the hazard is a table of pulses")
 
 
 def test_a_campaign_without_a_pulse_has_no_fragility_under_a_hazard(tmp_path: Path, ended: Path) -> None:
@@ -412,7 +412,7 @@ def test_a_campaign_without_a_pulse_has_no_fragility_under_a_hazard(tmp_path: Pa
     assert activefail("run", tmp_path / "plain.toml", "--out", tmp_path / "run").code == 0
     with (
         open_run(tmp_path / "run", code=tmp_path) as opened,
-        pytest.raises(InputError, match="needs the variable 'T_p'"),
+        pytest.raises(InputError, match="requires the variable 'T_p'"),
     ):
         opened.fragility(read_hazard(ended / "site.toml"))
 

@@ -395,7 +395,7 @@ def test_the_command_finds_capacities_and_a_fragility_with_intervals(case: Path,
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--mce", "0.8", "--ssf", "1.1")
     result = activefail(*words, "--out", tmp_path / "out")
     assert result.code == 0, result.err
-    assert "8 of 4 events, scaled to PGV" in result.out
+    assert "8 from 4 events, scaled to PGV" in result.out
     assert "95 % interval" in result.out
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {"ida.json", "ida.csv", "ida.png", "ida.svg", "simulations.json"}
@@ -441,7 +441,7 @@ def test_records_that_are_pulses_have_the_capacities_of_their_equivalent_pulses(
     assert all(one["explained"] > 0.98 for one in numbers["pulses"])
     assert abs(numbers["mean_log_ratio"]) < 0.05
     shown = activefail(*words).out
-    assert "a pulse alone fails at" in shown
+    assert "a pulse alone causes the outcome at" in shown
     assert "failures missed by the pulse" in shown
 
 
@@ -532,7 +532,7 @@ def test_capacities_within_the_lowest_level_are_named_as_such(case: Path) -> Non
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "50")
     result = activefail(*words)
     assert "median" in result.out
-    assert "of the records fail at the lowest level of the ladder, 3.12, and are known less closely." in result.out
+    assert "of the records have a capacity at or below the lowest level of the ladder, 3.12." in result.out
 
 
 def test_a_median_above_the_levels_is_named_an_extrapolation(case: Path) -> None:
@@ -618,7 +618,7 @@ def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: P
     for old, new, message in (
         ("high = 8.0", "high = 7.0", "--records: must be the 7 records of the campaign, got 8."),
         ("PGV", "velocity", "--simulator: must be a campaign under records, with the variables record and PGV"),
-        ("mass = { value", "mass = { low = 1, high", "--bearing: needs mass."),
+        ("mass = { value", "mass = { low = 1, high", "--bearing: requires mass."),
         ("strength", "record", "TOML"),
     ):
         (plate / "other.toml").write_text(settings.replace(old, new))
@@ -696,7 +696,7 @@ def test_options_that_break_a_rule_are_refused(case: Path, options: tuple[str, .
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (TOML.replace("p = 45\n", ""), "bearing.toml: needs p."),
+        (TOML.replace("p = 45\n", ""), "bearing.toml: requires p."),
         (
             TOML + "T_p = 2.0\n",
             "bearing.toml: T_p: belongs to a pulse; leave it out, because the records are the ground motion.",

@@ -394,7 +394,7 @@ def test_the_command_refuses_fewer_than_16_samples() -> None:
 
 def test_a_campaign_without_a_pulse_has_no_hazard(tmp_path: Path, home: Path) -> None:
     settings = {"simulator": {"elsewhere": True}, "space": {"x": {"low": 0.0, "high": 1.0}}}
-    with create_run(tmp_path / "run", settings) as made, pytest.raises(InputError, match="needs the variable 'T_p'"):
+    with create_run(tmp_path / "run", settings) as made, pytest.raises(InputError, match="requires the variable 'T_p'"):
         hazard_sensitivity(made.campaign, np.ravel, "failure", read_hazard(home / "hazard.toml"), {})
 
 
@@ -410,4 +410,4 @@ def test_without_salib_the_message_says_how_to_install_it(home: Path, monkeypatc
     for name in [name for name in sys.modules if name.startswith("SALib")]:
         monkeypatch.delitem(sys.modules, name)
     result = activefail("sensitivity", home / "run", "--code", home, "--samples", "16")
-    refused(result, "needs the package SALib; install it with `pip install 'activefail[sensitivity]'`")
+    refused(result, "requires the package SALib; install it with `pip install 'activefail[sensitivity]'`")

@@ -195,7 +195,7 @@ def test_a_stop_rule_that_its_simulations_cannot_show_is_said_before_anything_is
     result = activefail("run", file, "--out", tmp_path / "run")
     assert result.code == 0
     assert "stop.simulations: with 100 simulations the first look cannot show an error below 3.0 %" in result.err
-    assert "takes at least 598" in result.err
+    assert "requires at least 598" in result.err
 
 
 def test_nobody_reads_a_share_that_was_rounded_to_all_or_nothing():

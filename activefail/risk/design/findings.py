@@ -90,7 +90,8 @@ class DesignFindings:
             kept = [name for name in kept if name not in ("T_p", "A_p")]
         if kept:
             sentences.append(
-                f"{', '.join(kept)}: no value is given, so the distribution of the question or the campaign applies."
+                f"No value is given for {', '.join(kept)}. The distribution is that of the question, or else the "
+                "campaign's."
             )
         sentences.append(
             f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design space, "

@@ -244,7 +244,7 @@ def general_fragility(
             f"{', '.join(tied)} {'is' if len(tied) == 1 else 'are'} correlated with {against}. The curve ignores this "
             f"correlation: the distribution is the same at each {against}."
         )
-    why = "a risk needs a hazard with annual rates"
+    why = "a risk requires a hazard with annual rates"
     return FragilityFindings(
         question.title,
         curves.curves[0].ladder,

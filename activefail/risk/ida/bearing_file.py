@@ -25,7 +25,7 @@ def read_bearing(file: Path, model: Model) -> Array:
                 "ground motion."
             )
     if missing := [name for name in names if name not in values]:
-        raise InputError(f"{visible(str(file))}: needs {', '.join(missing)}.")
+        raise InputError(f"{visible(str(file))}: requires {', '.join(missing)}.")
     row = [values[name] for name in names]
     try:
         Bearing.from_row(row, model.slider_diameter)

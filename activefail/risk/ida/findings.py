@@ -104,7 +104,7 @@ class IdaFindings:
         count, records = len(self.found.capacity), self.records
         vertical = "with vertical components, " if records.has_vertical else ""
         lines = [
-            ("records", f"{count} of {records.events} events, {vertical}scaled to {self.intensity.name}"),
+            ("records", f"{count} from {records.events} events, {vertical}scaled to {self.intensity.name}"),
             ("runs", f"{self.found.runs} simulations up to {self.highest:.3g}{unit}"),
             (self.outcome, f"{self.failed} of {count} records reach it"),
         ]
@@ -117,8 +117,8 @@ class IdaFindings:
                 ("dispersion", f"{fit.dispersion:.3g}{_interval(d)}"),
                 (
                     "misfit",
-                    f"the lognormal curve differs by at most {self.misfit:.2f} from the share of records that have "
-                    "failed",
+                    f"the lognormal curve differs by at most {self.misfit:.2f} from the share of records with a "
+                    "capacity up to the level",
                 ),
             ]
         if self.pulses is not None:
@@ -168,16 +168,16 @@ class IdaFindings:
             if self.pulses is not None:
                 notes.append("The pulses and the reduced model have no vertical component.")
         if self.failed < len(found.capacity):
-            notes.append("Records that never fail enter the fit as capacities above the highest level.")
+            notes.append("Records without a capacity enter the fit as capacities above the highest level.")
         if at_lowest:
             notes.append(
-                f"{at_lowest} of the records fail at the lowest level of the ladder, {self.lowest:.3g}, and are "
-                "known less closely. Use a lower --to."
+                f"{at_lowest} of the records have a capacity at or below the lowest level of the ladder, "
+                f"{self.lowest:.3g}. These capacities are less accurate. Use a lower --to."
             )
         if risen := int((found.resurrections > 0).sum()):
             notes.append(
-                f"Under {risen} of the records a level above the capacity is survived. The capacity is the lowest "
-                "level that fails among those that were simulated."
+                f"Under {risen} of the records, the outcome does not occur at some level above the capacity. The "
+                "capacity is the lowest simulated level at which it occurs."
             )
         if lifted := int(found.lifted.sum()):
             notes.append(
@@ -192,8 +192,9 @@ class IdaFindings:
         if self.pulses is not None and self.pulses.compared < len(found.capacity):
             left_out = len(found.capacity) - self.pulses.compared
             notes.append(
-                f"{left_out} of the records, or their pulses, never fail or fail at every level, and are not in the "
-                "ratio. If it is the pulses that never fail, the ratio is probably too small."
+                f"{left_out} of the records are not in the ratio: under the record or its pulse, the outcome occurs "
+                "at no level or at every level. If it occurs at no level under the pulses, the ratio is probably too "
+                "small."
             )
         if self.simulator:
             notes.append(
@@ -274,7 +275,8 @@ def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
         lines.append(
             (
                 "ratio",
-                f"a pulse alone fails at {math.exp(compared.mean):.3g} times its record's intensity{_interval(ends)}; "
+                f"a pulse alone causes the outcome at {math.exp(compared.mean):.3g} times its record's intensity"
+                f"{_interval(ends)}; "
                 f"sd of the logarithm {compared.spread:.2g}; {compared.compared} records",
             )
         )

@@ -49,7 +49,7 @@ class Intensity:
                 T = math.nan
             if not _PERIODS[0] <= T <= _PERIODS[1]:
                 raise InputError(
-                    f"--scale-to: sa needs a period from {_PERIODS[0]:g} to {_PERIODS[1]:g} s, as in sa:3.5, got "
+                    f"--scale-to: sa requires a period from {_PERIODS[0]:g} to {_PERIODS[1]:g} s, as in sa:3.5, got "
                     f"{visible(text)!r}."
                 )
             return cls("sa", T)

@@ -178,7 +178,7 @@ def check_under_records(campaign: Campaign, values: Mapping[str, float], records
     if number != records:
         raise InputError(f"--records: must be the {number:g} records of the campaign, got {records}.")
     if missing := [name for name in space.names if name not in (*values, RECORD, VELOCITY)]:
-        raise InputError(f"--bearing: needs {visible(', '.join(missing))}.")
+        raise InputError(f"--bearing: requires {visible(', '.join(missing))}.")
 
 
 def digest_of(records: Sequence[Accelerogram]) -> str:

@@ -263,7 +263,7 @@ def hazard_sensitivity(
     notes.append(
         f"One variable at a time moves to its {100 * LOW:g} % and {100 * HIGH:g} % quantiles in the campaign. The "
         "other variables have the given values, or else their medians. These probabilities are the classifier's and "
-        "have no interval; `activefail probability` simulates one."
+        "have no interval; `activefail probability` estimates a probability with an interval."
     )
     return Sensitivity(
         outcome=outcome,

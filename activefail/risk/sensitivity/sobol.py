@@ -70,7 +70,7 @@ def require_salib() -> tuple[Any, Any]:
         return importlib.import_module("SALib.sample.sobol"), importlib.import_module("SALib.analyze.sobol")
     except ImportError:
         raise InputError(
-            "sensitivity: needs the package SALib; install it with `pip install 'activefail[sensitivity]'`."
+            "sensitivity: requires the package SALib; install it with `pip install 'activefail[sensitivity]'`."
         ) from None
 
 
