@@ -53,6 +53,13 @@ def diagnosis() -> Iterator[Finding]:
         yield _tested(title, test)
 
 
+def versions() -> dict[str, str | None]:
+    """Versions of activefail, Python and the libraries, by name; None for a missing one."""
+    found = {name: _version(name) for name in ("activefail", *_LIBRARIES)}
+    installed = {name: None if version == "missing" else version for name, version in found.items()}
+    return {"python": platform.python_version(), **installed}
+
+
 def _version(name: str) -> str:
     try:
         return importlib.metadata.version(name) or "unknown"

@@ -64,8 +64,8 @@ _BY_NAME = {
     "free",
     "length_scales",
 }
-_BY_NAME |= {"margins", "model", "outcomes", "p_values", "probability", "properties", "pulses", "recall"}
-_BY_NAME |= {"record_factor", "statistics", "targets", "uncertainty", "values"}
+_BY_NAME |= {"margins", "measures", "model", "outcomes", "p_values", "probability", "properties", "pulses", "recall"}
+_BY_NAME |= {"record_factor", "statistics", "targets", "uncertainty", "values", "versions"}
 """Keys of JSON objects whose own keys are names of variables, outcomes and the like."""
 
 

@@ -593,11 +593,6 @@ def test_the_figures_of_status_verify_and_compare_are_printed_as_json_too(folder
     assert compare["equivalent"]["series"] == 2
 
 
-def test_a_campaign_file_is_not_compared_as_json(tiny: Path, tmp_path: Path) -> None:
-    result = activefail("compare", tiny, "--out", tmp_path / "c", "--json")
-    refused(result, "--json: only for the comparison of a run folder")
-
-
 @pytest.mark.parametrize("batches", [0, 3])
 def test_the_status_of_a_campaign_that_was_stopped_says_how_to_go_on(tiny: Path, tmp_path: Path, batches: int) -> None:
     folder = halted(tiny, tmp_path / "run", batches)
@@ -794,6 +789,18 @@ def test_a_campaign_file_is_compared_over_seeds_and_the_comparison_goes_on(tmp_p
     repeated = activefail(*words, "--out", tmp_path / "out")
     assert repeated.out == result.out
     assert repeated.err == ""
+    shown = json.loads(activefail(*words, "--out", tmp_path / "out", "--json").out)
+    assert shown["page"] == str(tmp_path / "out" / "comparison.md")
+    rows = table(tmp_path / "out" / "scores.csv")
+    assert len(rows) == len(shown["scores"]) == len(shown["over_seeds"])
+    for row, score, spread in zip(rows, shown["scores"], shown["over_seeds"], strict=True):
+        assert {
+            name: str(score[name]) for name in ("features", "sampling", "seed", "simulations")
+        }.items() <= row.items()
+        for name, value in score["measures"].items():
+            assert value == (float(row[name]) if row[name] else None)
+            # One seed: no spread.
+            assert spread["measures"][name] == dict.fromkeys(("median", "lowest", "highest"), value)
 
 
 @pytest.mark.parametrize(

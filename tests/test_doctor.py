@@ -1,6 +1,8 @@
 """`activefail doctor`: what it says of a sound installation, and of one that is not."""
 
 import importlib.metadata
+import json
+import platform
 
 import numpy as np
 import pytest
@@ -34,6 +36,33 @@ def test_a_simulator_that_computes_something_else_is_a_fault(monkeypatch: pytest
     assert found["simulator"] == "fails: SelfTestError: the outcomes of two bearings are [0, 2], not [2, 0]"
     # What comes after it is tested too.
     assert "learned" in found["campaign"]
+    as_json = activefail("doctor", "--json")
+    assert as_json.code == 1
+    shown = json.loads(as_json.out)
+    assert shown["works"] is False
+    assert [one["title"] for one in shown["findings"] if one["is_fault"]] == ["simulator"]
+    assert [one["title"] for one in shown["findings"]] == list(found)
+
+
+def test_the_versions_are_printed_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(diagnosis, "diagnosis", lambda: iter([diagnosis.Finding("campaign", "learned")]))
+    result = activefail("doctor", "--json")
+    assert (result.code, result.err) == (0, "")
+    shown = json.loads(result.out)
+    assert shown["works"] is True
+    assert shown["versions"]["numpy"] == np.__version__
+    assert shown["versions"]["python"] == platform.python_version()
+    assert shown["findings"] == [{"title": "campaign", "text": "learned", "is_fault": False}]
+    installed = importlib.metadata.version
+    gone = importlib.metadata.PackageNotFoundError
+
+    def without_torch(name: str) -> str:
+        if name == "torch":
+            raise gone(name)
+        return installed(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", without_torch)
+    assert json.loads(activefail("doctor", "--json").out)["versions"]["torch"] is None
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,7 +90,7 @@ def compare(
     source = campaign_file(source)
     if source.suffix != ".toml":
         raise InputError(f"{source}: is not a run folder or a campaign file (.toml).")
-    of_folders = {"budgets": budgets, "json": as_json or None, "code": code}
+    of_folders = {"budgets": budgets, "code": code}
     _check_unset(of_folders, f"a run folder; {source} is a campaign file")
     if out is None:
         raise InputError("--out: required for the comparison of a campaign file.")
@@ -98,7 +98,7 @@ def compare(
     from activefail.comparison.seeds import ComparisonPlan
 
     plan = ComparisonPlan.of(source, seeds, _parse_names(criteria), _parse_names(features), sizes, test)
-    _compare_seeds(plan, out, jobs)
+    _compare_seeds(plan, out, jobs, as_json)
 
 
 def _check_unset(options: Mapping[str, object], only: str) -> None:
@@ -150,8 +150,8 @@ def _compare_run(
         print(same.in_words(opened.boundary))
 
 
-def _compare_seeds(plan: "ComparisonPlan", out: Path, jobs: int | None) -> None:
-    from activefail.report.comparison import comparison_lines, run_comparison
+def _compare_seeds(plan: "ComparisonPlan", out: Path, jobs: int | None, as_json: bool) -> None:
+    from activefail.report.comparison import comparison_json, comparison_lines, run_comparison
 
     try:
         with stop_on_signals() as stop:
@@ -162,6 +162,9 @@ def _compare_seeds(plan: "ComparisonPlan", out: Path, jobs: int | None) -> None:
         print(f"stopped; scores are kept in {visible(str(out))}. Run the same command to continue.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
     scores, page = compared
+    if as_json:
+        print_json(comparison_json(plan, scores) | {"page": str(page)})
+        return
     print("\n".join(comparison_lines(scores)))
     print(f"page       {visible(str(page))}")
 
@@ -171,6 +174,7 @@ def paper(
     fresh: Annotated[int, typer.Option(help="Fresh test designs.", min=100, max=1_000_000)] = 4000,
     seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
     out: Annotated[Path, typer.Option(help="Folder for reproduction.md and its figures.")] = Path("runs/reproduction"),
+    as_json: AsJson = False,
 ) -> None:
     """Reproduce the paper's tables and figures, with intervals."""
     from activefail.paper.claims import claims
@@ -186,5 +190,10 @@ def paper(
         print("stopped; nothing was saved. Run the same command to start over.", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     page = write_reproduction(study, out, show_stage)
+    if as_json:
+        counts = {"simulations": study.data.simulations, "numerical_failures": study.data.numerical_failures}
+        found = [claim.as_json() for claim in claims(study)]
+        print_json({**study.command, **counts, "claims": found, "page": str(page)})
+        return
     print("\n".join(line for claim in claims(study) for line in claim.lines))
     print(f"page       {visible(str(page))}")

@@ -23,7 +23,13 @@ NOTICEABLE = 0.5
 
 @dataclass(frozen=True)
 class Claim:
-    """One line of the page's first table."""
+    """One line of the page's first table.
+
+    Attributes:
+        item, paper, ours, one_sample, rule, verdict: the cells, as text.
+        estimate: what `ours` and `one_sample` state, if it is one number.
+        unit: of the estimate: "share", or "points", hundredths of a share.
+    """
 
     item: str
     paper: str
@@ -31,6 +37,8 @@ class Claim:
     one_sample: str
     rule: str
     verdict: str
+    estimate: Estimate | None = None
+    unit: str = ""
 
     @property
     def lines(self) -> list[str]:
@@ -39,6 +47,31 @@ class Claim:
             f"{self.item}: {self.verdict.replace('*', '')}",
             f"    paper {self.paper or '–'}   ours {self.ours}   one sample {self.one_sample or '–'}",
         ]
+
+    @property
+    def cells(self) -> dict[str, str]:
+        """The texts of the page's table, by name."""
+        names = ("item", "paper", "ours", "one_sample", "rule", "verdict")
+        return {name: getattr(self, name) for name in names}
+
+    def as_json(self) -> dict[str, object]:
+        """The claim's texts, and its numbers where it has any (docs/reference/json.md)."""
+        texts: dict[str, object] = {**self.cells, "verdict": self.verdict.replace("*", "")}
+        if self.estimate is None:
+            return texts | {"estimate": None}
+        intervals = (self.estimate.of_mean, self.estimate.of_one)
+        (low, high), (lowest, highest) = map(_clipped, intervals) if self.unit == "share" else intervals
+        return texts | {
+            "estimate": {
+                "mean": self.estimate.mean,
+                "low": low,
+                "high": high,
+                "one_sample_low": lowest,
+                "one_sample_high": highest,
+                "confidence": 0.95,
+                "unit": self.unit,
+            }
+        }
 
 
 def logistic(draws: list[Draw], boundary: str, name: str) -> Array:
@@ -118,11 +151,14 @@ def named_with_shares(draws: list[Draw], boundary: str) -> str:
     return "; ".join(f"{PAPER_FEATURES[i]} {percent_of(shares[i], len(draws))}" for i in columns) or "none"
 
 
+def _clipped(interval: Interval) -> Interval:
+    """An interval of a share within 0 and 1."""
+    return max(interval[0], 0.0), min(interval[1], 1.0)
+
+
 def span(interval: Interval, digits: int = 3, share: bool = False) -> str:
     """An interval as text; that of a share is clipped to 0 and 1."""
-    low, high = interval
-    if share:
-        low, high = max(low, 0.0), min(high, 1.0)
+    low, high = _clipped(interval) if share else interval
     return f"{low:.{digits}f} to {high:.{digits}f}"
 
 
@@ -149,14 +185,17 @@ def _share(item: str, theirs: float, values: Array) -> Claim:
     estimate = Estimate.over(values)
     one_sample = span(estimate.of_one, share=True)
     verdict = _verdict(estimate, theirs, PERCENT)
-    return Claim(item, f"{theirs:.2f}", with_mean(values, share=True), one_sample, _BY_INTERVALS, verdict)
+    ours = with_mean(values, share=True)
+    return Claim(item, f"{theirs:.2f}", ours, one_sample, _BY_INTERVALS, verdict, estimate, "share")
 
 
 def _gain(item: str, values: Array) -> Claim:
     estimate = Estimate.over(values)
-    ours, one_sample = with_mean(100.0 * values, 1) + " points", span(Estimate.over(100.0 * values).of_one, 1)
+    points = Estimate.over(100.0 * values)
+    ours, one_sample = with_mean(100.0 * values, 1) + " points", span(points.of_one, 1)
     verdict = _verdict(estimate, published.GAIN, PERCENT)
-    return Claim(item, f"{100 * published.GAIN:.0f} points", ours, one_sample, _BY_INTERVALS, verdict)
+    theirs = f"{100 * published.GAIN:.0f} points"
+    return Claim(item, theirs, ours, one_sample, _BY_INTERVALS, verdict, points, "points")
 
 
 def _significance(draws: list[Draw], boundary: str) -> Claim:
@@ -194,6 +233,8 @@ def claims(study: Study) -> list[Claim]:
             span(Estimate.over(fresh).of_one, share=True),
             "",
             "not in the paper",
+            Estimate.over(fresh),
+            "share",
         ),
         _gain("gain over logistic regression, compared as in the paper", papers_gain(draws)),
         _gain("the same, with equal training data and fresh designs", fresh_gain(draws)),
@@ -204,6 +245,8 @@ def claims(study: Study) -> list[Claim]:
             span(Estimate.over(difference).of_one, 2),
             f"mean within {NOTICEABLE} points",
             _reproduced(abs(float(difference.mean())) < NOTICEABLE),
+            Estimate.over(difference),
+            "points",
         ),
         Claim(
             "length scales, insignificant over significant features",

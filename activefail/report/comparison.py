@@ -137,6 +137,38 @@ def comparison_text(plan: ComparisonPlan, scores: list[ArmScore]) -> str:
     )
 
 
+def comparison_json(plan: ComparisonPlan, scores: list[ArmScore]) -> dict[str, object]:
+    """The comparison as JSON: every score, and the spread of each measure over the seeds (docs/reference/json.md)."""
+    spreads: dict[tuple[str, str, int], dict[str, object]] = {}
+    for name in _measures_of_all(scores):
+        for (features, sampling), points in curves(scores, name).items():
+            for point in points:
+                values = point.values[~np.isnan(point.values)]
+                of_seeds = (np.median(values), values.min(), values.max()) if len(values) else (np.nan,) * 3
+                spread = dict(zip(("median", "lowest", "highest"), map(float, of_seeds), strict=True))
+                spreads.setdefault((features, sampling, point.simulations), {})[name] = spread
+    return {
+        "boundary": plan.settings.acquisition.main_boundary,
+        "test_designs": plan.test,
+        "scores": [
+            {
+                "features": score.arm.features,
+                "sampling": score.arm.sampling,
+                "seed": score.arm.seed,
+                "simulations": score.simulations,
+                "measures": score.measures,
+            }
+            for score in scores
+        ],
+        "over_seeds": [
+            {"features": features, "sampling": sampling, "simulations": simulations, "measures": measures}
+            for (features, sampling, simulations), measures in spreads.items()
+        ],
+        "interval": None,
+        "interval_reason": "The lowest and highest values show how much seeds differ; there is no interval.",
+    }
+
+
 def comparison_lines(scores: list[ArmScore]) -> list[str]:
     """A summary for a terminal: medians of accuracy, accuracy near the boundary and log score."""
     shown = ("accuracy", "accuracy_near", "log_score")

@@ -290,7 +290,7 @@ def _context(study: Study) -> dict[str, Any]:
         "simulations": study.data.simulations,
         "answered_fresh": int(np.sum(study.data.outcome_fresh >= 0)),
         "numerical_failures": study.data.numerical_failures,
-        "claims": [vars(line) for line in lines],
+        "claims": [line.cells for line in lines],
         "not_reproduced": [line.item for line in lines if line.verdict == NOT_REPRODUCED],
         "by_chance": [line.item for line in lines if line.verdict == claims.BY_CHANCE],
         "shares": "{:.1f} % no impact, {:.1f} % impact, {:.1f} % failure".format(*(100 * study.data.shares)),

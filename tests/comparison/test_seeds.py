@@ -20,7 +20,7 @@ from activefail.comparison.seeds import (
     simulations_to_reach,
 )
 from activefail.errors import InputError
-from activefail.report.comparison import comparison_lines, comparison_text, write_comparison
+from activefail.report.comparison import comparison_json, comparison_lines, comparison_text, write_comparison
 
 SETTINGS = CampaignSettings().changed(
     {"seed": 3, "sampling.initial": 30, "sampling.budget": 40, "sampling.batch": 5, "classifier.kernel": "matern52"}
@@ -105,6 +105,21 @@ def test_the_page_has_every_median_and_the_table_every_score(tmp_path, scores):
     assert len(comparison_lines(scores)) == 1 + 2 * 8
     for name in ("accuracy.svg", "accuracy.png", "log_score.png"):
         assert (tmp_path / name).stat().st_size > 5000
+
+
+def test_its_json_has_the_spread_of_each_measure_over_the_seeds(scores):
+    shown = comparison_json(PLAN, scores)
+    for row in shown["over_seeds"]:
+        of_seeds = [
+            score.measures["log_score"]
+            for score in scores
+            if (score.arm.features, score.arm.sampling) == (row["features"], row["sampling"])
+            and score.simulations == row["simulations"]
+        ]
+        assert len(of_seeds) == PLAN.seeds
+        expected = {"median": np.median(of_seeds), "lowest": min(of_seeds), "highest": max(of_seeds)}
+        assert row["measures"]["log_score"] == expected
+    assert len(shown["over_seeds"]) * PLAN.seeds == len(shown["scores"]) == len(scores)
 
 
 def made(sampling, n, accuracies):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commandline import activefail
 from scipy.special import expit
 
 from activefail.bearing import TABLE_1, Model, simulate
@@ -268,6 +269,31 @@ def test_the_command_writes_the_page_and_says_every_verdict(study, by_command):
     folder, shown = by_command
     assert all(line.item in shown for line in claims(study))
     assert (folder / "reproduction.md").exists()
+
+
+def test_the_command_prints_the_numbers_of_every_claim_as_json(study, tmp_path, monkeypatch):
+    monkeypatch.setattr(paper, "run_study", lambda *_: study)
+    monkeypatch.setattr("activefail.report.reproduction.write_reproduction", lambda *_: tmp_path / "reproduction.md")
+    done = activefail("paper", "--out", tmp_path, "--json")
+    assert done.code == 0, done.err
+    shown = json.loads(done.out)
+    assert (shown["draws"], shown["fresh"], shown["seed"]) == (2, 150, 3)
+    assert shown["simulations"] == 2 * 250 + 150
+    assert shown["page"] == str(tmp_path / "reproduction.md")
+    assert [claim["item"] for claim in shown["claims"]] == [line.item for line in claims(study)]
+    decimals = {"share": 3, "points": 1}
+    for claim in shown["claims"]:
+        numbers = claim["estimate"]
+        if numbers is None:
+            continue
+        assert numbers["one_sample_low"] <= numbers["low"] <= numbers["mean"] <= numbers["high"]
+        digits = 2 if claim["item"].startswith("expectation") else decimals[numbers["unit"]]
+        mean, low, high = (f"{numbers[name]:.{digits}f}" for name in ("mean", "low", "high"))
+        # The page's text states the same numbers.
+        assert claim["ours"].startswith(f"{mean} ({low} to {high})")
+        lowest, highest = (f"{numbers[name]:.{digits}f}" for name in ("one_sample_low", "one_sample_high"))
+        assert claim["one_sample"] == f"{lowest} to {highest}"
+    assert sum(claim["estimate"] is not None for claim in shown["claims"]) == 7
 
 
 @pytest.mark.exhaustive
