@@ -1,12 +1,16 @@
 """Commands that only read a run folder load no library that they do not use, in a fresh interpreter."""
 
+import os
 import shutil
+import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from commandline import activefail
+from patience import PATIENCE, until
 
 OLD_RUNS = Path(__file__).parent / "old_runs"
 
@@ -53,3 +57,42 @@ def test_a_command_that_reads_loads_only_what_it_uses(words: list[str], unloaded
     loaded = set(result.stderr.splitlines()[-1].split())
     assert "activefail" in loaded
     assert not loaded & unloaded
+
+
+SLOW_TO_IMPORT = """
+import os
+import threading
+open(os.environ["IMPORTING"], "w").close()
+threading.Event().wait(600)
+"""
+
+
+def entry_point() -> str:
+    """What the installed program `activefail` runs."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+    module, function = project["project"]["scripts"]["activefail"].split(":")
+    return f"from {module} import {function}; {function}()"
+
+
+@pytest.mark.parametrize("words", [["-m", "activefail"], ["-c", entry_point()]], ids=["module", "program"])
+def test_a_ctrl_c_while_the_program_is_loaded_ends_it_without_a_traceback(words: list[str], tmp_path: Path) -> None:
+    # The first library that the command line imports.
+    (tmp_path / "typer.py").write_text(SLOW_TO_IMPORT)
+    importing = tmp_path / "importing"
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    process = subprocess.Popen(
+        [sys.executable, *words, "--version"],
+        env=os.environ | {"PYTHONPATH": path, "IMPORTING": str(importing)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell has its background jobs ignore Ctrl-C, and what they start would too.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        until(importing.exists, "the import of typer")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+    assert (process.returncode, out, err) == (130, "", "activefail: stopped\n")
