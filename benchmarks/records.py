@@ -127,7 +127,7 @@ def times(records):
     of_ladder = time.process_time() - began
     began = time.process_time()
     found = analyse(bearing, records, PGV, threads=1)
-    return of_ladder, time.process_time() - began, found.found.runs
+    return of_ladder, time.process_time() - began, found.capacities.runs
 
 
 def capacities_and_pulses(sets, surrogate):
@@ -144,9 +144,9 @@ def capacities_and_pulses(sets, surrogate):
                     f"{len(records.records)}, {records.events}",
                     f"{fit.fit.median:.2f} ({fit.median[0]:.2f} to {fit.median[1]:.2f})",
                     f"{fit.fit.dispersion:.2f} ({fit.dispersion[0]:.2f} to {fit.dispersion[1]:.2f})",
-                    str(int((found.found.resurrections > 0).sum())),
-                    str(int(found.found.lifted.sum())),
-                    str(found.found.runs),
+                    str(int((found.capacities.resurrections > 0).sum())),
+                    str(int(found.capacities.lifted.sum())),
+                    str(found.capacities.runs),
                 ]
             )
             explained = np.quantile([pulse.explained for pulse in one.pulses], [0.1, 0.5, 0.9])

@@ -43,6 +43,6 @@ def plot_ida(findings: IdaFindings) -> Figure:
             xlim=(0.0, findings.highest),
             ylim=(-0.02, 1.02),
         )
-        axes.set_title(f"{len(findings.found.capacity)} records of {findings.records.events} events", fontsize=9)
+        axes.set_title(f"{len(findings.capacities.capacity)} records from {findings.records.events} events", fontsize=9)
         figure.legend(loc="outside lower center", ncols=2)
     return figure

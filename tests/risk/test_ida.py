@@ -22,7 +22,7 @@ from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
 from activefail.risk.ida import simulations as module
 from activefail.risk.ida.calculation import ladder
-from activefail.risk.ida.capacity import Answers, Asked, Capacities, capacities
+from activefail.risk.ida.capacity import Answers, Capacities, Runs, capacities
 from activefail.risk.ida.collapse import LARGEST, collapse_margin, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
@@ -94,7 +94,7 @@ def found(outcome_at: Callable[[float], int], severity: int = 2, bisections: int
     """The capacities of one record with made-up outcomes, and the levels that were asked."""
     asked: list[float] = []
 
-    def simulate(pairs: Asked) -> Answers:
+    def simulate(pairs: Runs) -> Answers:
         levels = [level for _, level in pairs]
         asked.extend(levels)
         return Answers(np.array([outcome_at(x) for x in levels], dtype=np.int8), np.zeros(len(levels), dtype=bool))
@@ -175,7 +175,7 @@ class Counting:
         self.asked: list[tuple[int, float]] = []
         self.outcome, self.stop_after = outcome, stop_after
 
-    def __call__(self, asked: Asked) -> Answers:
+    def __call__(self, asked: Runs) -> Answers:
         if len(self.asked) >= self.stop_after:
             raise KeyboardInterrupt
         self.asked += asked

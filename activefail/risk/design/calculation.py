@@ -37,15 +37,15 @@ def search_design(
         stage: called with each stage of the work.
     """
     campaign = estimator.campaign
-    found = find_design(estimator, task, stage)
-    chart = chart_of(estimator, task, found.values, stage) if with_chart else None
+    designed = find_design(estimator, task, stage)
+    chart = chart_of(estimator, task, designed.values, stage) if with_chart else None
     return DesignFindings(
         campaign,
-        found,
+        designed,
         hazard,
-        found.question.share_outside(campaign.space),
-        _at_upper_bounds(estimator, found, hazard),
-        _at_least_velocity(estimator, found, hazard),
+        designed.question.share_outside(campaign.space),
+        _at_upper_bounds(estimator, designed, hazard),
+        _at_least_velocity(estimator, designed, hazard),
         chart,
     )
 

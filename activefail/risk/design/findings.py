@@ -82,8 +82,8 @@ class DesignFindings:
                 f"the classifier's probability is {at_least} (no interval). Above its last point the curve is "
                 "extrapolated."
             )
-        given = {name: task.question.fixed[name] for name in task.free if name in task.question.fixed}
-        for name, value in given.items():
+        ignored = {name: task.question.fixed[name] for name in task.free if name in task.question.fixed}
+        for name, value in ignored.items():
             sentences.append(f"{name} is a free variable, so its given value {value:g} was ignored.")
         kept = [name for name in self.uncertain if name in self.campaign.space.names]
         if self.hazard is not None:

@@ -47,7 +47,7 @@ def at_risk(hazard: Hazard | None, requirements: Sequence[Requirement]) -> tuple
         raise InputError("target: a risk in years requires a hazard with a [curve] of annual rates.")
     curve = hazard.settings.curve
     rate = Rate(curve.annual_rate[0], curve.pgv_m_s[0], years)
-    given = []
+    of_pulse = []
     for one in requirements:
         target = rate.given_pulse(one.target)
         if not LEAST_TARGET <= target <= 0.9:
@@ -57,9 +57,9 @@ def at_risk(hazard: Hazard | None, requirements: Sequence[Requirement]) -> tuple
                 f"a pulse of at least {rate.velocity:g} m/s, where [curve] begins. This probability must be between "
                 f"{100.0 * LEAST_TARGET:g} and 90 %. Begin the curve at a {side} velocity."
             )
-        given.append(one._replace(target=target))
+        of_pulse.append(one._replace(target=target))
     title = f"pulses of at least {rate.velocity:g} m/s by the curve of {hazard.title}"
-    return replace(hazard, title=title, rows=pulses_of_curve(hazard)), tuple(given), rate
+    return replace(hazard, title=title, rows=pulses_of_curve(hazard)), tuple(of_pulse), rate
 
 
 def pulses_of_curve(hazard: Hazard) -> WeightedRows:
@@ -107,10 +107,10 @@ def _periods_near(rows: WeightedRows, velocities: Array, shares: Array) -> Array
     order = np.argsort(size, kind="stable")
     size, period, weight = size[order], rows.column(PERIOD)[order], rows.weight[order]
     below = np.cumsum(weight) / weight.sum()
-    found = []
+    periods = []
     for rank, share in zip(np.interp(velocities, size, below).tolist(), shares.tolist(), strict=True):
         low = min(max(rank - 0.5 * _NEAR, 0.0), 1.0 - _NEAR)
         first, last = np.searchsorted(below, [low, low + _NEAR])
         near = slice(first, max(first, min(last, len(size) - 1)) + 1)
-        found.append(weighted_quantiles(period[near], weight[near], (share,))[0])
-    return np.array(found)
+        periods.append(weighted_quantiles(period[near], weight[near], (share,))[0])
+    return np.array(periods)

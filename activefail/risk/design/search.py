@@ -207,12 +207,12 @@ def find_design(
     """
     model = _Model(task, tuple(estimator.standardised(one.outcome) for one in task.requirements))
 
-    def asked(candidate: Candidate, look: int) -> Question:
+    def question_of(candidate: Candidate, look: int) -> Question:
         return task.question.at(candidate.values).drawn(look)
 
     def half_widths(candidate: Candidate) -> Array:
         """Expected half widths of the intervals, (r,)."""
-        question, simulations = asked(candidate, _IMAGINED), task.simulations_of(0)
+        question, simulations = question_of(candidate, _IMAGINED), task.simulations_of(0)
         plans = [estimator.plan(one.outcome, simulations, question) for one in task.requirements]
         confidence = 2.0 * task.of_bound(0) - 1.0
         return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
@@ -228,7 +228,7 @@ def find_design(
         stage(f"searching for the design of look {number + 1}")
         candidate = cheapest(task, model, aims)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
-        question = asked(candidate, number + 1)
+        question = question_of(candidate, number + 1)
         sampled = tuple(estimator.sample(one.outcome, simulations, question) for one in task.requirements)
         look = Look(candidate, sampled, task.of_bound(number))
         looks.append(look)
@@ -266,8 +266,8 @@ def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:
     for confidence in _CONFIDENCES:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
         aims = task.targets * look.candidate.model / np.maximum(highs, _LEAST)
-        found = _on_line(task, model, {name: look.candidate.values[name] for name in task.free[1:]}, aims)
-        costs[confidence] = found.values[task.free[0]] if found.is_feasible else math.nan
+        candidate = _on_line(task, model, {name: look.candidate.values[name] for name in task.free[1:]}, aims)
+        costs[confidence] = candidate.values[task.free[0]] if candidate.is_feasible else math.nan
     return costs
 
 
@@ -287,17 +287,17 @@ def cheapest(task: DesignTask, model: Callable[..., Array], aims: Array) -> Cand
     low, high = (np.array([side[name] for name in others]) for side in (task.low, task.high))
     seen: list[tuple[bool, float, dict[str, float], Array]] = []
 
-    def excess(found: Candidate) -> float:
-        return float(np.max(np.log(np.maximum(found.model, _LEAST) / aims)))
+    def excess(candidate: Candidate) -> float:
+        return float(np.max(np.log(np.maximum(candidate.model, _LEAST) / aims)))
 
     def price(u: Array) -> float:
         u = np.clip(u, 0.0, 1.0)
         held = dict(zip(others, (low + u * (high - low)).tolist(), strict=True))
-        found = _on_line(task, model, held, aims, coarse=True)
-        value = task.cost(found.values) if found.is_feasible else excess(found)
-        seen.append((not found.is_feasible, value, held, u))
+        candidate = _on_line(task, model, held, aims, coarse=True)
+        value = task.cost(candidate.values) if candidate.is_feasible else excess(candidate)
+        seen.append((not candidate.is_feasible, value, held, u))
         # For the simplex alone: any feasible design is better than all others.
-        return value / scale if found.is_feasible else 1e9 * (1.0 + value)
+        return value / scale if candidate.is_feasible else 1e9 * (1.0 + value)
 
     middle = {name: 0.5 * (task.low[name] + task.high[name]) for name in task.free}
     scale = max(abs(task.cost(middle)), 1e-300)

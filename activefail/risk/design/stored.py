@@ -76,18 +76,18 @@ def stored_designs(
         free: the free variable. Designs with other free variables are left out.
         requirements: the targets.
     """
-    found = []
+    designs = []
     for requirement in requirements:
         for entry in reversed(_entries(folder)):
             if (entry["outcome"], entry["target"]) != requirement[:2] or entry["free"].keys() != {free}:
                 continue
-            asked = question.at(entry["free"])
+            at_design = question.at(entry["free"])
             of_bound = confidence_of_bound(entry["confidence"], entry["look"] - 1)
-            estimate = estimator.stored(requirement.outcome, asked.drawn(entry["look"]), 2.0 * of_bound - 1.0)
+            estimate = estimator.stored(requirement.outcome, at_design.drawn(entry["look"]), 2.0 * of_bound - 1.0)
             if estimate is not None and verifies([estimate], [requirement.target]):
-                found.append(StoredDesign(requirement, dict(asked.fixed), estimate, entry["confidence"]))
+                designs.append(StoredDesign(requirement, dict(at_design.fixed), estimate, entry["confidence"]))
                 break
-    return found
+    return designs
 
 
 def _entries(folder: Path) -> list[dict[str, Any]]:

@@ -66,17 +66,17 @@ def levels_to_verify(curve: Curve, simulations: int) -> list[tuple[float, int]]:
     verified at its last level too.
     """
     levels = _levels(curve, max(2, min(len(_TARGETS), simulations // _PER_LEVEL)))
-    least, more = divmod(simulations, len(levels))
-    sizes = {level: least + (place < more) for place, level in enumerate(levels)}
+    least, rest = divmod(simulations, len(levels))
+    sizes = {level: least + (place < rest) for place, level in enumerate(levels)}
     return [(level, sizes[level]) for level in sorted(levels, reverse=not curve.rises)]
 
 
 def _levels(curve: Curve, count: int) -> list[float]:
     """At most so many levels to verify, the most important ones first."""
-    found = [level for p in _TARGETS if (level := curve.capacity(p).level) is not None]
-    if len(found) < 2:
-        found.append(float(curve.ladder.levels[-1 if curve.rises else 0]))
-    return list(dict.fromkeys(found))[:count]
+    levels = [level for p in _TARGETS if (level := curve.capacity(p).level) is not None]
+    if len(levels) < 2:
+        levels.append(float(curve.ladder.levels[-1 if curve.rises else 0]))
+    return list(dict.fromkeys(levels))[:count]
 
 
 def as_rows(question: Question) -> Question:
@@ -84,12 +84,12 @@ def as_rows(question: Question) -> Question:
 
     The integral of the classifier is then a sum, much cheaper than the adaptive integration that rare failure needs.
     """
-    given = question.space
-    if isinstance(given, WeightedRows):
+    distribution = question.space
+    if isinstance(distribution, WeightedRows):
         return question
-    n = _POINTS.get(given.dimension, _MORE_POINTS)
-    X = np.concatenate([given.sobol(n, np.random.default_rng(number)) for number in range(BLOCKS)])
-    return replace(question, space=WeightedRows(given.names, X, np.ones(len(X)), is_sample=True), is_own=False)
+    n = _POINTS.get(distribution.dimension, _MORE_POINTS)
+    X = np.concatenate([distribution.sobol(n, np.random.default_rng(number)) for number in range(BLOCKS)])
+    return replace(question, space=WeightedRows(distribution.names, X, np.ones(len(X)), is_sample=True), is_own=False)
 
 
 def verify(
@@ -126,10 +126,10 @@ def stored(
     for count in range(len(_TARGETS), 1, -1):
         levels = []
         for place, level in enumerate(sorted(_levels(curve, count), reverse=not curve.rises)):
-            found = estimate(as_rows(question_at_level(level)).drawn(place + 1))
-            if found is None:
+            verified = estimate(as_rows(question_at_level(level)).drawn(place + 1))
+            if verified is None:
                 break
-            levels.append(VerifiedLevel(level, found))
+            levels.append(VerifiedLevel(level, verified))
         else:
             return tuple(levels)
     return ()
@@ -155,13 +155,13 @@ def capacity_interval(curve: Curve, verified: tuple[VerifiedLevel, ...], p: floa
     along = between if curve.rises else between[::-1]
     sign = 1.0 if curve.rises else -1.0
     levels = np.exp(along) if curve.ladder.is_log else along
-    own = curve.at(np.array([one.level for one in verified]))
+    predicted = curve.at(np.array([one.level for one in verified]))
 
     def first(values: list[float]) -> float | None:
-        corrections = np.interp(sign * along, sign * coordinates, np.array(values) - own)
+        corrections = np.interp(sign * along, sign * coordinates, np.array(values) - predicted)
         band: Array = np.clip(curve.at(levels) + corrections, 0.0, 1.0)
-        found = first_above(along, band, p)
-        return None if found is None else curve.ladder.level(found)
+        crossing = first_above(along, band, p)
+        return None if crossing is None else curve.ladder.level(crossing)
 
     middle = first([one.estimate.probability for one in verified])
     ends = [first([getattr(one.estimate, end) for one in verified]) for end in ("high", "low")]

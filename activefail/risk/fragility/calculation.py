@@ -157,21 +157,23 @@ def bearing_fragility(
     """
     settings, space = campaign.settings, campaign.space
 
-    def asked(hazard: Hazard, level: float) -> Question:
+    def question_of(hazard: Hazard, level: float) -> Question:
         return question_at(hazard, settings, space, fixed, intensity, level)
 
     whole = hazard_question(hazard, settings, space, fixed)
     ladder, median = intensity_ladder(intensity, hazard), median_intensity(hazard, intensity)
     stage(f"evaluating the curves at {len(ladder.levels)} levels of {ladder.name}")
-    curves = curves_on(boundaries, lambda level: asked(hazard, level), ladder, space)
+    curves = curves_on(boundaries, lambda level: question_of(hazard, level), ladder, space)
     is_uncertain = hazard.added_dispersion > 0.0 or hazard.bias != 0.0
     alone = None
     if is_uncertain:
         stage("evaluating the curves of the pulses alone")
-        alone = curves_on(boundaries, lambda level: asked(hazard.without_uncertainty(), level), ladder, space)
+        alone = curves_on(boundaries, lambda level: question_of(hazard.without_uncertainty(), level), ladder, space)
     has_bounds = hazard.settings.properties is not None
     names: tuple[Bound, ...] = ("lower", "nominal", "upper") if has_bounds else ("nominal",)
-    at_bounds = {name: answer(boundaries, asked(hazard.at_bound(name), median), space).probability for name in names}
+    at_bounds = {
+        name: answer(boundaries, question_of(hazard.at_bound(name), median), space).probability for name in names
+    }
     stage("finding the pulses that contribute")
     parts = deaggregated(boundaries, lambda of: hazard_question(of, settings, space, fixed), hazard)
     rates, why = hazard.settings.curve, ""
@@ -179,15 +181,15 @@ def bearing_fragility(
         why = "the hazard has no curve of annual rates"
     elif intensity != "pgv":
         why, rates = "the hazard's annual rates are those of PGV, not of A_p", None
-    found = []
+    of_boundaries = []
     for column, outcome in enumerate(campaign.simulator.outcomes[1:]):
         curve = curves.curves[column]
-        found.append(
+        of_boundaries.append(
             BoundaryFragility(
                 outcome,
                 curve,
                 alone.curves[column] if alone else None,
-                _verified(outcome, curve, lambda level: asked(hazard, level), verification, stage),
+                _verified(outcome, curve, lambda level: question_of(hazard, level), verification, stage),
                 {name: float(value[column]) for name, value in at_bounds.items()},
                 None if rates is None else risk_of(curve, np.array(rates.pgv_m_s), np.array(rates.annual_rate)),
                 parts[column],
@@ -198,7 +200,7 @@ def bearing_fragility(
     return FragilityFindings(
         whole.title,
         curves.curves[0].ladder,
-        tuple(found),
+        tuple(of_boundaries),
         curves.outside,
         fixed,
         verification.confidence,
@@ -226,13 +228,13 @@ def general_fragility(
     """
     against = ladder.name
 
-    def asked(level: float) -> Question:
+    def question_at_level(level: float) -> Question:
         return question.at({against: level})
 
     stage(f"evaluating the curves at {len(ladder.levels)} levels of {ladder.name}")
-    curves = curves_on(boundaries, asked, ladder, campaign.space)
-    found = tuple(
-        BoundaryFragility(outcome, curve, verified=_verified(outcome, curve, asked, verification, stage))
+    curves = curves_on(boundaries, question_at_level, ladder, campaign.space)
+    of_boundaries = tuple(
+        BoundaryFragility(outcome, curve, verified=_verified(outcome, curve, question_at_level, verification, stage))
         for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
     )
     others = [name for name in question.space.names if name != against]
@@ -248,7 +250,7 @@ def general_fragility(
     return FragilityFindings(
         question.title,
         curves.curves[0].ladder,
-        found,
+        of_boundaries,
         curves.outside,
         question.fixed,
         verification.confidence,
@@ -262,16 +264,16 @@ def general_fragility(
 def _verified(
     outcome: str,
     curve: Curve,
-    asked: Callable[[float], Question],
+    question_at_level: Callable[[float], Question],
     verification: Verification,
     stage: Callable[[str], None],
 ) -> tuple[VerifiedLevel, ...]:
     if (read := verification.stored) is not None:
-        return stored(curve, asked, lambda question: read(outcome, question))
+        return stored(curve, question_at_level, lambda question: read(outcome, question))
     if outcome != verification.outcome or not verification.simulations:
         return ()
     stage(f"verifying the curve of {outcome} with {verification.simulations} fresh simulations")
-    return verify(curve, verification.simulations, asked, verification.estimate)
+    return verify(curve, verification.simulations, question_at_level, verification.estimate)
 
 
 def _notes_of_bearing(

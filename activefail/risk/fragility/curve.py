@@ -113,9 +113,9 @@ class Curve:
     def capacity(self, p: float) -> Capacity:
         """The level at which the curve first exceeds a probability."""
         coordinates, values = self.from_the_safe_end
-        found = first_above(coordinates, values, p)
-        if found is not None:
-            return Capacity(self.ladder.level(found))
+        crossing = first_above(coordinates, values, p)
+        if crossing is not None:
+            return Capacity(self.ladder.level(crossing))
         ends = self.ladder.levels[:: 1 if self.rises else -1]
         if values[0] > p:
             return Capacity(None, f"the curve already exceeds {percent(p)} at its first level, {ends[0]:.3g}")

@@ -93,8 +93,10 @@ def deaggregated(
     """
     question = question_of(hazard.without_uncertainty())
     names, added = question.space.names, hazard.added_dispersion
-    given, n = question.space, _WITH_UNCERTAINTY if added else _POINTS
-    X, weight = integration_points(given.thinned(n) if isinstance(given, WeightedRows) else given, n)
+    distribution, n = question.space, _WITH_UNCERTAINTY if added else _POINTS
+    X, weight = integration_points(
+        distribution.thinned(n) if isinstance(distribution, WeightedRows) else distribution, n
+    )
     period, velocity = X[:, names.index(PERIOD)], X[:, names.index(PGV)]
     values = max(_SPREAD, math.ceil(_LEAST / len(X)))
     z = ndtri((np.arange(values) + 0.5) / values) if added else np.zeros(1)

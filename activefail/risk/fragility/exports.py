@@ -41,11 +41,11 @@ def why_no_exports(ladder: Ladder) -> str:
 
 def nested(curves: Mapping[str, Array]) -> dict[str, Array]:
     """The curves, the least severe outcome first, each at least as high as those of more severe outcomes."""
-    names, higher, found = list(curves), np.zeros(1), {}
+    names, higher, nested = list(curves), np.zeros(1), {}
     for name in reversed(names):
         higher = np.maximum(higher, curves[name])
-        found[name] = np.clip(higher, 0.0, 1.0)
-    return {name: found[name] for name in names}
+        nested[name] = np.clip(higher, 0.0, 1.0)
+    return {name: nested[name] for name in names}
 
 
 def multilinear(ladder: Ladder, probability: Array) -> str:

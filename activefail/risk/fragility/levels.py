@@ -142,8 +142,8 @@ def question_at(
     """
     if intensity == "pgv":
         return hazard_question(hazard, settings, space, fixed, level)
-    if (given := hazard.settings.pgv) is not None:
-        alone = hazard.settings.model_copy(update={"pgv": given.model_copy(update={"correlation_with_period": 0.0})})
+    if (pgv := hazard.settings.pgv) is not None:
+        alone = hazard.settings.model_copy(update={"pgv": pgv.model_copy(update={"correlation_with_period": 0.0})})
         hazard = replace(hazard, settings=alone)
     return _with_amplitude(hazard_question(hazard, settings, space, fixed, level))
 
@@ -154,12 +154,14 @@ def _with_amplitude(question: Question) -> Question:
     def renamed(name: str) -> str:
         return AMPLITUDE if name == PGV else name
 
-    given = question.space
-    if isinstance(given, WeightedRows):
-        uncertain: DesignSpace | WeightedRows = replace(given, names=tuple(map(renamed, given.names)))
+    distribution = question.space
+    if isinstance(distribution, WeightedRows):
+        uncertain: DesignSpace | WeightedRows = replace(distribution, names=tuple(map(renamed, distribution.names)))
     else:
-        parameters = [replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in given.parameters]
-        uncertain = DesignSpace(tuple(parameters), given.fixed, given.correlation)
+        parameters = [
+            replace(one, name=AMPLITUDE, unit="g") if one.name == PGV else one for one in distribution.parameters
+        ]
+        uncertain = DesignSpace(tuple(parameters), distribution.fixed, distribution.correlation)
     return replace(question, space=uncertain, fixed={renamed(name): value for name, value in question.fixed.items()})
 
 
@@ -210,16 +212,16 @@ def answer(boundaries: Boundaries, question: Question, space: DesignSpace) -> An
     The simulator is deterministic. So Φ(m/s) is integrated, the probability of the side under the latent (see
     `classifier_probability`). The points are the same at every level of a ladder, so that curves are smooth.
     """
-    given = question.space
-    if isinstance(given, WeightedRows):
-        given = given.thinned(_MOST_ROWS)
-    X, weight = integration_points(given, _POINTS.get(given.dimension, _MORE_POINTS))
+    distribution = question.space
+    if isinstance(distribution, WeightedRows):
+        distribution = distribution.thinned(_MOST_ROWS)
+    X, weight = integration_points(distribution, _POINTS.get(distribution.dimension, _MORE_POINTS))
     designs = question.designs(X)
     beyond = ndtr(boundaries(designs))
     parts = weight[:, None] * beyond
     outside = float(1.0 - (weight * space.contains(designs)).mean())
-    if isinstance(given, WeightedRows):
-        return Answer(parts.mean(axis=0), given.standard_error(beyond), outside)
+    if isinstance(distribution, WeightedRows):
+        return Answer(parts.mean(axis=0), distribution.standard_error(beyond), outside)
     # Each half of a Sobol' sequence is one too.
     half = len(X) // 2
     error = 0.5 * np.abs(parts[:half].mean(axis=0) - parts[half:].mean(axis=0))

@@ -78,25 +78,27 @@ def analyse(
     model, tolerance = model or Model(), tolerance or Tolerance()
     motions = [record.motion for record in records.records]
     levels = ladder(intensity, highest)
-    own = np.array([intensity.of_record(motion) for motion in motions])
+    intensities = np.array([intensity.of_record(motion) for motion in motions])
 
     def capacities_under(ground: Sequence[Accelerogram], name: str) -> Capacities:
-        simulate = BearingUnderRecords(bearing, ground, own, model, tolerance, threads, progress)
+        simulate = BearingUnderRecords(bearing, ground, intensities, model, tolerance, threads, progress)
         kept: Simulate = simulate
         if folder is not None:
             kept = Kept(simulate, folder / name, simulate.identity, progress)
         return capacities(kept, len(ground), levels, BISECTIONS, severity)
 
-    found = capacities_under(motions, KEPT)
-    fragility, margin = _curve(found, records, options)
+    of_records = capacities_under(motions, KEPT)
+    fragility, margin = _curve(of_records, records, options)
     compared = None
     predictions: tuple[Prediction, ...] = ()
     if pulses:
         nearest = [equivalent_pulse(motion) for motion in motions]
         of_pulses = capacities_under([one.motion for one in nearest], KEPT_OF_PULSES)
         events = [record.event for record in records.records]
-        compared = compare_pulses(nearest, of_pulses, found, events, levels, severity)
-        predictions = _predictions(bearing, motions, nearest, surrogate, found, own, levels, severity, model)
+        compared = compare_pulses(nearest, of_pulses, of_records, events, levels, severity)
+        predictions = _predictions(
+            bearing, motions, nearest, surrogate, of_records, intensities, levels, severity, model
+        )
     values = dict(zip(TABLE_1.names, bearing.tolist(), strict=False))
     return IdaFindings(
         values,
@@ -106,7 +108,7 @@ def analyse(
         intensity,
         OUTCOMES,
         outcome,
-        found,
+        of_records,
         fragility,
         margin,
         options,
@@ -146,8 +148,8 @@ def analyse_campaign(
     if folder is not None:
         ask = kept = Kept(simulate, folder / KEPT, simulate.identity, simulate.progress)
         simulate.answered = bool(kept.read())
-    found = capacities(ask, len(records.records), levels, BISECTIONS, severity)
-    fragility, margin = _curve(found, records, options)
+    of_records = capacities(ask, len(records.records), levels, BISECTIONS, severity)
+    fragility, margin = _curve(of_records, records, options)
     values = {**simulate.campaign.space.fixed, **simulate.values}
     return IdaFindings(
         values,
@@ -157,7 +159,7 @@ def analyse_campaign(
         intensity,
         outcomes,
         outcome,
-        found,
+        of_records,
         fragility,
         margin,
         options,
@@ -178,10 +180,10 @@ def _severity(outcome: str, outcomes: Sequence[str]) -> int:
 
 
 def _curve(
-    found: Capacities, records: RecordSet, options: MarginOptions | None
+    of_records: Capacities, records: RecordSet, options: MarginOptions | None
 ) -> tuple[Fragility | None, Margin | None]:
     """The curve of the capacities, and its margin if it has options."""
-    fragility = fitted(found.below, found.capacity, [record.event for record in records.records])
+    fragility = fitted(of_records.below, of_records.capacity, [record.event for record in records.records])
     if fragility is None or options is None:
         return fragility, None
     return fragility, collapse_margin(fragility.fit.median, options.mce, options.shape_factor, options.total_dispersion)
@@ -192,15 +194,15 @@ def _predictions(
     motions: Sequence[Accelerogram],
     pulses: Sequence[EquivalentPulse],
     surrogate: Surrogate | None,
-    found: Capacities,
-    own: Array,
+    of_records: Capacities,
+    intensities: Array,
     levels: Array,
     severity: int,
     model: Model,
 ) -> tuple[Prediction, ...]:
     """What predicts the outcomes at the ladder's levels without simulating them."""
-    outcome = on_ladder(found, levels).ravel()
-    which, factors = np.repeat(np.arange(len(motions)), len(levels)), (levels / own[:, None]).ravel()
+    outcome = on_ladder(of_records, levels).ravel()
+    which, factors = np.repeat(np.arange(len(motions)), len(levels)), (levels / intensities[:, None]).ravel()
     answered = outcome >= 0
     fails, which, factors = outcome[answered] >= severity, which[answered], factors[answered]
     predictions = []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 
-Asked = Sequence[tuple[int, float]]
+Runs = Sequence[tuple[int, float]]
 """Simulations: of each the record, by its place in the set, and the level."""
 
 
@@ -21,7 +21,7 @@ class Answers(NamedTuple):
     lifted: NDArray[np.bool_]  # (n,) whether a plate lifted off by more than the rim's height before any rim touch
 
 
-Simulate = Callable[[Asked], Answers]
+Simulate = Callable[[Runs], Answers]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,9 @@ def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int,
     levels = [ladder.copy() for _ in range(records)]
     lifted = np.zeros(records, dtype=np.int64)
 
-    def outcomes_at(asked: Asked) -> NDArray[np.int8]:
-        answers = simulate(asked)
-        np.add.at(lifted, [k for k, _ in asked], answers.lifted)
+    def outcomes_at(runs: Runs) -> NDArray[np.int8]:
+        answers = simulate(runs)
+        np.add.at(lifted, [k for k, _ in runs], answers.lifted)
         return answers.outcome
 
     first = outcomes_at([(k, level) for k in range(records) for level in ladder.tolist()])
@@ -78,10 +78,10 @@ def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int,
         brackets = [_bracket(*one, severity) for one in zip(levels, outcomes, strict=True)]
         middles = [(k, 0.5 * (below + above)) for k, (below, above) in enumerate(brackets) if np.isfinite(above)]
         # A numerical failure in the middle leaves the bracket as it is: another run would be the same.
-        asked = [(k, middle) for k, middle in middles if middle not in levels[k]]
-        if not asked:
+        runs = [(k, middle) for k, middle in middles if middle not in levels[k]]
+        if not runs:
             break
-        for (k, middle), outcome_there in zip(asked, outcomes_at(asked), strict=True):
+        for (k, middle), outcome_there in zip(runs, outcomes_at(runs), strict=True):
             place = int(np.searchsorted(levels[k], middle))
             levels[k] = np.insert(levels[k], place, middle)
             outcomes[k] = np.insert(outcomes[k], place, outcome_there)
@@ -97,9 +97,9 @@ def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int,
     )
 
 
-def on_ladder(found: Capacities, ladder: Array) -> NDArray[np.int8]:
+def on_ladder(simulated: Capacities, ladder: Array) -> NDArray[np.int8]:
     """The outcomes at the levels of the ladder, (n, k), without those of the bisections."""
-    pairs = zip(found.levels, found.outcomes, strict=True)
+    pairs = zip(simulated.levels, simulated.outcomes, strict=True)
     return np.array([outcomes[np.isin(levels, ladder)] for levels, outcomes in pairs], dtype=np.int8)
 
 

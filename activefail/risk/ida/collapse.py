@@ -61,10 +61,10 @@ def fit_lognormal(below: Array, capacity: Array) -> Lognormal | None:
 
     middle = 0.5 * (np.where(np.isinf(low), high, low) + np.where(np.isinf(high), low, high))
     start = np.array([float(np.median(middle)), math.log(max(0.1, float(np.std(middle))))])
-    found = minimize(
+    optimum = minimize(
         loss, start, method="Nelder-Mead", bounds=[(None, None), _BOUNDS], options={"xatol": 1e-5, "fatol": 1e-7}
     )
-    return Lognormal(math.exp(float(found.x[0])), math.exp(float(found.x[1])))
+    return Lognormal(math.exp(float(optimum.x[0])), math.exp(float(optimum.x[1])))
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,8 @@ def _left_out(statistics: Callable[[NDArray[np.bool_]], tuple[float, ...]], even
     names = np.array(events)
     if len(set(events)) < 3:
         return None
-    found = np.array([statistics(names != event) for event in dict.fromkeys(events)])
-    return None if np.isnan(found).any() else found
+    left_out = np.array([statistics(names != event) for event in dict.fromkeys(events)])
+    return None if np.isnan(left_out).any() else left_out
 
 
 def _half_width(left_out: Array) -> Array:

@@ -67,8 +67,8 @@ def equivalent_pulse(record: Accelerogram) -> EquivalentPulse:
 
     k = int(np.argmax([fitted(period)[0] for period in _PERIODS]))
     ends = math.log(_PERIODS[max(k - 1, 0)]), math.log(_PERIODS[min(k + 1, len(_PERIODS) - 1)])
-    found = minimize_scalar(lambda x: -fitted(math.exp(x))[0], bounds=ends, method="bounded")
-    period = math.exp(float(found.x))
+    optimum = minimize_scalar(lambda x: -fitted(math.exp(x))[0], bounds=ends, method="bounded")
+    period = math.exp(float(optimum.x))
     explained, amplitude = fitted(period)
     t = np.linspace(-HALF_DURATION * period, HALF_DURATION * period, _SAMPLES)
     sampled = np.array([ground_acceleration(one, amplitude, period) for one in t])
@@ -82,7 +82,7 @@ class PulseComparison:
 
     Attributes:
         pulses: of the n records.
-        found: capacities under the pulses, at the intensities of the records.
+        capacities: under the pulses, at the intensities of the records.
         mean: of ln(capacity under the pulse / capacity under the record); positive where the pulse is unconservative.
         interval: of the mean, over events; empty if it cannot be had.
         spread: standard deviation of the logarithm.
@@ -91,7 +91,7 @@ class PulseComparison:
     """
 
     pulses: tuple[EquivalentPulse, ...]
-    found: Capacities
+    capacities: Capacities
     mean: float
     interval: tuple[float, float] | tuple[()]
     spread: float

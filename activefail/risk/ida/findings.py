@@ -33,7 +33,7 @@ class IdaFindings:
         intensity: of all levels.
         outcomes: from least to most severe.
         outcome: the outcome that is sought.
-        found: the capacities.
+        capacities: under the records.
         fragility: of the outcome, or a worse one; None if fewer than two records have a capacity.
         pulses: the comparison with equivalent pulses; None if it was not asked for.
         predictions: what predicts the outcomes at the ladder's levels, with `pulses`.
@@ -50,7 +50,7 @@ class IdaFindings:
     intensity: Intensity
     outcomes: tuple[str, ...]
     outcome: str
-    found: Capacities
+    capacities: Capacities
     fragility: Fragility | None
     margin: Margin | None
     options: MarginOptions | None
@@ -62,12 +62,12 @@ class IdaFindings:
     @property
     def failed(self) -> int:
         """Number of records with a capacity."""
-        return int(np.isfinite(self.found.capacity).sum())
+        return int(np.isfinite(self.capacities.capacity).sum())
 
     @property
     def highest(self) -> float:
         """The highest level."""
-        return float(self.found.levels[0][-1])
+        return float(self.capacities.levels[0][-1])
 
     @property
     def lowest(self) -> float:
@@ -77,8 +77,8 @@ class IdaFindings:
     @property
     def empirical(self) -> tuple[Array, Array]:
         """Capacities, rising, and the share of all records that have failed there, (m,) each."""
-        capacity = np.sort(self.found.capacity[np.isfinite(self.found.capacity)])
-        return capacity, np.arange(1, len(capacity) + 1) / len(self.found.capacity)
+        capacity = np.sort(self.capacities.capacity[np.isfinite(self.capacities.capacity)])
+        return capacity, np.arange(1, len(capacity) + 1) / len(self.capacities.capacity)
 
     @property
     def misfit(self) -> float:
@@ -87,7 +87,7 @@ class IdaFindings:
         if self.fragility is None:
             return float("nan")
         curve = ndtr(np.log(levels / self.fragility.fit.median) / self.fragility.fit.dispersion)
-        before = share - 1.0 / len(self.found.capacity)
+        before = share - 1.0 / len(self.capacities.capacity)
         return float(np.max(np.maximum(np.abs(curve - share), np.abs(curve - before))))
 
     @property
@@ -101,11 +101,11 @@ class IdaFindings:
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts for a terminal."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
-        count, records = len(self.found.capacity), self.records
+        count, records = len(self.capacities.capacity), self.records
         vertical = "with vertical components, " if records.has_vertical else ""
         lines = [
             ("records", f"{count} from {records.events} events, {vertical}scaled to {self.intensity.name}"),
-            ("runs", f"{self.found.runs} simulations up to {self.highest:.3g}{unit}"),
+            ("runs", f"{self.capacities.runs} simulations up to {self.highest:.3g}{unit}"),
             (self.outcome, f"{self.failed} of {count} records reach it"),
         ]
         if self.simulator:
@@ -142,10 +142,10 @@ class IdaFindings:
     @property
     def notes(self) -> list[str]:
         """What is assumed, and what to know of the runs, as sentences."""
-        found, notes = self.found, list[str]()
-        at_lowest = int((found.capacity <= self.lowest).sum())
+        capacities, notes = self.capacities, list[str]()
+        at_lowest = int((capacities.capacity <= self.lowest).sum())
         if self.fragility is None:
-            lower = "Lower" if 2 * at_lowest > len(found.capacity) else "Raise"
+            lower = "Lower" if 2 * at_lowest > len(capacities.capacity) else "Raise"
             without = "curve" if self.options is None else "curve and no margin"
             notes.append(
                 "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no "
@@ -167,30 +167,30 @@ class IdaFindings:
             )
             if self.pulses is not None:
                 notes.append("The pulses and the reduced model have no vertical component.")
-        if self.failed < len(found.capacity):
+        if self.failed < len(capacities.capacity):
             notes.append("Records without a capacity enter the fit as capacities above the highest level.")
         if at_lowest:
             notes.append(
                 f"{at_lowest} of the records have a capacity at or below the lowest level of the ladder, "
                 f"{self.lowest:.3g}. These capacities are less accurate. Use a lower --to."
             )
-        if risen := int((found.resurrections > 0).sum()):
+        if risen := int((capacities.resurrections > 0).sum()):
             notes.append(
                 f"Under {risen} of the records, the outcome does not occur at some level above the capacity. The "
                 "capacity is the lowest simulated level at which it occurs."
             )
-        if lifted := int(found.lifted.sum()):
+        if lifted := int(capacities.lifted.sum()):
             notes.append(
                 f"In {lifted} of the simulations the slider rocks so far that a plate rises above the rim before "
                 "the slider touches a rim. They count as failures."
             )
-        if failures := int(found.numerical_failures.sum()):
+        if failures := int(capacities.numerical_failures.sum()):
             notes.append(
                 f"{failures} of the simulations failed numerically. They count as neither survived nor failed, so the "
                 f"capacities of their records are less certain than the fit assumes. {self.fault}".rstrip()
             )
-        if self.pulses is not None and self.pulses.compared < len(found.capacity):
-            left_out = len(found.capacity) - self.pulses.compared
+        if self.pulses is not None and self.pulses.compared < len(capacities.capacity):
+            left_out = len(capacities.capacity) - self.pulses.compared
             notes.append(
                 f"{left_out} of the records are not in the ratio: under the record or its pulse, the outcome occurs "
                 "at no level or at every level. If it occurs at no level under the pulses, the ratio is probably too "
@@ -214,8 +214,8 @@ class IdaFindings:
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        found, fragility, margin = self.found, self.fragility, self.margin
-        rows = zip(self.records.records, found.below, found.capacity, strict=True)
+        capacities, fragility, margin = self.capacities, self.fragility, self.margin
+        rows = zip(self.records.records, capacities.below, capacities.capacity, strict=True)
         return {
             "bearing": dict(self.values),
             "simulator": self.simulator or None,
@@ -224,7 +224,7 @@ class IdaFindings:
             "outcome": self.outcome,
             "intensity": self.intensity.name,
             "unit": self.intensity.unit,
-            "simulations": found.runs,
+            "simulations": capacities.runs,
             "events": self.records.events,
             "vertical": self.records.has_vertical,
             "highest_level": self.highest,
@@ -235,9 +235,9 @@ class IdaFindings:
                     "intensity": self.intensity.of_record(one.motion),
                     "below": float(below),
                     "capacity": float(capacity) if np.isfinite(capacity) else None,
-                    "resurrections": int(found.resurrections[k]),
-                    "numerical_failures": int(found.numerical_failures[k]),
-                    "lifted": int(found.lifted[k]),
+                    "resurrections": int(capacities.resurrections[k]),
+                    "numerical_failures": int(capacities.numerical_failures[k]),
+                    "lifted": int(capacities.lifted[k]),
                 }
                 for k, (one, below, capacity) in enumerate(rows)
             ],
@@ -300,7 +300,7 @@ def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
                 "explained": one.explained,
                 "capacity": float(capacity) if np.isfinite(capacity) else None,
             }
-            for one, capacity in zip(compared.pulses, compared.found.capacity, strict=True)
+            for one, capacity in zip(compared.pulses, compared.capacities.capacity, strict=True)
         ],
         "mean_log_ratio": compared.mean,
         "mean_log_ratio_interval": list(compared.interval) or None,

@@ -39,8 +39,8 @@ class MarginOptions:
     note: str = ""
 
     def __post_init__(self) -> None:
-        given = {"--mce": self.mce, "--ssf": self.shape_factor, "--beta-total": self.total_dispersion}
-        for name, value in given.items():
+        positive = {"--mce": self.mce, "--ssf": self.shape_factor, "--beta-total": self.total_dispersion}
+        for name, value in positive.items():
             if not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"{name}: must be positive, got {value:g}.")
 

@@ -17,7 +17,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import simulation_versions
 from activefail.errors import InputError, SimulationError
 from activefail.files import read_regular, replacing, writing_to
-from activefail.risk.ida.capacity import Answers, Asked, Simulate
+from activefail.risk.ida.capacity import Answers, Runs, Simulate
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.verification.stored_sets import first_fault_text
@@ -54,26 +54,26 @@ class BearingUnderRecords:
     Attributes:
         bearing: (7,) a row of `simulate_records`.
         records: n records.
-        own: (n,) intensity of the records as they are.
+        intensities: (n,) intensity of the records as they are.
         model, tolerance, threads, progress: as for `simulate_records`.
     """
 
     bearing: Array
     records: Sequence[Accelerogram]
-    own: Array
+    intensities: Array
     model: Model
     tolerance: Tolerance
     threads: int | None = None
     progress: Progress | None = None
 
-    def __call__(self, asked: Asked) -> Answers:
+    def __call__(self, runs: Runs) -> Answers:
         """The outcomes of records at levels.
 
         Raises:
             InputError: as `simulate_records` does.
         """
-        moved = [self.records[k].scaled(level / self.own[k]) for k, level in asked]
-        bearings = np.tile(self.bearing, (len(asked), 1))
+        moved = [self.records[k].scaled(level / self.intensities[k]) for k, level in runs]
+        bearings = np.tile(self.bearing, (len(runs), 1))
         answers = simulate_records(bearings, moved, self.model, self.tolerance, self.threads, self.progress)
         lifted = answers.cause == _LIFTED
         return Answers(np.where(lifted, _FAILURE, answers.outcome).astype(np.int8), lifted)
@@ -83,7 +83,7 @@ class BearingUnderRecords:
         """All that the outcomes depend on, besides record and level."""
         return {
             "bearing": self.bearing.tolist(),
-            "own": self.own.tolist(),
+            "own": self.intensities.tolist(),
             "records": digest_of(self.records),
             "model": asdict(self.model),
             "tolerance": asdict(self.tolerance),
@@ -119,26 +119,26 @@ class CampaignUnderRecords:
     def __post_init__(self) -> None:
         check_under_records(self.campaign, self.values, len(self.records))
 
-    def __call__(self, asked: Asked) -> Answers:
+    def __call__(self, runs: Runs) -> Answers:
         """The outcomes of records at levels.
 
         Raises:
             SimulationError: if the first simulations give no outcome, which is a fault of the simulator; or as the
                 executor does.
         """
-        if not self.answered and len(asked) > _FIRST:
-            return _joined(self(asked[:_FIRST]), self(asked[_FIRST:]))
-        space, ground = self.campaign.space, np.array(asked)
+        if not self.answered and len(runs) > _FIRST:
+            return _joined(self(runs[:_FIRST]), self(runs[_FIRST:]))
+        space, ground = self.campaign.space, np.array(runs)
         # Half a number from the next record, so that rounding changes nothing.
-        columns = {name: np.full(len(asked), value) for name, value in self.values.items()}
+        columns = {name: np.full(len(runs), value) for name, value in self.values.items()}
         columns |= {RECORD: ground[:, 0] + 0.5, VELOCITY: ground[:, 1]}
         X = np.column_stack([columns[name] for name in space.names])
         results = self.executor.run(self.campaign.simulator, X, self.progress)
         self.first_fault = self.first_fault or first_fault_text(results.faults.values()).strip()
         self.answered = self.answered or bool((results.outcome != NUMERICAL_FAILURE).any())
         if not self.answered:
-            raise SimulationError(f"None of {len(asked)} simulations gave an outcome. {self.first_fault}".rstrip())
-        return Answers(results.outcome, np.zeros(len(asked), dtype=bool))
+            raise SimulationError(f"None of {len(runs)} simulations gave an outcome. {self.first_fault}".rstrip())
+        return Answers(results.outcome, np.zeros(len(runs), dtype=bool))
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -210,30 +210,30 @@ class Kept:
     identity: Mapping[str, Any]
     progress: Progress | None = None
 
-    def __call__(self, asked: Asked) -> Answers:
+    def __call__(self, runs: Runs) -> Answers:
         """The outcomes of records at levels.
 
         Raises:
             InputError: if the file cannot be written; or as `simulate` does.
         """
         known = self.read()
-        missing = [one for one in asked if one not in known]
+        missing = [one for one in runs if one not in known]
         if self.progress is not None:
-            self.progress(len(asked) - len(missing))
+            self.progress(len(runs) - len(missing))
         for first in range(0, len(missing), _PART):
             part = missing[first : first + _PART]
             answers = self.simulate(part)
             known |= zip(part, zip(answers.outcome.tolist(), answers.lifted.tolist(), strict=True), strict=True)
             self._write({key: answer for key, answer in known.items() if answer[0] != NUMERICAL_FAILURE})
-        outcome, lifted = zip(*(known[one] for one in asked), strict=True)
+        outcome, lifted = zip(*(known[one] for one in runs), strict=True)
         return Answers(np.array(outcome, dtype=np.int8), np.array(lifted, dtype=bool))
 
     def read(self) -> dict[tuple[int, float], tuple[int, bool]]:
         """The kept outcomes by record and level; none if the file is missing, damaged or of other simulations."""
         try:
-            found = json.loads(read_regular(self.file, _LARGEST_FILE, follow=True))
-            rows = found["simulations"]
-            if found["of"] != self._of or found["digest"] != _digest(rows):
+            saved = json.loads(read_regular(self.file, _LARGEST_FILE, follow=True))
+            rows = saved["simulations"]
+            if saved["of"] != self._of or saved["digest"] != _digest(rows):
                 return {}
             return {(int(k), float(level)): (int(outcome), bool(lifted)) for k, level, outcome, lifted in rows}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):

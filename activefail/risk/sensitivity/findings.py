@@ -166,13 +166,15 @@ def question_sensitivity(
     check_samples(samples)
     evaluations = samples * (space.dimension + 2)
     probability = _probability(standardised, begin(evaluations))
-    found = decomposed(lambda U: probability(question.designs(space.from_unit(U))), space.names, samples, confidence)
+    decomposition = decomposed(
+        lambda U: probability(question.designs(space.from_unit(U))), space.names, samples, confidence
+    )
     return Sensitivity(
         outcome=outcome,
         title=question.title,
-        mean=found.mean,
-        sd=found.sd,
-        indices=_by_total(found),
+        mean=decomposition.mean,
+        sd=decomposition.sd,
+        indices=_by_total(decomposition),
         confidence=confidence,
         samples=samples,
         evaluations=evaluations,
@@ -181,8 +183,8 @@ def question_sensitivity(
         notes=(
             *question.assumptions,
             f"The indices divide the variance of the classifier's probability of {outcome} given all variables.",
-            *_notes_on_indices(found, samples),
-            *_notes_on_rareness(found, samples),
+            *_notes_on_indices(decomposition, samples),
+            *_notes_on_rareness(decomposition, samples),
         ),
     )
 
@@ -239,14 +241,14 @@ def hazard_sensitivity(
         low, high = (float(one.quantile(share, ndtri)) for share in (LOW, HIGH))
         moves.append(Move(one.name, base[one.name], low, high, moved(one.name, low), moved(one.name, high)))
     moves.sort(key=lambda move: -_effect(move, at_base))
-    found = Decomposition(float("nan"), float("nan"), float("nan"), ())
+    decomposition = Decomposition(float("nan"), float("nan"), float("nan"), ())
     outside = question.share_outside(campaign.space)
     notes = [*hazard.assumptions]
     if free:
         names = tuple(one.name for one in free)
         # Independent: who chooses a design may choose any combination.
         space = DesignSpace(tuple(free))
-        found = decomposed(
+        decomposition = decomposed(
             lambda U: _mean_over_pulses(probability, question, names, space.from_unit(U), X, weight),
             names,
             samples,
@@ -268,35 +270,35 @@ def hazard_sensitivity(
     return Sensitivity(
         outcome=outcome,
         title=hazard.title,
-        mean=found.mean,
-        sd=found.sd,
-        indices=_by_total(found),
+        mean=decomposition.mean,
+        sd=decomposition.sd,
+        indices=_by_total(decomposition),
         confidence=confidence,
         samples=samples,
         evaluations=evaluations,
         units={one.name: one.unit for one in design},
         outside=outside,
-        notes=(*notes, *(_notes_on_indices(found, samples) if samples else ())),
+        notes=(*notes, *(_notes_on_indices(decomposition, samples) if samples else ())),
         pulses=pulses,
         probability=at_base,
         moves=tuple(moves),
     )
 
 
-def _by_total(found: Decomposition) -> tuple[Index, ...]:
-    return tuple(sorted(found.indices, key=lambda index: -index.total.value))
+def _by_total(decomposition: Decomposition) -> tuple[Index, ...]:
+    return tuple(sorted(decomposition.indices, key=lambda index: -index.total.value))
 
 
-def _notes_on_indices(found: Decomposition, samples: int) -> list[str]:
+def _notes_on_indices(decomposition: Decomposition, samples: int) -> list[str]:
     """What the indices and their intervals mean."""
-    if not found.indices:
+    if not decomposition.indices:
         return ["The classifier's probability does not change with these variables, so there are no Sobol' indices."]
     notes = [
         "The indices are those of the classifier's function. Their intervals cover the sampling of the indices alone, "
         "not the classifier's error. The first indices add up to at most 1; a total index includes all interactions "
         "of its variable."
     ]
-    estimates = [estimate for index in found.indices for estimate in (index.first, index.total)]
+    estimates = [estimate for index in decomposition.indices for estimate in (index.first, index.total)]
     widest = max(estimate.high - estimate.low for estimate in estimates)
     if widest > WIDE:
         notes.append(
@@ -308,14 +310,14 @@ def _notes_on_indices(found: Decomposition, samples: int) -> list[str]:
     return notes
 
 
-def _notes_on_rareness(found: Decomposition, samples: int) -> list[str]:
+def _notes_on_rareness(decomposition: Decomposition, samples: int) -> list[str]:
     """A warning if the sample holds few designs of either side; the bootstrap cannot know of those that it lacks."""
-    if not found.indices or found.rarer >= _FEW:
+    if not decomposition.indices or decomposition.rarer >= _FEW:
         return []
     return [
-        f"Only about {found.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the boundary. The "
-        "indices and their intervals are unreliable: take more samples, or a question under which the outcome is less "
-        "rare."
+        f"Only about {decomposition.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the boundary. "
+        "The indices and their intervals are unreliable: take more samples, or a question under which the outcome is "
+        "less rare."
     ]
 
 
@@ -379,12 +381,12 @@ def _mean_over_pulses(
     weight: Array,
 ) -> Array:
     """The probability of each of n designs, values of `names`, under weighted pulses, (n,)."""
-    found, at_once = np.empty(len(designs)), max(1, _AT_ONCE // len(pulses))
+    means, at_once = np.empty(len(designs)), max(1, _AT_ONCE // len(pulses))
     for first in range(0, len(designs), at_once):
         part = designs[first : first + at_once]
         values = probability(_designs_under_pulses(question, names, part, pulses))
-        found[first : first + len(part)] = values.reshape(len(part), -1) @ weight / weight.sum()
-    return found
+        means[first : first + len(part)] = values.reshape(len(part), -1) @ weight / weight.sum()
+    return means
 
 
 def _share_outside(

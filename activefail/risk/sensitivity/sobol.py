@@ -116,12 +116,12 @@ def decomposed(
     # Beyond rounding errors there must be something to explain.
     if np.ptp(plain) <= 1e-9:
         return Decomposition(mean, sd, rarer, ())
-    found = analysis.analyze(
+    analysed = analysis.analyze(
         problem, y, calc_second_order=False, num_resamples=RESAMPLES, conf_level=confidence, seed=seed
     )
 
     def estimate(kind: str, column: int) -> Estimate:
-        value, half = float(found[kind][column]), float(found[f"{kind}_conf"][column])
+        value, half = float(analysed[kind][column]), float(analysed[f"{kind}_conf"][column])
         return Estimate(value, value - half, value + half)
 
     indices = (Index(name, estimate("S1", column), estimate("ST", column)) for column, name in enumerate(names))
