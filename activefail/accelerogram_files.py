@@ -74,53 +74,53 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str, dt: float | None 
 
 def doubts(record: Accelerogram) -> list[str]:
     """What makes a record doubtful, as sentences that begin with its name."""
-    found = [f"{record.name} {doubt}" for doubt in _doubts(record)]
+    named = [f"{record.name} {doubt}" for doubt in _doubts(record)]
     if record.vertical is not None:
         vertical = Accelerogram(record.vertical, record.dt)
-        found += [f"{record.name} (vertical) {doubt}" for doubt in _doubts(vertical)]
-    return found
+        named += [f"{record.name} (vertical) {doubt}" for doubt in _doubts(vertical)]
+    return named
 
 
 def _doubts(record: Accelerogram) -> list[str]:
     """What makes a component doubtful, as ends of a sentence."""
     if record.peak == 0.0:
         return ["does not move the ground."]
-    found, peak = [], record.peak / GRAVITY
+    texts, peak = [], record.peak / GRAVITY
     if not _USUAL[0] <= peak <= _USUAL[1]:
-        found.append(f"has a PGA of {peak:.3g} g, which is unusual. Check its unit.")
+        texts.append(f"has a PGA of {peak:.3g} g, which is unusual. Check its unit.")
     if not _USUAL_DT[0] <= record.dt <= _USUAL_DT[1]:
-        found.append(f"has an interval of {record.dt:.3g} s between samples, which is unusual.")
+        texts.append(f"has an interval of {record.dt:.3g} s between samples, which is unusual.")
     a = record.acceleration
     end = abs(float(np.sum(0.5 * record.dt * (a[1:] + a[:-1]))))
     if end > _DRIFT * record.peak_velocity:
         share = end / record.peak_velocity
-        found.append(
+        texts.append(
             f"ends at {share:.2f} of its PGV. Its baseline may need a correction, which activefail does not make."
         )
-    return found
+    return texts
 
 
 def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, float]:
     """Accelerations and interval of a file whose header states NPTS and DT."""
     place = next(k for k, line in enumerate(lines) if re.search(r"\bNPTS\b", line, re.IGNORECASE))
     for k, line in enumerate(lines[: place + 1], 1):
-        if (found := _KIND.search(line)) is None:
+        if (match := _KIND.search(line)) is None:
             continue
-        if found[1].upper() != "ACCELERATION":
+        if match[1].upper() != "ACCELERATION":
             raise InputError(f"line {k}: must state an acceleration, got {visible(line.strip())!r}.")
-        if found[2].lower() != unit.partition("/")[0]:
+        if match[2].lower() != unit.partition("/")[0]:
             raise InputError(f"line {k}: must state the unit {unit} (--unit), got {visible(line.strip())!r}.")
     stated = {}
     for name in ("NPTS", "DT"):
-        found = re.search(rf"\b{name}\s*=?\s*({_NUMBER.pattern})", lines[place], re.IGNORECASE)
-        if found is None:
+        match = re.search(rf"\b{name}\s*=?\s*({_NUMBER.pattern})", lines[place], re.IGNORECASE)
+        if match is None:
             # The oldest files: two numbers, then their names.
-            found = re.match(rf"\s*({_NUMBER.pattern})[\s,]+({_NUMBER.pattern})", lines[place])
-            if found is None:
+            match = re.match(rf"\s*({_NUMBER.pattern})[\s,]+({_NUMBER.pattern})", lines[place])
+            if match is None:
                 raise InputError(f"line {place + 1}: must state {name}, got {visible(lines[place])!r}.")
-            stated = {"NPTS": found[1], "DT": found[2]}
+            stated = {"NPTS": match[1], "DT": match[2]}
             break
-        stated[name] = found[1]
+        stated[name] = match[1]
     values = np.array([x for k, line in enumerate(lines[place + 1 :], place + 2) for x in _numbers(line, k)])
     count = _value(stated["NPTS"])
     if len(values) != count:

@@ -252,8 +252,8 @@ def _rows(table: Path) -> list[tuple[str, dict[str, str]]]:
 
 def _some(names: Sequence[str]) -> str:
     """The first of the names, and how many more there are."""
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + more
+    rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + rest
 
 
 def _interval(place: str, stated: str | None, default: float | None) -> float | None:

@@ -44,10 +44,10 @@ def names_of(argument: str, names: Any) -> tuple[str, ...]:
     """
     if isinstance(names, str):
         return (names,)
-    found = tuple(names) if isinstance(names, Iterable) else (names,)
-    if not all(isinstance(name, str) for name in found):
+    listed = tuple(names) if isinstance(names, Iterable) else (names,)
+    if not all(isinstance(name, str) for name in listed):
         raise InputError(f"{argument}: must be names of variables, got {names!r}.")
-    return found
+    return listed
 
 
 def source_of(name: str, source: Any) -> "Source":
@@ -163,14 +163,14 @@ def question_asked(
     values = values_of(campaign.space, fixed)
     if isinstance(question, Question):
         # Without values a campaign's own design measure stays what it is, with its stored simulations.
-        asked = question.at(values) if values else question
+        resolved = question.at(values) if values else question
     elif question is not None:
-        asked = read_question(path_of("question", question), campaign.settings, campaign.space, values)
+        resolved = read_question(path_of("question", question), campaign.settings, campaign.space, values)
     else:
-        asked = question_of(campaign.settings, campaign.space, values) if values else campaign.question
+        resolved = question_of(campaign.settings, campaign.space, values) if values else campaign.question
     source = next((str(given) for given in (fixed, question) if isinstance(given, str | Path)), "")
-    check_designs_of(asked, campaign.simulator, source)
-    return asked
+    check_designs_of(resolved, campaign.simulator, source)
+    return resolved
 
 
 def site_and_question(
@@ -205,9 +205,9 @@ def site_and_question(
     # The pulses of a file have no distribution of other variables beside them.
     meanwhile = middles(space, [name for name in free if name not in values]) if site.rows is not None else {}
     try:
-        asked = hazard_question(site, campaign.settings, space, {**meanwhile, **values})
+        resolved = hazard_question(site, campaign.settings, space, {**meanwhile, **values})
     except InputError as error:
         raise InputError(f"{file}: {error}" if file else str(error)) from None
-    check_designs_of(asked, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
-    given = {name: value for name, value in asked.fixed.items() if name not in meanwhile}
-    return site, replace(asked, fixed=given)
+    check_designs_of(resolved, campaign.simulator, str(fixed) if isinstance(fixed, Path | str) else file)
+    values_fixed = {name: value for name, value in resolved.fixed.items() if name not in meanwhile}
+    return site, replace(resolved, fixed=values_fixed)

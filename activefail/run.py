@@ -325,16 +325,16 @@ class Run:
         """
         from activefail.loop import asking
 
-        given = table_of(table)
-        if not given.rows:
+        checked = table_of(table)
+        if not checked.rows:
             return 0
         with self._turn:
-            told, handed_out = self._told(given)
-            former = (self.campaign, self.store, told.ids, told.results, handed_out)
-            warn = self._warner(told, asking.lost_margins(*former) if correct else ())
-            with rows_named(told):
+            result_table, handed_out = self._told(checked)
+            former = (self.campaign, self.store, result_table.ids, result_table.results, handed_out)
+            warn = self._warner(result_table, asking.lost_margins(*former) if correct else ())
+            with rows_named(result_table):
                 record = asking.correct if correct else asking.tell
-                new = record(self.campaign, self.store, told.ids, told.results, handed_out, warn)
+                new = record(self.campaign, self.store, result_table.ids, result_table.results, handed_out, warn)
             self._learned = self._predicts = None
             if correct:
                 # It learned from the former results.
@@ -352,19 +352,19 @@ class Run:
         """
         from activefail.loop.asking import new_results
 
-        told, handed_out = self._told(table_of(table))
-        with rows_named(told):
-            return not new_results(self.campaign, self.store, told.ids, told.results, handed_out)
+        result_table, handed_out = self._told(table_of(table))
+        with rows_named(result_table):
+            return not new_results(self.campaign, self.store, result_table.ids, result_table.results, handed_out)
 
     def _told(self, table: "Table") -> "tuple[ResultTable, HandedOut]":
         """The results in a table, with designs as they were handed out, and the designs of the record."""
         from activefail.campaign.results_table import ResultTable
 
-        told, handed_out = ResultTable.told(self.campaign, table), self.handed_out
+        result_table, handed_out = ResultTable.told(self.campaign, table), self.handed_out
         ids = np.concatenate([handed_out.asked.id, handed_out.ids])
         designs = handed_out.history.designs.reshape(-1, self.space.dimension)
-        told.check_designs(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
-        return told, handed_out
+        result_table.check_designs(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
+        return result_table, handed_out
 
     def drop(self, ids: Iterable[int] | int) -> int:
         """Give up designs in flight: they get no result and are not proposed again.
@@ -410,10 +410,10 @@ class Run:
         from activefail.campaign.results_table import ResultTable
         from activefail.loop.asking import add
 
-        given = table_of(table)
-        if not given.rows:
+        checked = table_of(table)
+        if not checked.rows:
             return 0
-        added = ResultTable.added(self.campaign, given)
+        added = ResultTable.added(self.campaign, checked)
         with self._turn:
             warn = self._warner(added)
             with rows_named(added):
@@ -747,10 +747,12 @@ class Run:
         check_whole("simulations", simulations, 2)
         check_confidence(confidence)
         outcome = self._boundary_named(outcome)
-        asked = self.asked(question, fixed)
+        resolved = self.asked(question, fixed)
         with self._estimator(executor) as estimator:
-            estimate = estimator.sample(outcome, simulations, asked).estimate(confidence)
-        findings = ProbabilityFindings.of(self.campaign, self.history, estimator.classifier, outcome, estimate, asked)
+            estimate = estimator.sample(outcome, simulations, resolved).estimate(confidence)
+        findings = ProbabilityFindings.of(
+            self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
+        )
         if self._write and question is None and fixed is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
@@ -792,10 +794,10 @@ class Run:
         check_whole("verify", verify, 0)
         outcome = self._boundary_named(outcome)
         check_confidence(confidence)
-        site, asked = site_and_question(self.campaign, hazard, question, fixed)
-        ladder = checked_ladder(site, asked, self.space, intensity, against, bounds, verify)
+        site, resolved = site_and_question(self.campaign, hazard, question, fixed)
+        ladder = checked_ladder(site, resolved, self.space, intensity, against, bounds, verify)
         with self._estimator(executor, stage, simulates=bool(verify)) as estimator:
-            return fragility(estimator, site, asked, intensity, ladder, outcome, verify, confidence, stage)
+            return fragility(estimator, site, resolved, intensity, ladder, outcome, verify, confidence, stage)
 
     def design(
         self,
@@ -840,17 +842,17 @@ class Run:
         check_whole("simulations", simulations, 10)
         names = names_of("free", free)
         requirements = read_targets(str(target), self.campaign.simulator.outcomes, self.boundary)
-        site, asked = site_and_question(self.campaign, hazard, question, fixed, names or (DEFAULT_FREE,))
+        site, resolved = site_and_question(self.campaign, hazard, question, fixed, names or (DEFAULT_FREE,))
         rate = None
         if any(one.years is not None for one in requirements):
             site, requirements, rate = at_risk(site, requirements)
-            site, asked = site_and_question(self.campaign, site, None, fixed, names or (DEFAULT_FREE,))
-        task = design_task(self.campaign, asked, requirements, names, cost, confidence, simulations, rate)
+            site, resolved = site_and_question(self.campaign, site, None, fixed, names or (DEFAULT_FREE,))
+        task = design_task(self.campaign, resolved, requirements, names, cost, confidence, simulations, rate)
         with self._estimator(executor, stage) as estimator:
-            found = search_design(estimator, task, site, chart, stage)
-        if self._write and (text := designs_text(self.folder, found.designed)) is not None:
+            result = search_design(estimator, task, site, chart, stage)
+        if self._write and (text := designs_text(self.folder, result.designed)) is not None:
             self.store.write_text(DESIGNS, text)
-        return found
+        return result
 
     def sensitivity(
         self,
@@ -893,20 +895,22 @@ class Run:
             check_whole("samples", samples, 1)
         outcome = self._boundary_named(outcome)
         check_confidence(confidence)
-        site, asked = site_and_question(self.campaign, hazard, question, fixed, self.space.names)
+        site, resolved = site_and_question(self.campaign, hazard, question, fixed, self.space.names)
         latent = self.classifier.latent(outcome)
         standardised = standardised_latent(latent, self.features)
         with one_thread():
             if site is None:
-                found = question_sensitivity(self.campaign, standardised, outcome, asked, samples, confidence, begin)
+                result = question_sensitivity(
+                    self.campaign, standardised, outcome, resolved, samples, confidence, begin
+                )
             else:
                 values = self.fixed_values(fixed)
-                found = hazard_sensitivity(
+                result = hazard_sensitivity(
                     self.campaign, standardised, outcome, site, values, samples, confidence, begin
                 )
             severity = self.campaign.simulator.outcomes.index(outcome)
             p_values = variable_p_values(self.space, self.history, severity)
-        return with_classifier(found, length_scales(latent, self.features), p_values)
+        return with_classifier(result, length_scales(latent, self.features), p_values)
 
     def asked(
         self,
@@ -1072,11 +1076,11 @@ class Run:
             raise InputError(f"{'fixed' if fixed is not None else 'design_target'}: requires hazard.")
         risk = None
         if hazard is not None:
-            asked = risk_options(hazard, fixed, design_target, self.campaign.simulator.outcomes, self.boundary)
+            options = risk_options(hazard, fixed, design_target, self.campaign.simulator.outcomes, self.boundary)
             site, question = site_and_question(self.campaign, hazard, None, fixed)
             assert site is not None
             with self._estimator(None, stage, simulates=False) as estimator:
-                risk = risk_findings(estimator, self.folder, site, question, asked, stage)
+                risk = risk_findings(estimator, self.folder, site, question, options, stage)
         failure = self.failure(stage)
         with one_thread():
             evidence = evidence_of(self.folder, self.campaign, self.store, self.classifier, stage)

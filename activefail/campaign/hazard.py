@@ -109,14 +109,14 @@ class Hazard:
         Raises:
             InputError: if the velocity is so far from its median that the periods are absurd.
         """
-        given = self.settings.pgv
-        assert given is not None
-        rho = given.correlation_with_period
-        shift = rho * self.period_dispersion / given.dispersion * math.log(pgv / given.median_m_s) if rho else 0.0
+        section = self.settings.pgv
+        assert section is not None
+        rho = section.correlation_with_period
+        shift = rho * self.period_dispersion / section.dispersion * math.log(pgv / section.median_m_s) if rho else 0.0
         if abs(shift) > _FARTHEST:
             raise InputError(
-                f"pgv: must be closer to its median, {given.median_m_s:g} m/s: at {pgv:g} m/s the correlation with the "
-                "period gives no finite period."
+                f"pgv: must be closer to its median, {section.median_m_s:g} m/s: at {pgv:g} m/s the correlation with "
+                "the period gives no finite period."
             )
         return self.median_period * math.exp(shift), self.period_dispersion * math.sqrt(1.0 - rho * rho)
 
@@ -134,14 +134,14 @@ class Hazard:
             raise InputError(f"pgv: must be positive and finite, got {pgv} m/s.")
         if self.rows is not None:
             return self._pulses_of_rows(self.rows, pgv)
-        given = self.settings.pgv
-        assert given is not None
-        added, rho = self.added_dispersion, given.correlation_with_period
+        section = self.settings.pgv
+        assert section is not None
+        added, rho = self.added_dispersion, section.correlation_with_period
         median_period, period_dispersion = self.median_period, self.period_dispersion
         if pgv is None:
-            median, dispersion = given.median_m_s * math.exp(-self.bias), math.hypot(given.dispersion, added)
+            median, dispersion = section.median_m_s * math.exp(-self.bias), math.hypot(section.dispersion, added)
             # What is added does not depend on the period.
-            rho *= given.dispersion / dispersion
+            rho *= section.dispersion / dispersion
         else:
             median, dispersion = pgv * math.exp(-self.bias), added
             median_period, period_dispersion = self.period_given(pgv)
@@ -324,5 +324,7 @@ def hazard_question(
         return Question(hazard.title, space.names, pulses, values, factors, assumptions=tuple(hazard.assumptions))
     changed = {parameter.name: parameter for parameter in pulses.parameters}
     correlation = [pair for pair in settings.correlation if not {PERIOD, AMPLITUDE} & set(pair[:2])]
-    asked = asked_of(hazard.title, settings, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation])
-    return replace(asked, factors=factors, assumptions=(*hazard.assumptions, *asked.assumptions))
+    question = asked_of(
+        hazard.title, settings, space, changed, {**fixed, **certain}, [*correlation, *pulses.correlation]
+    )
+    return replace(question, factors=factors, assumptions=(*hazard.assumptions, *question.assumptions))

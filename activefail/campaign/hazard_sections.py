@@ -225,8 +225,8 @@ class HazardSettings(Section):
     def _has_pulses(self) -> Self:
         periods = [name for name in ("magnitude", "pulse_period") if getattr(self, name) is not None]
         if self.samples is not None:
-            if given := [*periods, *(["pgv"] if self.pgv is not None else [])]:
-                raise ValueError(f"`samples` cannot be combined with `{given[0]}`")
+            if excluded := [*periods, *(["pgv"] if self.pgv is not None else [])]:
+                raise ValueError(f"`samples` cannot be combined with `{excluded[0]}`")
             return self
         if len(periods) == 2:
             raise ValueError("`magnitude` cannot be combined with `pulse_period`: both give the pulse period")

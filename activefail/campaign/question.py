@@ -76,11 +76,11 @@ class Question:
         else:
             defined = (self.space.parameters, sorted(self.space.correlation))
         values = [float(self.fixed.get(name, 0.0)) for name in self.variables]
-        more = [PGV, self.fixed[PGV]] if PGV in self.fixed else []
+        further_parts = [PGV, self.fixed[PGV]] if PGV in self.fixed else []
         # Parts that older questions did not have are left out where they say nothing, so that digests stay.
-        more += [sorted(self.factors.items())] if self.factors else []
-        more += [self.draw] if self.draw else []
-        return hashlib.sha256(repr((*defined, values, *more)).encode()).hexdigest()
+        further_parts += [sorted(self.factors.items())] if self.factors else []
+        further_parts += [self.draw] if self.draw else []
+        return hashlib.sha256(repr((*defined, values, *further_parts)).encode()).hexdigest()
 
     def designs(self, X: Array) -> Array:
         """Designs of the campaign, (n, d), from values of the uncertain variables, (n, k)."""
@@ -133,9 +133,9 @@ def question_with(
     Raises:
         InputError: naming the file, the key, the rule and the value.
     """
-    asked = checked(QuestionSettings, values, str(path))
+    section = checked(QuestionSettings, values, str(path))
     try:
-        return _question(asked, path.stem, settings, space, fixed)
+        return _question(section, path.stem, settings, space, fixed)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -224,11 +224,11 @@ def asked_of(
     uncertain = [name for name in names if name not in fixed]
     if not uncertain:
         raise InputError("space: fixes every variable; for a single design use `activefail predict` or `simulate`.")
-    own = dict(zip(space.names, space.parameters, strict=True))
+    of_campaign = dict(zip(space.names, space.parameters, strict=True))
     if correlation is None:
         correlation = [pair for pair in settings.correlation if {*pair[:2]} <= {*uncertain, *fixed}]
     kept = tuple(pair for pair in correlation if fixed.keys().isdisjoint(pair[:2]))
-    parameters = tuple(changed.get(name) or own[name] for name in uncertain)
+    parameters = tuple(changed.get(name) or of_campaign[name] for name in uncertain)
     notes = _left_out(correlation, fixed)
     return Question(title, space.names, DesignSpace(parameters, correlation=kept), dict(fixed), assumptions=notes)
 
@@ -238,9 +238,9 @@ def _left_out(correlation: Iterable[tuple[str, str, float]], fixed: Mapping[str,
     sentences = []
     for first, second, rho in correlation:
         if rho and (first in fixed) != (second in fixed):
-            given, other = (first, second) if first in fixed else (second, first)
+            held, other = (first, second) if first in fixed else (second, first)
             sentences.append(
-                f"{given} has a value, so its correlation of {rho:g} with {other} is left out: {other} keeps its "
+                f"{held} has a value, so its correlation of {rho:g} with {other} is left out: {other} keeps its "
                 "distribution."
             )
     return tuple(sentences)
@@ -270,20 +270,22 @@ def has_pulse(space: DesignSpace) -> bool:
 
 
 def _question(
-    asked: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace, further: Mapping[str, float]
+    section: QuestionSettings, title: str, settings: CampaignSettings, space: DesignSpace, further: Mapping[str, float]
 ) -> Question:
-    for name, entry in asked.space.items():
+    for name, entry in section.space.items():
         _check_variable(name, entry, settings, space)
-    if PGV in asked.space and AMPLITUDE in {*asked.space, *further}:
+    if PGV in section.space and AMPLITUDE in {*section.space, *further}:
         raise InputError(f"space.{PGV}: cannot be combined with {AMPLITUDE}, which follows from it.")
-    fixed = {name: entry.value for name, entry in asked.space.items() if isinstance(entry, FixedVariable)} | dict(
+    fixed = {name: entry.value for name, entry in section.space.items() if isinstance(entry, FixedVariable)} | dict(
         further
     )
-    entries = {name: entry for name, entry in asked.space.items() if isinstance(entry, Variable) and name not in fixed}
+    entries = {
+        name: entry for name, entry in section.space.items() if isinstance(entry, Variable) and name not in fixed
+    }
     unbounded = sum(not variable.is_bounded for variable in entries.values())
-    distance = radius(asked.reach, unbounded) if unbounded else np.inf
+    distance = radius(section.reach, unbounded) if unbounded else np.inf
     changed = {name: entry.parameter(name, distance) for name, entry in entries.items()}
-    return asked_of(asked.description or title, settings, space, changed, fixed, asked.correlation)
+    return asked_of(section.description or title, settings, space, changed, fixed, section.correlation)
 
 
 def _check_variable(name: str, entry: Variable | FixedVariable, settings: CampaignSettings, space: DesignSpace) -> None:

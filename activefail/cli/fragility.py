@@ -86,7 +86,7 @@ def fragility(
         raise InputError("--csv -: cannot be combined with --json; both write to standard output.")
     ends = None if bounds is None else _parsed_range(bounds)
     with opened_run(folder, write=verify > 0, code=code) as opened:
-        found = opened.fragility(
+        findings = opened.fragility(
             hazard, fixed, intensity, against, ends, question, verify, confidence, outcome, stage=show_stage
         )
         show_unseen(opened.summary)
@@ -96,19 +96,19 @@ def fragility(
 
     if csv is not None:
         with table_output("--csv", csv) as target:
-            write_curves(found, target)
+            write_curves(findings, target)
     written = []
     if out is not None:
         from activefail.report.fragility import write_fragility
 
         with writing_to(out):
-            written = write_fragility(found, outcomes, out)
+            written = write_fragility(findings, outcomes, out)
     if as_json:
-        print_json(found.as_json())
+        print_json(findings.as_json())
         return
     if csv == STANDARD:
         return
-    print("\n".join(map(visible, lines(found, outcomes))))
+    print("\n".join(map(visible, lines(findings, outcomes))))
     if csv is not None:
         print(f"table      {name_of(csv)}")
     if out is not None:

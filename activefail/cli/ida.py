@@ -182,7 +182,7 @@ def ida(
         read = read_record_set(records, unit, dt, vertical)
         surrogate = None if campaign is None else _surrogate(campaign, outcome, model)
         with _kept_in(out):
-            found = _of_bearing(
+            findings = _of_bearing(
                 row, read, intensity, outcome, to, request, pulses, surrogate, model, integration, workers, out
             )
     else:
@@ -197,18 +197,18 @@ def ida(
             raise InputError(f"--scale-to: must be pgv with --simulator, got {visible(scale_to)!r}.")
         read = read_record_set(records, unit, dt)
         with _kept_in(out):
-            found = _of_campaign(simulator, bearing, read, outcome, to, request, workers, executor, scheduler, out)
+            findings = _of_campaign(simulator, bearing, read, outcome, to, request, workers, executor, scheduler, out)
     if out is not None:
         from activefail.report.ida import write_ida
 
         with writing_to(out):
-            write_ida(found, out)
+            write_ida(findings, out)
     if as_json:
-        print_json(found.as_json())
+        print_json(findings.as_json())
         return
-    for title, text in found.lines:
+    for title, text in findings.lines:
         print(f"{title:<11} {visible(text)}")
-    for note in found.notes:
+    for note in findings.notes:
         print(f"note: {visible(note)}")
     if out is not None:
         print(f"written     {visible(str(out))}: ida.json, ida.csv, ida.png, ida.svg")

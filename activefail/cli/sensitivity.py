@@ -71,32 +71,33 @@ def sensitivity(
 
     with opened_run(folder, code=code) as opened:
         with progress_bar("evaluating") as begin:
-            found = opened.sensitivity(hazard, question, fixed, outcome, samples, confidence, begin)
+            findings = opened.sensitivity(hazard, question, fixed, outcome, samples, confidence, begin)
         summary, campaign = opened.summary, opened.campaign
     show_unseen(summary)
     if out is not None:
-        page = words.write_sensitivity(found, campaign, out)
+        page = words.write_sensitivity(findings, campaign, out)
         show_note(f"page written to {visible(str(page))}")
     if csv is not None:
         with table_output("--csv", csv) as target:
-            words.write_csv(found, target)
+            words.write_csv(findings, target)
         show_note(f"table written to {name_of(csv)}")
     if csv == STANDARD:
         return
     if as_json:
-        print_json(words.as_json(found))
+        print_json(words.as_json(findings))
         return
-    print(visible(words.heading(found, campaign.simulator.outcomes)))
-    if found.moves:
+    print(visible(words.heading(findings, campaign.simulator.outcomes)))
+    if findings.moves:
         print(
-            f"\nprobability {percent(found.probability)} with all variables at their base values, without an interval"
+            f"\nprobability {percent(findings.probability)} with all variables at their base values, without an "
+            "interval"
         )
-        print("\n".join(map(visible, words.aligned(words.move_rows(found)))))
-    if found.indices:
+        print("\n".join(map(visible, words.aligned(words.move_rows(findings)))))
+    if findings.indices:
         print("\nSobol' indices")
-        print("\n".join(map(visible, words.aligned(words.index_rows(found)))))
+        print("\n".join(map(visible, words.aligned(words.index_rows(findings)))))
     print()
-    for title, text in words.about(found):
+    for title, text in words.about(findings):
         print(visible(f"{title:<10} {text}"))
-    for sentence in found.notes:
+    for sentence in findings.notes:
         print(f"note       {visible(sentence)}")

@@ -131,14 +131,14 @@ def _read_record(
 
     if unit is None:
         raise InputError(f"--record requires --unit, one of {', '.join(UNITS)}: files do not say it reliably.")
-    found = read_accelerogram(path, unit, dt)
+    accelerogram = read_accelerogram(path, unit, dt)
     if vertical is not None:
         component = read_accelerogram(vertical, unit, dt)
         try:
-            found = found.with_vertical(component)
+            accelerogram = accelerogram.with_vertical(component)
         except InputError as error:
             raise InputError(f"{visible(str(vertical))}: {error}") from None
-    return found if scale is None else found.scaled(scale)
+    return accelerogram if scale is None else accelerogram.scaled(scale)
 
 
 def _check_single(design: Mapping[str, float | None], out: Path | None) -> None:

@@ -196,44 +196,44 @@ class DesignAnswers:
         for name, values in (("site", site), ("bearing", bearing)):
             if not isinstance(values, dict):
                 raise InputError(f"{name}: must be a JSON object.")
-        given = [slider for slider in _PERIODS if slider.name in site]
-        if len(given) != 1:
+        periods = [slider for slider in _PERIODS if slider.name in site]
+        if len(periods) != 1:
             raise InputError(f"site: must have either {MAGNITUDE.name} or {MEDIAN_PERIOD.name}.")
         return Asked(
-            _checked("site", site, (given[0], *self._others)),
+            _checked("site", site, (periods[0], *self._others)),
             _checked("bearing", bearing, self._bearing),
             checked_number("target", request["target"], _LEAST_TARGET, _LARGEST_TARGET),
         )
 
-    def required(self, asked: Asked, refined: bool = False) -> Answer:
+    def required(self, request: Asked, refined: bool = False) -> Answer:
         """The displacement capacity that a target requires under the classifier, and the curve that it is read off.
 
         Args:
-            asked: the request.
+            request: the request.
             refined: whether to take more time for a more accurate answer.
         """
         points = _REFINED if refined else _AT_ONCE
         low, high = self._range
         grid = np.linspace(low, high, _ALONG)
-        P = np.array([self._probability(asked.site, asked.bearing, x, points) for x in grid.tolist()])
-        value = least_value(grid, P, asked.target)
+        P = np.array([self._probability(request.site, request.bearing, x, points) for x in grid.tolist()])
+        value = least_value(grid, P, request.target)
         is_met = bool(np.isfinite(value))
         if is_met and low < value < high:
             # Between two values of the grid the probability may exceed the target that its interpolation meets.
             k = int(np.searchsorted(grid, value))
             between = np.array([value, grid[k]])
-            at_value = self._probability(asked.site, asked.bearing, value, points)
-            if at_value > asked.target >= P[k]:
-                value = least_value(between, np.array([at_value, P[k]]), asked.target)
+            at_value = self._probability(request.site, request.bearing, value, points)
+            if at_value > request.target >= P[k]:
+                value = least_value(between, np.array([at_value, P[k]]), request.target)
         # A smaller one may meet the target where a larger one does not: failure is not monotone.
-        at = value if is_met else high if P.min() <= asked.target else float(grid[int(np.argmin(P))])
-        probability = self._probability(asked.site, asked.bearing, at, points)
-        hazard, outside = _hazard(asked.site), self._outside(asked.site, asked.bearing)
+        at = value if is_met else high if P.min() <= request.target else float(grid[int(np.argmin(P))])
+        probability = self._probability(request.site, request.bearing, at, points)
+        hazard, outside = _hazard(request.site), self._outside(request.site, request.bearing)
         return {
             "required": value if is_met else None,
             "probability": probability,
             "at": at,
-            "text": self._sentence(is_met, at, probability, asked.target),
+            "text": self._sentence(is_met, at, probability, request.target),
             "grid": grid.tolist(),
             "curve": P.tolist(),
             "points": points,
@@ -242,14 +242,14 @@ class DesignAnswers:
             "outside": outside,
             "outside_text": percent(outside),
             "notes": self._notes(hazard),
-            "svg": self._drawn(grid, P, asked.target, value),
+            "svg": self._drawn(grid, P, request.target, value),
         }
 
-    def verified(self, asked: Asked, watch: Watch) -> Answer:
+    def verified(self, request: Asked, watch: Watch) -> Answer:
         """Search the design and verify it, as `activefail design` does; nothing is stored.
 
         Args:
-            asked: the request.
+            request: the request.
             watch: told of the progress; ends the work when it must stop.
 
         Raises:
@@ -257,16 +257,16 @@ class DesignAnswers:
             SimulationError: if no simulation gives an outcome.
         """
         campaign, findings = self.campaign, self._answers.findings
-        question, hazard = self._question(asked.site, asked.bearing), _hazard(asked.site)
-        task = design_task(campaign, question, (Requirement(self._boundary, asked.target),), (CAPACITY,))
+        question, hazard = self._question(request.site, request.bearing), _hazard(request.site)
+        task = design_task(campaign, question, (Requirement(self._boundary, request.target),), (CAPACITY,))
         last = int(findings.iteration[-1])
         with WatchedExecutor(local_executor(campaign.simulator), watch) as executor:
             estimator = _InTurns(
                 campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, watch
             )
             designed = find_design(estimator, task, watch.stage, with_costs=False)
-        found = DesignFindings(campaign, designed, hazard, designed.question.share_outside(self.space))
-        numbers = found.as_json()
+        of_design = DesignFindings(campaign, designed, hazard, designed.question.share_outside(self.space))
+        numbers = of_design.as_json()
         kept = (
             "status",
             "target",
@@ -279,10 +279,10 @@ class DesignAnswers:
         )
         value = designed.values[CAPACITY]
         return {key: numbers[key] for key in kept} | {
-            "verdict": found.verdict,
+            "verdict": of_design.verdict,
             "value": value,
             "text": self._estimated(value, numbers),
-            "assumptions": found.assumptions,
+            "assumptions": of_design.assumptions,
         }
 
     def no_verification(self) -> str:

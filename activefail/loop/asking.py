@@ -145,12 +145,12 @@ def tell(
         return 0
     place = {number: k for k, number in enumerate(handed.asked.id.tolist())}
     numbers = sorted(new)
-    told = handed.asked[np.array([place[number] for number in numbers])]
+    designs = handed.asked[np.array([place[number] for number in numbers])]
     store.commit(
         Batch(
             handed.next_iteration(campaign),
-            told.designs,
-            told.origin,
+            designs.designs,
+            designs.origin,
             results[np.array([new[number] for number in numbers])],
         )
     )

@@ -74,9 +74,9 @@ def design_point(standardised: Standardised, space: DesignSpace, rng: np.random.
     if not len(beyond):
         return None
     starts = _spread_out(beyond[np.argsort((beyond**2).sum(axis=1), kind="stable")])
-    found = min((_refined(other_side, start) for start in starts), key=lambda Z: float(Z @ Z))
-    beta = float(np.linalg.norm(found))
-    return DesignPoint(found, space.from_normal(found[None])[0], -beta if middle_fails else beta)
+    nearest = min((_refined(other_side, start) for start in starts), key=lambda Z: float(Z @ Z))
+    beta = float(np.linalg.norm(nearest))
+    return DesignPoint(nearest, space.from_normal(nearest[None])[0], -beta if middle_fails else beta)
 
 
 def _doubtful(z: Array) -> Array:
@@ -107,7 +107,7 @@ def _refined(other_side: Standardised, start: Array) -> Array:
         return np.asarray((values[:d] - values[d:]) / (2.0 * _STEP))
 
     constraint = {"type": "ineq", "fun": lambda Z: float(other_side(Z[None])[0]), "jac": gradient}
-    found = minimize(
+    optimum = minimize(
         lambda Z: 0.5 * float(Z @ Z),
         start,
         jac=lambda Z: Z,
@@ -115,6 +115,6 @@ def _refined(other_side: Standardised, start: Array) -> Array:
         constraints=[constraint],
         options={"maxiter": 100},
     )
-    Z = np.asarray(found.x)
+    Z = np.asarray(optimum.x)
     is_beyond = bool(np.isfinite(Z).all()) and bool(other_side(Z[None])[0] > -_ON_BOUNDARY)
     return Z if is_beyond and start @ start > Z @ Z else start

@@ -45,7 +45,7 @@ class RiskFindings:
     """What a hazard means for a bearing of a campaign.
 
     Attributes:
-        asked: what was asked.
+        request: what the report shows.
         space: of the campaign.
         fragility: the curves, with the levels that earlier verifications stored.
         chart: of the values that targets require; None if there is none.
@@ -53,7 +53,7 @@ class RiskFindings:
         designs: the last verified design of each target of the chart, if its simulations are stored.
     """
 
-    asked: RiskOptions
+    request: RiskOptions
     space: DesignSpace
     fragility: FragilityFindings
     chart: RequiredChart | None
@@ -63,8 +63,8 @@ class RiskFindings:
     @property
     def options(self) -> str:
         """The options of the command that makes the section."""
-        target = self.asked.target
-        return self.asked.site + (f" --target {quoted(target)}" if target is not None else "")
+        target = self.request.target
+        return self.request.site + (f" --target {quoted(target)}" if target is not None else "")
 
 
 def risk_options(
@@ -98,7 +98,7 @@ def risk_findings(
     folder: Path,
     hazard: Hazard,
     question: Question,
-    asked: RiskOptions,
+    request: RiskOptions,
     stage: Callable[[str], None] = lambda _: None,
 ) -> RiskFindings:
     """The section's findings, from the classifier and from stored simulations.
@@ -108,21 +108,21 @@ def risk_findings(
         folder: the run folder.
         hazard: at one of its property bounds.
         question: the hazard's, with the bearing's values.
-        asked: what is asked.
+        request: what the report shows.
         stage: called with each stage of the work.
     """
-    campaign, requirement = estimator.campaign, asked.requirement
+    campaign, requirement = estimator.campaign, request.requirement
     curves = fragility(estimator, hazard, question, "pgv", None, requirement.outcome, None, _CONFIDENCE, stage)
     if DEFAULT_FREE not in campaign.space.names:
         why = f"the campaign has no variable {DEFAULT_FREE}, whose required value a chart could show."
-        return RiskFindings(asked, campaign.space, curves, None, why, ())
+        return RiskFindings(request, campaign.space, curves, None, why, ())
     chart = chart_of(estimator, design_task(campaign, question, (requirement,)), {}, stage)
     if chart is None:
         why = f"a chart requires values of two variables besides {DEFAULT_FREE}; --fixed gives them."
-        return RiskFindings(asked, campaign.space, curves, None, why, ())
+        return RiskFindings(request, campaign.space, curves, None, why, ())
     requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
     designs = stored_designs(estimator, folder, question, DEFAULT_FREE, requirements)
-    return RiskFindings(asked, campaign.space, curves, chart, "", tuple(designs))
+    return RiskFindings(request, campaign.space, curves, chart, "", tuple(designs))
 
 
 def fragility_section(findings: RiskFindings | None, outcomes: Sequence[str]) -> dict[str, Any] | None:
@@ -136,10 +136,10 @@ def fragility_section(findings: RiskFindings | None, outcomes: Sequence[str]) ->
         drawn = picture(figure, "required", f"Required {chart.name} against {chart.across}")
     unit = next((one.unit for one in findings.space.parameters if one.name == DEFAULT_FREE), "")
     return {
-        "at_site": findings.asked.site,
-        "target": findings.asked.target or findings.asked.requirement.target,
+        "at_site": findings.request.site,
+        "target": findings.request.target or findings.request.requirement.target,
         "targets": [] if chart is None else [f"{100.0 * target:g} %" for target in chart.targets.tolist()],
-        "outcome": findings.asked.requirement.outcome,
+        "outcome": findings.request.requirement.outcome,
         "curves": curves_shown(findings.fragility, outcomes),
         "required": DEFAULT_FREE,
         "chart": drawn,

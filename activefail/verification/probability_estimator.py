@@ -81,17 +81,17 @@ class Sampled:
 
         if self.is_complete:
             return self._counted(self._known(confidence))
-        found = self.plan.estimate(self.beyond, self.answered, confidence)
+        estimate = self.plan.estimate(self.beyond, self.answered, confidence)
         if self.first is not None:
-            found = self._counted(found)
+            estimate = self._counted(estimate)
         if not self.error:
-            return found
+            return estimate
         half = float(t.ppf(0.5 + 0.5 * confidence, BLOCKS - 1)) * self.error
-        middle = found.probability
+        middle = estimate.probability
         return replace(
-            found,
-            low=max(0.0, middle - math.hypot(middle - found.low, half)),
-            high=min(1.0, middle + math.hypot(found.high - middle, half)),
+            estimate,
+            low=max(0.0, middle - math.hypot(middle - estimate.low, half)),
+            high=min(1.0, middle + math.hypot(estimate.high - middle, half)),
         )
 
     def _known(self, confidence: float) -> ProbabilityEstimate:
@@ -215,8 +215,8 @@ class Estimator:
 
     def stored(self, outcome: str, question: Question, confidence: float) -> ProbabilityEstimate | None:
         """The estimate from stored simulations (see `stored_estimate`)."""
-        given = (self.campaign, self.store, self.classifier, self.iteration)
-        return stored_estimate(*given, outcome, confidence, question)
+        common = (self.campaign, self.store, self.classifier, self.iteration)
+        return stored_estimate(*common, outcome, confidence, question)
 
 
 def stored_estimate(
