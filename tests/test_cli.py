@@ -277,7 +277,7 @@ def test_a_plot_and_a_film_are_written_and_named(tmp_path: Path) -> None:
     plot, film = tmp_path / "a.svg", tmp_path / "a.gif"
     result = activefail("simulate", *design(), "--plot", plot, "--animate", film)
     assert result.code == 0
-    assert result.out.splitlines()[-2:] == [f"plot       {plot}", f"film       {film}"]
+    assert result.out.splitlines()[-2:] == [f"plot       {plot}", f"animation  {film}"]
     assert plot.read_text().startswith("<?xml")
     assert film.read_bytes().startswith(b"GIF8")
 
@@ -309,7 +309,7 @@ def test_a_table_is_simulated_and_the_outcomes_are_counted(tmp_path: Path) -> No
         ([*design(), "--out", "o.csv"], ["--out requires --csv"]),
         ([*design(), "--plot", "p.jpeg"], ["p.jpeg: the name of a plot must end in .png, .svg or .pdf"]),
         ([*design(), "--plot", "plot"], ["plot: the name of a plot must end in"]),
-        ([*design(), "--animate", "a.avi"], ["a.avi: the name of a film must end in .gif or .mp4"]),
+        ([*design(), "--animate", "a.avi"], ["a.avi: the name of an animation must end in .gif or .mp4"]),
         ([*design(), "--plot", "none/p.png"], ["none/p.png: the folder", "does not exist"]),
         ([*design(), "--animate", "none/a.gif"], ["none/a.gif: the folder", "does not exist"]),
         (design(mu="0"), ["`mu > 0` must hold, got 0.0"]),

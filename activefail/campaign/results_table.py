@@ -1,4 +1,4 @@
-"""Tables of results that a user tells or adds: what their columns mean, and which rows are refused, and why."""
+"""Tables of results for `tell` and `add`: what their columns mean, and which rows are refused, and why."""
 
 import difflib
 import math

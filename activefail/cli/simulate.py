@@ -167,7 +167,7 @@ def _simulate_one(
     from activefail.bearing.simulation import simulate_one
 
     check_file(plot, "a plot", (".png", ".svg", ".pdf"))
-    check_file(animate, "a film", (".gif", ".mp4"))
+    check_file(animate, "an animation", (".gif", ".mp4"))
     bearing = Bearing.from_row(design, model.slider_diameter)
     motion = record if record is not None else Pulse.from_table(*design[7:])
     # The plots show the motion beyond the moment that decides the outcome.
@@ -190,7 +190,7 @@ def _simulate_one(
 
         with writing_to(animate), progress_bar("drawing") as begin:
             save_animation(response, animate, begin=begin)
-        _print_file("film", animate, as_json)
+        _print_file("animation", animate, as_json)
     if response.outcome_name == "numerical_failure":
         raise typer.Exit(1)
 
