@@ -1,5 +1,6 @@
 """The value of a variable that targets require, with verified designs."""
 
+import textwrap
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,6 +18,9 @@ from activefail.space import DesignSpace
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY_BLUE)
 _MARKERS = ("o", "s", "^", "v", "P", "X")
 """Of the lines. A line with one value is a single marker; the diamond is a design's."""
+
+_WIDTH = 26
+"""Letters in a line of text that fits into a panel."""
 
 _LETTER, _HANDLE = 0.075, 0.6
 """Widths of a legend's letter, and of its handle with the space around it [in]."""
@@ -57,6 +61,9 @@ def plot_required(chart: RequiredChart, space: DesignSpace, marks: Sequence[Mark
             for colour, marker, value, required in zip(_COLOURS, _MARKERS, chart.values, lines, strict=False):
                 label = f"{chart.lines} = {value:.3g}"
                 axes.plot(chart.x, required, color=colour, marker=marker, markersize=4, label=label)
+            if np.isnan(lines).all():
+                why = textwrap.fill(f"no {chart.name} in its range meets this target", _WIDTH)
+                axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=GREY)
             _draw_marks(axes, [mark for mark in marks if np.isclose(mark.target, target)])
             axes.set_title(f"P({chart.outcome}) ≤ {100.0 * target:g} %")
             axes.set_xlabel(_labelled(chart.across, space))

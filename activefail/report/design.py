@@ -68,7 +68,7 @@ def render_design(findings: DesignFindings) -> str:
     looks: list[dict[str, Any]] = [
         {
             "values": ", ".join(f"{name} = {value:.4g}" for name, value in look.candidate.values.items()),
-            "model": ", ".join(percent(share, 2) for share in look.candidate.model.tolist()),
+            "model": [percent(share, 2) for share in look.candidate.model.tolist()],
             "confidence": f"{100.0 * look.of_bound:.3g} %",
             "estimates": look.estimates,
         }

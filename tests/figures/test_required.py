@@ -24,6 +24,21 @@ def test_a_chart_needs_no_design():
     assert len(figure.legends) == 1
 
 
+def test_an_empty_panel_says_why_in_a_line_that_it_holds():
+    made = chart()
+    made.required[2] = np.nan
+    figure = plot_required(made, SPACE)
+    assert [[text.get_text().replace("\n", " ") for text in axes.texts] for axes in figure.axes] == [
+        [],
+        [],
+        ["no D_tot in its range meets this target"],
+    ]
+    figure.draw_without_rendering()
+    panel = figure.axes[2]
+    why, frame = panel.texts[0].get_window_extent(), panel.get_window_extent()
+    assert frame.x0 <= why.x0 <= why.x1 <= frame.x1
+
+
 def test_every_design_is_in_one_legend_once_and_in_the_panel_of_its_target():
     marks = [
         Mark(3.5, 0.6, 0.05, "earlier look", is_verified=False, is_result=False),

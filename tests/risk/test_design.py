@@ -18,10 +18,12 @@ from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.reliability.strata import StratifiedPlan, plan_strata
+from activefail.report.design import render_design
 from activefail.risk.design.design_task import DesignTask, Requirement, read_targets
 from activefail.risk.design.required import least_value, required_chart
 from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design
 from activefail.run import Run
+from activefail.shares import percent
 from activefail.space import Array, DesignSpace
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability_estimator import Sampled
@@ -113,6 +115,13 @@ def test_each_outcome_may_have_a_target_and_the_hardest_decides(run: Run, folder
     assert needed(0.1, share=0.6) < found.values["capacity"] < 1.1 * needed(0.1, share=0.6)
     assert [estimate.high <= 0.1 for estimate in found.last.estimates] == [True, True]
     assert found.simulations == (600, 1000)[len(found.looks) - 1]
+
+
+def test_the_page_has_the_classifiers_probability_of_each_outcome_beside_its_target(run: Run, folder: Path) -> None:
+    found = run.design("failure=0.1,damage=0.1", None, folder / "site.toml", {"friction": 1.0}, ["capacity"])
+    page = render_design(found)
+    for share, estimate in zip(found.designed.last.candidate.model, found.designed.last.estimates, strict=True):
+        assert f'<td class="n">{percent(share, 2)}</td><td class="n">{estimate.simulations}</td>' in page
 
 
 def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -> None:
