@@ -284,7 +284,9 @@ def check_applies(hazard: Hazard, space: DesignSpace, fixed: Mapping[str, float]
     check_names(fixed, space)
     for name in (PERIOD, AMPLITUDE):
         if name in fixed:
-            raise InputError(f"{name}: is uncertain under a hazard, so it cannot have a value, got {fixed[name]:g}.")
+            raise InputError(
+                f"{name}: is uncertain under a hazard, so `fixed` cannot give it a value, got {fixed[name]:g}."
+            )
     # Both bounds: probabilities at the other one are shown beside.
     for bound in _BOUNDS:
         for name in hazard.at_bound(bound).factors:

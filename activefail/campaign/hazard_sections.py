@@ -11,7 +11,7 @@ from activefail.campaign.sections import Section, shown
 LARGEST_VELOCITY = 10.0
 """Largest peak ground velocity [m/s]; the largest recorded ones are about 3 m/s."""
 
-_LARGEST_MEDIAN = 5.0
+LARGEST_MEDIAN = 5.0
 """Largest median of the peak ground velocity [m/s]."""
 
 SHORTEST, LONGEST = 0.05, 30.0
@@ -109,8 +109,8 @@ class VelocitySection(Section):
     @field_validator("median_m_s")
     @classmethod
     def _is_in_metres(cls, median: float) -> float:
-        if median > _LARGEST_MEDIAN:
-            raise ValueError(f"must be at most {_LARGEST_MEDIAN:g} m/s, got {median:g}; is it in cm/s?")
+        if median > LARGEST_MEDIAN:
+            raise ValueError(f"must be at most {LARGEST_MEDIAN:g} m/s, got {median:g}; is it in cm/s?")
         return median
 
 

@@ -86,5 +86,5 @@ def _check(
 ) -> None:
     for row in np.flatnonzero(bad)[:1]:
         raise InputError(
-            f"{path}: row {row + 1} (line {lines[row]}), column {name}: {rule}, got {values[row]:g}{hint}."
+            f"{path}: row {row + 1} (line {lines[row]}), column {name}: {rule}, got {values[row]:g}{hint or '.'}"
         )

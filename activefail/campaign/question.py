@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from activefail.bearing.design import LARGEST
+from activefail.campaign.hazard_sections import LARGEST_MEDIAN
 from activefail.campaign.sections import FixedVariable, QuestionSettings, Variable, shown
 from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
 from activefail.errors import InputError
@@ -285,6 +286,14 @@ def _question(
     unbounded = sum(not variable.is_bounded for variable in entries.values())
     distance = radius(section.reach, unbounded) if unbounded else np.inf
     changed = {name: entry.parameter(name, distance) for name, entry in entries.items()}
+    if PGV in section.space and PGV not in space.names:
+        from scipy.special import ndtri
+
+        median = fixed[PGV] if PGV in fixed else float(changed[PGV].quantile(0.5, ndtri))
+        if median > LARGEST_MEDIAN:
+            raise InputError(
+                f"space.{PGV}: its median must be at most {LARGEST_MEDIAN:g} m/s, got {median:g}; is it in cm/s?"
+            )
     return asked_of(section.description or title, settings, space, changed, fixed, section.correlation)
 
 

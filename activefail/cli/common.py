@@ -119,6 +119,30 @@ def table_output(option: str, path: Path) -> "Iterator[Target]":
         yield table
 
 
+def check_out(out: Path | None) -> None:
+    """Check, before any work, the folder that --out names; None is valid.
+
+    Raises:
+        InputError: if it is reserved by a run folder, or a file.
+    """
+    check_output("--out", out)
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"--out: {out} must be a folder, but is a file.")
+
+
+def check_table(option: str, path: Path | None) -> None:
+    """Check, before any work, the table that an option names; None and "-" are valid.
+
+    Raises:
+        InputError: if it is reserved by a run folder, or a folder.
+    """
+    if path is None or path == STANDARD:
+        return
+    check_output(option, path)
+    if path.is_dir():
+        raise InputError(f"{option}: {path} must be a file, but is a folder.")
+
+
 def name_of(path: Path) -> str:
     """A table in messages."""
     return "standard output" if path == STANDARD else visible(str(path))

@@ -5,10 +5,18 @@ from typing import Annotated
 
 import typer
 
-from activefail.cli.common import AsJson, Code, Fixed, RunFolder, opened_run, print_json, show_stage, show_unseen
-from activefail.errors import InputError
+from activefail.cli.common import (
+    AsJson,
+    Code,
+    Fixed,
+    RunFolder,
+    check_out,
+    opened_run,
+    print_json,
+    show_stage,
+    show_unseen,
+)
 from activefail.files import writing_to
-from activefail.record.layout import check_output
 from activefail.visible import visible
 
 OUT_OF_REACH = 3
@@ -65,9 +73,7 @@ def design(
 
     The target is a probability of an outcome, such as failure.
     """
-    check_output("--out", out)
-    if out is not None and out.exists() and not out.is_dir():
-        raise InputError(f"--out: {out} must be a folder, but is a file.")
+    check_out(out)
     with opened_run(folder, write=True, code=code) as opened:
         findings = opened.design(
             target,

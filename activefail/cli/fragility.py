@@ -11,6 +11,8 @@ from activefail.cli.common import (
     Code,
     Fixed,
     RunFolder,
+    check_out,
+    check_table,
     name_of,
     opened_run,
     print_json,
@@ -20,7 +22,6 @@ from activefail.cli.common import (
 )
 from activefail.errors import InputError
 from activefail.files import writing_to
-from activefail.record.layout import check_output
 from activefail.visible import visible
 
 
@@ -79,9 +80,8 @@ def fragility(
 
     The curves are for the outcome or a more severe one, against the intensity of the pulse or another variable.
     """
-    check_output("--out", out)
-    if csv is not None and csv != STANDARD:
-        check_output("--csv", csv)
+    check_out(out)
+    check_table("--csv", csv)
     if csv == STANDARD and as_json:
         raise InputError("--csv -: cannot be combined with --json; both write to standard output.")
     ends = None if bounds is None else _parsed_range(bounds)

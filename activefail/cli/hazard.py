@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from activefail.cli.common import AsJson, Code, Fixed, opened_run, print_json
+from activefail.cli.common import AsJson, Code, Fixed, check_out, opened_run, print_json
 from activefail.errors import InputError
-from activefail.record.layout import check_output
 from activefail.shares import percent
 from activefail.visible import visible
 
@@ -42,7 +41,7 @@ def hazard(
 
     if folder is None and fixed is not None:
         raise InputError("--fixed: requires a run folder, whose variables it fixes.")
-    check_output("--out", out)
+    check_out(out)
     read = read_hazard(file)
     summary, outside, space = HazardSummary.of(read), None, None
     if folder is not None:

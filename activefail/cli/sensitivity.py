@@ -11,6 +11,8 @@ from activefail.cli.common import (
     Code,
     Fixed,
     RunFolder,
+    check_out,
+    check_table,
     name_of,
     opened_run,
     print_json,
@@ -20,7 +22,6 @@ from activefail.cli.common import (
 )
 from activefail.display import progress_bar
 from activefail.errors import InputError
-from activefail.record.layout import check_output
 from activefail.shares import percent
 from activefail.visible import visible
 
@@ -64,7 +65,8 @@ def sensitivity(
 
     The classifier gives Sobol' indices, and the effect of one variable at a time.
     """
-    check_output("--out", out)
+    check_out(out)
+    check_table("--csv", csv)
     if as_json and csv == STANDARD:
         raise InputError("--json: cannot be combined with `--csv -`; both write to standard output.")
     from activefail.report import sensitivity as words

@@ -10,6 +10,7 @@ from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
 from activefail.shares import percent
+from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
@@ -101,7 +102,7 @@ class ProbabilityFindings:
         outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
         question: title of the distribution; empty for the campaign's design measure.
         extrapolated: share of the distribution outside the campaign's design space.
-        of_question: what the question assumes, as sentences.
+        of_question: what the question and the simulator assume, as sentences.
     """
 
     outcome: str
@@ -144,7 +145,7 @@ class ProbabilityFindings:
             outside=question.space.outside,
             question=question.title if question.digest else "",
             extrapolated=question.share_outside(campaign.space) if question.digest else 0.0,
-            of_question=question.assumptions,
+            of_question=(*question.assumptions, *limits_of(campaign.simulator)),
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
 

@@ -148,6 +148,8 @@ def as_json(sensitivity: Sensitivity) -> dict[str, Any]:
         ],
         "length_scales": dict(sensitivity.length_scales),
         "p_values": dict(sensitivity.p_values),
+        "interval": None,
+        "interval_reason": "the classifier's values, without simulation; the intervals of indices cover their sampling",
         "notes": list(sensitivity.notes),
     }
 

@@ -118,7 +118,13 @@ class Outside:
 
     def as_json(self) -> dict[str, Any]:
         """The shares as JSON values."""
-        return {"total": self.total, "parts": [part._asdict() for part in self.parts], "bearing": list(self.bearing)}
+        return {
+            "total": self.total,
+            "parts": [part._asdict() for part in self.parts],
+            "bearing": list(self.bearing),
+            "interval": None,
+            "interval_reason": f"the share of {_POINTS:,} points of a scrambled Sobol' sequence",
+        }
 
 
 @dataclass(frozen=True)

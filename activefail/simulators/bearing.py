@@ -11,6 +11,13 @@ from activefail.errors import InputError
 from activefail.simulators.interface import Results
 from activefail.space import Array, DesignSpace
 
+_LIMITS = "The bearing model is planar. Its rims do not yield, and there is no vertical ground motion."
+
+
+def limits_of(simulator: object) -> tuple[str, ...]:
+    """What the bearing model leaves out, as sentences; none for another simulator."""
+    return (_LIMITS,) if isinstance(simulator, DfpSimulator) else ()
+
 
 @dataclass(frozen=True)
 class DfpSimulator:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -458,6 +459,19 @@ def test_a_wrong_hazard_is_refused_with_file_key_rule_and_value(tmp_path: Path, 
     refused(activefail("hazard", path), f"{path}:", message)
 
 
+@pytest.mark.parametrize(
+    "entry",
+    ['{ distribution = "lognormal", median = 80, dispersion = 0.3 }', "{ value = 80 }", "{ low = 60, high = 100 }"],
+)
+def test_a_question_with_velocities_in_another_unit_is_refused(tmp_path: Path, entry: str) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(f"[space]\nPGV = {entry}\n")
+    with pytest.raises(
+        InputError, match=f"{path}: space.PGV: its median must be at most 5 m/s, got 80{re.escape(UNIT)}$"
+    ):
+        read_question(path, SETTINGS, TABLE_1, {})
+
+
 TABLES = [
     ("T_p,weight\n1,1\n", "the columns must be T_p, either PGV or A_p, and weight"),
     ("T_p,PGV,A_p\n1,1,0.5\n", "got T_p,PGV,A_p."),
@@ -467,7 +481,7 @@ TABLES = [
     ("T_p,PGV,weight\n1,1,0\n1,1,0\n", "column weight: at least one weight must be positive, got 0 in every row."),
     ("T_p,PGV,weight\n1,1,1\n1,1,-2\n", "row 2 (line 3), column weight: must be finite and at least 0, got -2."),
     ("T_p,PGV,weight\n1,1,nan\n", "row 1 (line 2), column weight: must be finite and at least 0, got nan."),
-    ("T_p,PGV\n1,80\n", "row 1 (line 2), column PGV: must be between 0.001 and 10 m/s, got 80; is it in cm/s?"),
+    ("T_p,PGV\n1,80\n", "row 1 (line 2), column PGV: must be between 0.001 and 10 m/s, got 80; is it in cm/s?\n"),
     ("T_p,PGV\n0,1\n", "row 1 (line 2), column T_p: must be between 0.05 and 30 s, got 0."),
     ("T_p,A_p\n1,1e300\n", "column A_p: must be between 0.0001 and 10 g, got 1e+300."),
     ("T_p,PGV\nnan,1\n", "column T_p: must be between 0.05 and 30 s, got nan."),
@@ -585,6 +599,8 @@ def test_the_command_prints_draws_and_writes_json(tmp_path: Path, folder: Path) 
     numbers = json.loads(told.out)
     assert numbers["pulses"]["T_p"]["median"] == pytest.approx(3.0)
     assert numbers["outside"]["bearing"] == list(BEARING)
+    assert numbers["outside"]["interval"] is None
+    assert "16,384 points" in numbers["outside"]["interval_reason"]
     assert json.loads(activefail("hazard", path, "--json").out)["outside"] is None
 
 
@@ -608,7 +624,7 @@ def test_rows_are_drawn_too(tmp_path: Path) -> None:
         (BEARING_FILE.replace("0.06", "nan"), "mu: must be a number between -1e+75 and 1e+75, got nan."),
         (BEARING_FILE.replace("0.06", "true"), "mu: must be a number between -1e+75 and 1e+75, got True."),
         (BEARING_FILE.replace("0.06", "{ value = 1 }"), "mu: must be a number between"),
-        (BEARING_FILE + "T_p = 2.0\n", "T_p: is uncertain under a hazard, so it cannot have a value, got 2."),
+        (BEARING_FILE + "T_p = 2.0\n", "T_p: is uncertain under a hazard, so `fixed` cannot give it a value, got 2."),
         (BEARING_FILE + "friction = 0.1\n", "friction: is not a variable of the campaign"),
         ("mu 0.1\n", "not valid TOML"),
     ],

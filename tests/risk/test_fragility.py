@@ -322,6 +322,8 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
         (["--against", "r", "--fixed", "pulse.toml"], "against: no variable besides r is uncertain"),
         (["--hazard", "site.toml", "--csv", "-", "--json"], "--csv -: cannot be combined with --json"),
         (["--hazard", "site.toml", "--out", "run/sets"], "is one of the run folder's own files"),
+        (["--hazard", "site.toml", "--out", "site.toml"], "--out: site.toml must be a folder, but is a file."),
+        (["--hazard", "site.toml", "--csv", "run"], "--csv: run must be a file, but is a folder."),
     ],
 )
 def test_a_wrong_request_is_refused(
@@ -432,5 +434,11 @@ def test_a_small_campaign_of_the_bearing_has_fragility_curves(tmp_path: Path, en
     )  # fmt: skip
     assert result.code == 0, result.err
     assert "given      T_b 4, mu 0.06" in result.out
-    assert "The bearing model is planar. Its rims do not yield." in result.out
+    limits = "The bearing model is planar. Its rims do not yield, and there is no vertical ground motion."
+    assert limits in result.out
     assert (tmp_path / "out" / "pelicun.csv").exists()
+    # What the model leaves out belongs to every result.
+    options = ("--question", tmp_path / "uncertain.toml", "--bearing", tmp_path / "bearing.toml", "--simulations", "10")
+    assert limits in activefail("probability", tmp_path / "run", *options).out
+    site = ("--hazard", tmp_path / "uncertain.toml", "--bearing", tmp_path / "bearing.toml")
+    assert limits in activefail("sensitivity", tmp_path / "run", *site).out

@@ -22,6 +22,7 @@ from activefail.errors import InputError
 from activefail.loop.history import History
 from activefail.paper.p_values import variable_p_values
 from activefail.risk.classifier_probability import classifier_probability
+from activefail.risk.sensitivity import findings as module
 from activefail.risk.sensitivity.findings import (
     default_samples,
     hazard_sensitivity,
@@ -307,6 +308,8 @@ def test_the_command_leads_with_one_variable_at_a_time_under_a_hazard(home: Path
     assert {"one_at_a_time.svg", "indices.png"} <= {file.name for file in tmp_path.iterdir()}
     found = json.loads(activefail(*words, "--bearing", home / "fixed.toml", "--samples", "16", "--json").out)
     assert found["output"] == "probability given the design"
+    assert found["interval"] is None
+    assert "without simulation" in found["interval_reason"]
     assert [index["variable"] for index in found["indices"]] == ["mu"]
     moves = {move["variable"]: move for move in found["one_at_a_time"]}
     assert moves["D_tot"]["value"] == 0.6
@@ -368,6 +371,8 @@ def test_a_wrong_argument_of_the_method_is_refused_by_name(run: Run, options: di
         (["--question", "correlated.toml"], "T_p and A_p have the correlation 0.5"),
         (["--json", "--csv", "-"], "--json: cannot be combined with `--csv -`"),
         (["--out", "run/sets"], "--out: "),
+        (["--out", "asked.toml"], "--out: asked.toml must be a folder, but is a file."),
+        (["--csv", "run"], "--csv: run must be a file, but is a folder."),
     ],
 )
 def test_what_cannot_be_answered_is_refused(
@@ -382,6 +387,7 @@ def test_what_cannot_be_answered_is_refused(
     }
     for name, text in files.items():
         (home / name).write_text(text)
+    monkeypatch.setattr(module, "decomposed", lambda *_: pytest.fail("evaluated first"))
     refused(activefail("sensitivity", "run", "--code", home, *options), message)
 
 

@@ -12,7 +12,7 @@ from activefail.risk.design.design_task import LOOKS, Rate
 from activefail.risk.design.required import RequiredChart
 from activefail.risk.design.search import Designed
 from activefail.shares import bounds_percent, percent
-from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.bearing import limits_of
 from activefail.visible import or_worse, visible
 
 BEARING_PERIOD = "T_b"
@@ -130,11 +130,7 @@ class DesignFindings:
                 f"assumption, up to {percent(missable)} of the designs drawn could fail there without having been seen "
                 f"({100.0 * self.designed.last.of_bound:.3g} % confidence)."
             )
-        if isinstance(self.campaign.simulator, DfpSimulator):
-            sentences.append(
-                "The bearing model is planar. Its rims do not yield, and there is no vertical ground motion."
-            )
-        return sentences
+        return [*sentences, *limits_of(self.campaign.simulator)]
 
     @property
     def verdict(self) -> str:

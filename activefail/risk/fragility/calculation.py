@@ -32,7 +32,7 @@ from activefail.risk.fragility.levels import (
     variable_ladder,
 )
 from activefail.risk.fragility.rates import risk_of
-from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.bearing import limits_of
 from activefail.space import DesignSpace
 from activefail.verification.probability_estimator import Estimator
 
@@ -238,7 +238,11 @@ def general_fragility(
         for outcome, curve in zip(campaign.simulator.outcomes[1:], curves.curves, strict=True)
     )
     others = [name for name in question.space.names if name != against]
-    notes = [*question.assumptions, f"The curve is integrated over {', '.join(others)}."]
+    notes = [
+        *question.assumptions,
+        f"The curve is integrated over {', '.join(others)}.",
+        *limits_of(campaign.simulator),
+    ]
     pairs = getattr(question.space, "correlation", ())
     tied = sorted({name for pair in pairs if against in pair[:2] for name in pair[:2]} - {against})
     if tied:
@@ -289,9 +293,4 @@ def _notes_of_bearing(
         )
     elif hazard.rows is not None:
         sentences.append("At each PGV the periods have the distribution of all the hazard's pulses.")
-    if isinstance(campaign.simulator, DfpSimulator):
-        sentences.append(
-            "The ground motion is one horizontal pulse without a vertical component. The bearing model is planar. Its "
-            "rims do not yield."
-        )
-    return sentences
+    return [*sentences, *limits_of(campaign.simulator)]

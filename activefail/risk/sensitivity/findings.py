@@ -19,6 +19,7 @@ from activefail.features import FeatureMap
 from activefail.reliability.estimate import Standardised
 from activefail.risk.classifier_probability import POINTS
 from activefail.risk.sensitivity.sobol import Decomposition, Index, check_samples, decomposed, require_salib
+from activefail.simulators.bearing import limits_of
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.margin import MarginLatent
@@ -185,6 +186,7 @@ def question_sensitivity(
             f"The indices divide the variance of the classifier's probability of {outcome} given all variables.",
             *_notes_on_indices(decomposition, samples),
             *_notes_on_rareness(decomposition, samples),
+            *limits_of(campaign.simulator),
         ),
     )
 
@@ -278,7 +280,7 @@ def hazard_sensitivity(
         evaluations=evaluations,
         units={one.name: one.unit for one in design},
         outside=outside,
-        notes=(*notes, *(_notes_on_indices(decomposition, samples) if samples else ())),
+        notes=(*notes, *(_notes_on_indices(decomposition, samples) if samples else ()), *limits_of(campaign.simulator)),
         pulses=pulses,
         probability=at_base,
         moves=tuple(moves),
