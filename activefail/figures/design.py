@@ -57,13 +57,16 @@ def plot_required(chart: RequiredChart, space: DesignSpace, marks: Sequence[Mark
     with styled():
         figure = Figure(figsize=(2.2 + 2.9 * len(chart.targets), 3.9), layout="constrained")
         panels = figure.subplots(1, len(chart.targets), sharex=True, sharey=True, squeeze=False)[0]
+        labels = [
+            f"{chart.lines} = {value:.3g}" + (f": no {chart.name} meets a target" if np.isnan(required).all() else "")
+            for value, required in zip(chart.values, chart.required.swapaxes(0, 1), strict=True)
+        ]
         for axes, target, lines in zip(panels, chart.targets, chart.required, strict=True):
-            for colour, marker, value, required in zip(_COLOURS, _MARKERS, chart.values, lines, strict=False):
-                label = f"{chart.lines} = {value:.3g}"
+            for colour, marker, label, required in zip(_COLOURS, _MARKERS, labels, lines, strict=False):
                 axes.plot(chart.x, required, color=colour, marker=marker, markersize=4, label=label)
             if np.isnan(lines).all():
                 why = textwrap.fill(f"no {chart.name} in its range meets this target", _WIDTH)
-                axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=GREY)
+                axes.text(0.5, 0.35, why, transform=axes.transAxes, ha="center", va="center", color=GREY)
             _draw_marks(axes, [mark for mark in marks if np.isclose(mark.target, target)])
             axes.set_title(f"P({chart.outcome}) ≤ {100.0 * target:g} %")
             axes.set_xlabel(_labelled(chart.across, space))

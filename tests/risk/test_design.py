@@ -140,6 +140,8 @@ def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -
     assert result.code == 3
     assert "Out of reach: according to the classifier, no design within the ranges" in result.out
     assert "capacity is at the upper end of its range" in result.out
+    assert "No design within the ranges brings the classifier's probability down to the search's goal." in result.out
+    assert "Beyond this design" not in result.out
     assert "classifier" in result.out
 
 

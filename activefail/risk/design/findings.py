@@ -104,7 +104,13 @@ class DesignFindings:
             + "."
         )
         kind = "small" if task.cost_text == task.free[0] else "cheap"
-        if self.designed.last.candidate.is_between:
+        candidate = self.designed.last.candidate
+        if not candidate.is_feasible:
+            sentences.append(
+                "No design within the ranges brings the classifier's probability down to the search's goal. This "
+                "design comes nearest to it."
+            )
+        elif candidate.is_between:
             sentences.append(
                 "The probability exceeds the search's goal on both sides of this range of designs. This design is the "
                 f"{kind}est one in the range that contains the safest design."
