@@ -20,5 +20,5 @@ def some_of(cases: Iterable[Any], kept: Collection[int]) -> list[Any]:
 
 def exhaustive(case: Any) -> Any:
     """One case that only `make test-all` and `make faults` test; a tuple has the values of several arguments."""
-    values = case if isinstance(case, tuple) else (case,)
+    values = case if type(case) is tuple else (case,)  # a named tuple is one value
     return pytest.param(*values, marks=pytest.mark.exhaustive)

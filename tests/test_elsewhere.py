@@ -114,7 +114,10 @@ def test_the_bearing_through_csv_files_from_two_shells_in_turns_has_the_bits_of_
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    assert activefail("create", file, "--out", folder).out.endswith(f"continue   activefail resume {folder}\n")
+    assert activefail("create", file, "--out", folder).out.splitlines()[1:] == [
+        f"continue   activefail resume {folder}",
+        f"           activefail ask {folder} --n 4 --csv todo.csv, to have designs simulated elsewhere",
+    ]
     for batch in range(4):
         # The designs of one shell are simulated by another, which gets all their digits from the table.
         if batch % 2:

@@ -31,9 +31,12 @@ def resume_command(folder: Path, campaign: Campaign | None = None, changes_code:
 
 def continue_command(folder: Path, campaign: Campaign) -> str:
     """The command that continues a campaign: `ask` if its simulations are made elsewhere, otherwise `resume`."""
-    if campaign.is_elsewhere:
-        return f"activefail ask {quoted(folder)} --n {campaign.settings.sampling.batch} --csv todo.csv"
-    return resume_command(folder, campaign)
+    return ask_command(folder, campaign) if campaign.is_elsewhere else resume_command(folder, campaign)
+
+
+def ask_command(folder: Path, campaign: Campaign) -> str:
+    """The command that hands out a batch of designs."""
+    return f"activefail ask {quoted(folder)} --n {campaign.settings.sampling.batch} --csv todo.csv"
 
 
 def how_to_continue(folder: Path, campaign: Campaign) -> str:

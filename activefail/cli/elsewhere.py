@@ -42,14 +42,17 @@ def create(
     ] = None,
 ) -> None:
     """Create a run folder without simulating anything."""
-    from activefail.campaign.continuing import continue_command
+    from activefail.campaign.continuing import ask_command, continue_command
     from activefail.opening import campaign_for, create_run
 
     check_output("--out", out)
     with create_run(out, campaign_for(out, campaign, seed, budget)) as created:
         show_warnings(created.store.new_warnings())
     print(f"created    {visible(str(out))}")
-    print(f"continue   {visible(continue_command(out, created.campaign))}")
+    made = created.campaign
+    print(f"continue   {visible(continue_command(out, made))}")
+    if not (made.is_elsewhere or made.settings.sampling.asynchronous):
+        print(f"           {visible(ask_command(out, made))}, to have designs simulated elsewhere")
 
 
 def ask(
