@@ -749,7 +749,7 @@ class Run:
         outcome = self._boundary_named(outcome)
         resolved = self.asked(question, fixed)
         with self._estimator(executor) as estimator:
-            estimate = estimator.sample(outcome, simulations, resolved).estimate(confidence)
+            estimate = estimator.sample(outcome, simulations, resolved, checks=True).estimate(confidence)
         findings = ProbabilityFindings.of(
             self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
         )

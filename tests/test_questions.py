@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from activefail.explorer.server import page as explorer
 from activefail.findings.probability import bound_of_fresh
 from activefail.opening import open_run
 from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.verification.probability_estimator import stored_estimate
 
 CAMPAIGN = """
 simulator = { python = "limit:plane", margins = ["g"] }
@@ -285,3 +287,36 @@ def test_a_question_whose_margins_deviate_from_the_classifiers_is_told_so(tmp_pa
     assert "begin a campaign whose [space] is the question's" in told[0]
     assert not any("times as far" in sentence for sentence in own["assumptions"])
     assert found["low"] <= ndtr(-2.5) <= found["high"]
+    _check_finds_what_fresh_simulations_may_miss(tmp_path, own)
+
+
+def _check_finds_what_fresh_simulations_may_miss(folder: Path, own: dict[str, Any]) -> None:
+    """A wider question meets the second plane; so do designs of its check, which stay out of the estimate."""
+    wide = asked(folder, '[space]\ny = { distribution = "normal", mean = 0, sd = 3 }\n')
+    command = ("probability", folder / "run", "--question", wide)
+    text = activefail(*command)
+    assert text.code == 0, text.err
+    found = json.loads(activefail(*command, "--json").out)["outcomes"]["failure"]
+    check, sets = found["check"], folder / "run" / "sets"
+    assert own["check"] is None
+    assert (check["simulations"], check["numerical_failures"]) == (10, 0)
+    assert check["contradictions"] > 0
+    assert f"10 more designs under the question, far from all others; {check['contradictions']} of them" in text.out
+    assert f"{check['contradictions']} of the 10 designs of the mode check contradict" in " ".join(text.out.split())
+    kept = [path for path in sets.iterdir() if path.name.startswith("check-")]
+    with open_run(folder / "run") as opened:
+        question, history = opened.asked(wide), opened.history
+        given = (opened.campaign, opened.store, opened.classifier, history.last_iteration, "failure", 0.9, question)
+        without, stored = stored_estimate(*given), stored_estimate(*given, checks=True)
+        assert without is not None
+        assert stored is not None
+        assert stored.check is not None
+        assert stored.check.contradictions == check["contradictions"]
+        assert (stored.low, stored.high) == (found["low"], found["high"])
+        assert (without.check, without.probability) == (None, found["probability"])
+        assert (stored.high - stored.low > without.high - without.low) == (stored.check.deviation > without.deviation)
+        # As in folders of earlier versions, which hold no check.
+        for path in kept:
+            path.unlink()
+        assert stored_estimate(*given, checks=True) == without
+    assert json.loads(activefail(*command, "--json").out)["outcomes"]["failure"] == found

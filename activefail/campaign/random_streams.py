@@ -14,6 +14,7 @@ STREAMS = {
     "check": 9,
     "ask": 10,
     "draw": 11,
+    "hidden": 12,
 }
 """Spawn keys of the streams; a key never changes its meaning, so that old campaigns replay."""
 

@@ -13,7 +13,10 @@ from activefail.visible import or_worse, visible
 def probability(
     folder: RunFolder,
     simulations: Annotated[
-        int, typer.Option(help="Fresh simulations, outside the budget.", min=10, max=1_000_000)
+        int,
+        typer.Option(
+            help="Fresh simulations, outside the budget; a question may add a mode check.", min=10, max=1_000_000
+        ),
     ] = 50,
     confidence: Annotated[float, typer.Option(help="Confidence of the interval.", min=0.5, max=0.999)] = 0.9,
     outcome: Annotated[
@@ -64,6 +67,11 @@ def probability(
         f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; {estimate.wrong} of the fresh "
         "simulations contradict it"
     )
+    if check := estimate.check:
+        print(
+            f"check      {check.simulations} more designs under the question, far from all others; "
+            f"{check.contradictions} of them contradict the classifier"
+        )
     print(
         f"recall     {percent(estimate.recall)} of the estimated probability lies where {name} is predicted; "
         f"at least {percent(estimate.recall_low)} with {100 * confidence:g} % confidence"

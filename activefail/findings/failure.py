@@ -86,7 +86,7 @@ def failure_findings(
     stage("reading the estimate of the probability")
 
     def stored(question: Question) -> ProbabilityEstimate | None:
-        return stored_estimate(campaign, store, classifier, history.last_iteration, outcome, 0.9, question)
+        return stored_estimate(campaign, store, classifier, history.last_iteration, outcome, 0.9, question, checks=True)
 
     estimate, asked = stored(Question.of_space(campaign.space)), None
     if campaign.question.digest and (answer := stored(campaign.question)) is not None:

@@ -24,7 +24,7 @@ BOUND_CONFIDENCE = 0.9
 
 
 _DEVIATING = 2.0
-"""Deviation of the fresh margins above which a note reports it: the interval allows for this much in any case."""
+"""Deviation of margins above which a note reports it: the interval allows for this much in any case."""
 
 
 def upper_bound(hits: int, draws: int, confidence: float) -> float:
@@ -176,10 +176,14 @@ class ProbabilityFindings:
                 f"{estimate.surprising} of the fresh simulations contradict the classifier where it was sure. It has "
                 "missed something: continue the campaign before you use this estimate."
             )
-        if estimate.deviation > _DEVIATING:
+        sentences += self._of_check
+        deviation, where = estimate.deviation, "fresh simulations"
+        if estimate.check is not None and estimate.check.deviation > deviation:
+            deviation, where = estimate.check.deviation, "mode check"
+        if deviation > _DEVIATING:
             sentences.append(
-                f"The margins of the fresh simulations lie {estimate.deviation:.2g} times as far from the classifier's "
-                "as its standard deviations say (root mean square). This widens the interval. "
+                f"The margins of the {where} lie {deviation:.2g} times as far from the classifier's as its standard "
+                "deviations say (root mean square). This widens the interval. "
                 + (
                     "To learn where the question's designs lie, begin a campaign whose [space] is the question's."
                     if self.question
@@ -213,9 +217,29 @@ class ProbabilityFindings:
             )
         return [*sentences, *self.of_question]
 
+    @property
+    def _of_check(self) -> list[str]:
+        """What the mode check of a question contradicts, or why it says little, as sentences."""
+        check, name = self.estimate.check, words(self.outcome)
+        if check is None:
+            return []
+        sentences = []
+        if check.contradictions:
+            sentences.append(
+                f"{check.contradictions} of the {check.simulations} designs of the mode check contradict the "
+                f"classifier: far from all other simulations, {name} begins elsewhere than it predicts. Do not rely on "
+                "this estimate. Begin a campaign whose [space] is the question's."
+            )
+        if not check.is_whole:
+            sentences.append(
+                f"{check.unanswered} of the {check.simulations} designs of the mode check gave no outcome, so {name} "
+                "may be hidden there."
+            )
+        return sentences
+
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
-        estimate = self.estimate
+        estimate, check = self.estimate, self.estimate.check
         return {
             "probability": estimate.probability,
             "low": 0.0 if self.is_extrapolated else estimate.low,
@@ -227,6 +251,14 @@ class ProbabilityFindings:
             "contradictions": estimate.wrong,
             "contradictions_where_sure": estimate.surprising,
             "deviation_of_margins": estimate.deviation,
+            "check": None
+            if check is None
+            else {
+                "simulations": check.simulations,
+                "numerical_failures": check.unanswered,
+                "contradictions": check.contradictions,
+                "deviation_of_margins": check.deviation,
+            },
             "extrapolated": self.is_extrapolated,
             "failures_seen": self.seen + estimate.beyond,
             "question": self.question or None,

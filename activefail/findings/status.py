@@ -176,6 +176,8 @@ class Status:
                 )
                 if int(numbers["contradictions_where_sure"]):
                     text += "; fresh simulations contradict the classifier where it was sure: continue the campaign"
+                if int((numbers.get("check") or {}).get("contradictions", 0)):
+                    text += "; its mode check contradicts the classifier: begin a campaign under the question"
                 lines.append(("estimate", text))
             return lines
         except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError):

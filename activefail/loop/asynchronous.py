@@ -24,10 +24,8 @@ from activefail.loop.probability_rule import (
     Looks,
     check_designs,
     check_looks,
-    contradictions,
-    designs_of_check,
+    contradicted,
     has_clipped_margin,
-    is_whole,
     look,
     looks_from_state,
     looks_state,
@@ -38,6 +36,7 @@ from activefail.loop.proposing import next_designs
 from activefail.loop.task import Task
 from activefail.record.batch import ACTIVE, CHECK, INITIAL, Batch
 from activefail.record.store import Store
+from activefail.reliability.hidden import designs_of_check, is_whole
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
@@ -123,7 +122,7 @@ class Course:
         if check is not None and before is not None:
             of_check = last.origin == CHECK
             checked = History.of((last,))[of_check]
-            if len(checked) and contradictions(campaign, before, checked).any():
+            if len(checked) and contradicted(campaign, before, checked).any():
                 looks, check = Looks(), None
             else:
                 check = _Check(_without(check.waiting, checked.designs), check.answered + int(checked.answered.sum()))
@@ -133,7 +132,7 @@ class Course:
         looks = Looks(np.concatenate([looks.table, row]))
         if check is not None and not len(check.waiting):
             # Designs beside the check may have widened the posterior again.
-            passed = is_whole(campaign, check.answered) and looks.is_narrow(rule.cov)
+            passed = is_whole(campaign.space.dimension, check.answered) and looks.is_narrow(rule.cov)
             passed = passed and not has_clipped_margin(campaign, self.classifier)
             known_through = len(history) + len(self.flight) if passed else 0
             looks, check = Looks(row), None
@@ -232,7 +231,7 @@ def _check_from_state(campaign: Campaign, known: History, state: Mapping[str, ND
     Raises:
         DamagedError: if a campaign cannot save it.
     """
-    designs_of = designs_of_check(campaign)
+    designs_of = designs_of_check(campaign.space.dimension)
     most = {_ANSWERED: designs_of, _KNOWN_THROUGH: len(known) + campaign.settings.sampling.batch}
     for key, largest in most.items():
         if key in state and (

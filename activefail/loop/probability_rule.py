@@ -18,24 +18,19 @@ from activefail.campaign.random_streams import stream
 from activefail.errors import DamagedError
 from activefail.loop.history import History
 from activefail.record.batch import CHECK
-from activefail.reliability.hidden import hidden_places
+from activefail.reliability.hidden import contradictions, designs_of_check, hidden_places, is_whole
 from activefail.reliability.model_probability import model_probability
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import REACH, Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
+from activefail.verification.mode_check import margin_of
 
 _BETWEEN = 4
 """Fewest simulations between the two looks that must agree."""
 
 _SURE = 0.5
 """Largest posterior sd of the probability, in units of the stated one: the posterior is too narrow near kinks."""
-
-_FARTHEST = 4.0
-"""Largest deviation of a check's margin from its prediction, in standard deviations."""
-
-_ANSWERED = 0.75
-"""Least share of a check's designs that must give an outcome."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,10 @@ def looked(
         return Looks(table)
     check = batch[of_check]
     # The budget may have cut the check short.
-    passed = is_whole(campaign, int(check.answered.sum())) and not contradictions(campaign, before, check).any()
+    passed = (
+        is_whole(campaign.space.dimension, int(check.answered.sum()))
+        and not contradicted(campaign, before, check).any()
+    )
     if not of_check.all():
         # Results that arrived beside the check may have widened the posterior again.
         rule = campaign.settings.probability_rule
@@ -125,11 +123,6 @@ def has_clipped_margin(campaign: Campaign, classifier: Classifier) -> bool:
     assert rule is not None
     latent = classifier.latent(rule.probability)
     return isinstance(latent, MarginLatent) and latent.trained.is_clipped
-
-
-def is_whole(campaign: Campaign, answered: int) -> bool:
-    """Whether enough designs of a check gave an outcome."""
-    return answered >= _ANSWERED * designs_of_check(campaign)
 
 
 LOOKS, KNOWN = "stop/looks", "stop/known"
@@ -170,20 +163,16 @@ def check_looks(campaign: Campaign, state: Mapping[str, NDArray[Any]]) -> None:
     looks_from_state(state)
 
 
-def contradictions(campaign: Campaign, classifier: Classifier, batch: History) -> NDArray[np.bool_]:
-    """Which simulations, (n,), contradict a classifier that has not seen them: a wrong side, or a margin far off.
-
-    A numerical failure contradicts nothing.
-    """
+def contradicted(campaign: Campaign, classifier: Classifier, batch: History) -> NDArray[np.bool_]:
+    """Which simulations, (n,), contradict a classifier that has not seen them; no numerical failure does."""
     rule = campaign.settings.probability_rule
     assert rule is not None
     severity = campaign.simulator.outcomes.index(rule.probability)
     latent = classifier.latent(rule.probability)
-    F = campaign.features(batch.designs)
-    wrong = (latent.moments(F).mean > 0.0) != (batch.outcome >= severity)
+    margin = None
     if isinstance(latent, MarginLatent):
-        margin = campaign.margins_at(severity, batch.outcome, batch.margins)[:, classifier.choices[severity - 1].margin]
-        wrong |= np.abs(latent.deviations(F, margin)) > _FARTHEST
+        margin = margin_of(campaign, classifier, severity, batch.outcome, batch.margins)
+    wrong = contradictions(latent, campaign.features(batch.designs), batch.outcome >= severity, margin)
     return np.asarray(wrong & (batch.outcome != NUMERICAL_FAILURE))
 
 
@@ -196,11 +185,6 @@ def needs_check(campaign: Campaign, history: History, looks: Looks) -> bool:
     return bool((history.outcome >= severity).any()) and looks.is_narrow(rule.cov)
 
 
-def designs_of_check(campaign: Campaign) -> int:
-    """Number of designs of a check."""
-    return 4 + 2 * campaign.space.dimension
-
-
 def check_designs(campaign: Campaign, simulated: Array, looks: Looks, rng: np.random.Generator) -> Array:
     """The designs of a check, (4 + 2 d, d).
 
@@ -210,4 +194,6 @@ def check_designs(campaign: Campaign, simulated: Array, looks: Looks, rng: np.ra
         looks: of the stop rule.
         rng: generator of the places.
     """
-    return hidden_places(campaign.space, simulated, looks.probability, designs_of_check(campaign), rng)
+    space = campaign.space
+    count = designs_of_check(space.dimension)
+    return hidden_places(space, space.to_normal(simulated), looks.probability, count, rng)

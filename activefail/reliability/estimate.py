@@ -21,6 +21,7 @@ from scipy.stats import t
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import finite, population
 from activefail.features import FeatureMap
+from activefail.reliability.hidden import ModeCheck
 from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.margin import MarginLatent
@@ -186,6 +187,7 @@ class ProbabilityEstimate:
         recall_low: lower end of its one-sided interval, with `confidence`.
         method: how the fresh simulations were drawn.
         deviation: of the margins of the fresh simulations (see `deviation_of_margins`); 1 without margins.
+        check: of a question; None if none was made.
     """
 
     probability: float
@@ -202,6 +204,7 @@ class ProbabilityEstimate:
     recall_low: float
     method: str = "importance sampling of the classifier's mistakes"
     deviation: float = 1.0
+    check: ModeCheck | None = None
 
 
 Standardised = Callable[[Array], Array]

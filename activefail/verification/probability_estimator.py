@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.random_streams import stream
+from activefail.errors import SimulationError
 from activefail.execution.executor import Executor
 from activefail.record.store import Store
 from activefail.reliability.estimate import (
@@ -25,12 +26,20 @@ from activefail.reliability.estimate import (
     plan_estimate,
     standardised_latent,
 )
+from activefail.reliability.hidden import ModeCheck
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent
 from activefail.surrogate.margin import MarginLatent
-from activefail.verification.stored_sets import estimate_sizes, name_of_estimate, simulated_results, stored_results
+from activefail.verification.mode_check import check_of, is_checked, margin_of, places_of_check
+from activefail.verification.stored_sets import (
+    estimate_sizes,
+    name_of_check,
+    name_of_estimate,
+    simulated_results,
+    stored_results,
+)
 from activefail.weighted import BLOCKS, WeightedRows
 
 _DRAWS = 10_000
@@ -66,6 +75,7 @@ class Sampled:
         first: (s,) one draw of each simulation, if rows are drawn; None if every draw is simulated.
         is_complete: whether the draws are all rows of the distribution.
         error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
+        check: of a question; None if none was made.
     """
 
     plan: Plan | StratifiedPlan
@@ -74,14 +84,24 @@ class Sampled:
     first: NDArray[np.int_] | None = None
     is_complete: bool = False
     error: float = 0.0
+    check: ModeCheck | None = None
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
-        """The probability with an interval of this confidence, which includes the error of the blocks."""
+        """The probability with an interval of this confidence, which includes the error of the blocks.
+
+        If the margins of the check lie farther from the classifier's than those of the fresh simulations, they decide
+        how wide the interval is. They do not change the estimate.
+        """
         from scipy.stats import t
 
         if self.is_complete:
             return self._counted(self._known(confidence))
-        estimate = self.plan.estimate(self.beyond, self.answered, confidence)
+        plan, check = self.plan, self.check
+        if check is not None and isinstance(plan, Plan):
+            plan = plan.deviating(max(plan.deviation, check.deviation))
+        estimate = plan.estimate(self.beyond, self.answered, confidence)
+        if check is not None:
+            estimate = replace(estimate, deviation=self.deviation, check=check)
         if self.first is not None:
             estimate = self._counted(estimate)
         if not self.error:
@@ -93,6 +113,11 @@ class Sampled:
             low=max(0.0, middle - math.hypot(middle - estimate.low, half)),
             high=min(1.0, middle + math.hypot(estimate.high - middle, half)),
         )
+
+    @property
+    def deviation(self) -> float:
+        """Of the margins of the fresh simulations; 1 without margins."""
+        return self.plan.deviation if isinstance(self.plan, Plan) else 1.0
 
     def _known(self, confidence: float) -> ProbabilityEstimate:
         """The share of all rows, of which only the numerical failures are unknown."""
@@ -139,7 +164,7 @@ class _Fresh:
 
     Attributes:
         plan: of the draws.
-        name: of the stored set.
+        name, name_of_check: of the stored set, and of that of the mode check.
         designs: (s, d) to simulate.
         first: as `Sampled.first`.
         place: (m,) the simulation of each draw; None if every draw is simulated.
@@ -148,6 +173,7 @@ class _Fresh:
 
     plan: Plan | StratifiedPlan
     name: str
+    name_of_check: str
     designs: Array
     first: NDArray[np.int_] | None
     place: NDArray[np.int_] | None
@@ -158,8 +184,7 @@ class _Fresh:
         """The sample with the results of the s simulations."""
         plan, latent = self.plan, classifier.latents[severity - 1]
         if isinstance(plan, Plan) and isinstance(latent, MarginLatent):
-            margins = campaign.margins_at(severity, results.outcome, results.margins)
-            margin = margins[:, classifier.choices[severity - 1].margin]
+            margin = margin_of(campaign, classifier, severity, results.outcome, results.margins)
             plan = plan.deviating(deviation_of_margins(latent, campaign.features, self.designs, margin))
         drawn = results.outcome if self.place is None else results.outcome[self.place]
         beyond, answered = drawn >= severity, drawn != NUMERICAL_FAILURE
@@ -193,7 +218,7 @@ class Estimator:
         latent = self.classifier.latent(outcome)
         return _planned(self.campaign, latent, self.iteration, simulations, _thinned(question, simulations))
 
-    def sample(self, outcome: str, simulations: int, question: Question) -> Sampled:
+    def sample(self, outcome: str, simulations: int, question: Question, checks: bool = False) -> Sampled:
         """Simulate fresh designs for the probability of an outcome or a more severe one.
 
         Args:
@@ -201,6 +226,7 @@ class Estimator:
             simulations: number of fresh simulations; at least 2. Of weighted rows, no row is simulated twice, and if
                 there are no more rows than that, all of them are.
             question: the distribution of the variables.
+            checks: whether to simulate the mode check too, if there is one.
 
         Raises:
             SimulationError: if none of the simulations gives an outcome.
@@ -211,12 +237,33 @@ class Estimator:
         fresh = _fresh(self.campaign, latent, self.iteration, severity, simulations, question)
         results = simulated_results(self.campaign, self.store, self.executor, fresh.name, fresh.designs)
         assert results is not None  # no stop was requested
-        return fresh.sampled(self.campaign, self.classifier, results, severity)
+        sampled = fresh.sampled(self.campaign, self.classifier, results, severity)
+        if not (checks and is_checked(question, latent)):
+            return sampled
+        designs = _places(self.campaign, self.store, self.iteration, fresh, sampled, question)
+        try:
+            of_check = simulated_results(self.campaign, self.store, self.executor, fresh.name_of_check, designs)
+        except SimulationError:
+            # Far out, a simulator may fail everywhere. The fresh simulations stand.
+            return replace(sampled, check=ModeCheck(len(designs), len(designs), 0))
+        assert of_check is not None
+        return replace(sampled, check=check_of(self.campaign, self.classifier, outcome, designs, of_check))
 
     def stored(self, outcome: str, question: Question, confidence: float) -> ProbabilityEstimate | None:
         """The estimate from stored simulations (see `stored_estimate`)."""
         common = (self.campaign, self.store, self.classifier, self.iteration)
         return stored_estimate(*common, outcome, confidence, question)
+
+
+def _places(
+    campaign: Campaign, store: Store, iteration: int, fresh: _Fresh, sampled: Sampled, question: Question
+) -> Array:
+    """The designs of the mode check beside fresh simulations, far from these and from all of the campaign's."""
+    learned = [batch.designs for batch in store.batches if batch.iteration <= iteration]
+    # The estimate, unlike its interval, is the same for every confidence.
+    probability = sampled.estimate(0.9).probability
+    rng = stream(campaign.settings.seed, "hidden", _DRAWS * iteration + question.draw)
+    return places_of_check(campaign, question, np.concatenate([*learned, fresh.designs]), probability, rng)
 
 
 def stored_estimate(
@@ -227,6 +274,7 @@ def stored_estimate(
     outcome: str,
     confidence: float,
     question: Question,
+    checks: bool = False,
 ) -> ProbabilityEstimate | None:
     """The estimate from the largest stored set of fresh simulations of a question, or None.
 
@@ -237,6 +285,7 @@ def stored_estimate(
         outcome: its name.
         confidence: of the interval.
         question: the distribution of the variables.
+        checks: whether to read the mode check too, if it is stored.
     """
     severity = campaign.simulator.outcomes.index(outcome)
     latent = classifier.latent(outcome)
@@ -246,8 +295,14 @@ def stored_estimate(
     for simulations in sizes:
         fresh = _fresh(campaign, latent, iteration, severity, simulations, _thinned(question, simulations))
         results = stored_results(store, fresh.name, fresh.designs)
-        if results is not None:
-            return fresh.sampled(campaign, classifier, results, severity).estimate(confidence)
+        if results is None:
+            continue
+        sampled = fresh.sampled(campaign, classifier, results, severity)
+        if checks and is_checked(question, latent):
+            designs = _places(campaign, store, iteration, fresh, sampled, question)
+            if (of_check := stored_results(store, fresh.name_of_check, designs)) is not None:
+                sampled = replace(sampled, check=check_of(campaign, classifier, outcome, designs, of_check))
+        return sampled.estimate(confidence)
     return None
 
 
@@ -280,11 +335,11 @@ def _fresh(
     else:
         plan = _planned(campaign, latent, iteration, simulations, question)
         error = error_of_rows(of_designs, question)
-    name = name_of_estimate(severity, iteration, simulations, question.digest)
+    kept = (severity, iteration, simulations, question.digest)
     designs, first, place = question.designs(plan.designs), None, None
     if isinstance(rows, WeightedRows):
         designs, first, place = np.unique(designs, axis=0, return_index=True, return_inverse=True)
-    return _Fresh(plan, name, designs, first, place, is_complete, error)
+    return _Fresh(plan, name_of_estimate(*kept), name_of_check(*kept), designs, first, place, is_complete, error)
 
 
 def error_of_rows(standardised: Standardised, question: Question) -> float:

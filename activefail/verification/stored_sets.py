@@ -10,6 +10,7 @@ A set is stored in parts, `<name>-<part>`, so that an interruption loses at most
     verification-<iteration>-<designs>  fresh simulations that a user requested; the same designs as a look's
     probability-<number of outcome>-<iteration>-<designs>  fresh simulations that estimate a probability
     question-<digest>-<number of outcome>-<iteration>-<designs>  the same under a question
+    check-<digest>-<number of outcome>-<iteration>-<designs>  the mode check beside them
 """
 
 import re
@@ -70,6 +71,11 @@ def name_of_estimate(severity: int, iteration: int, designs: int, question: str 
     """
     of = f"{severity}-{iteration}-{designs}"
     return f"question-{question[:16]}-{of}" if question else f"probability-{of}"
+
+
+def name_of_check(severity: int, iteration: int, designs: int, question: str) -> str:
+    """Name of the mode check beside the fresh simulations of a question (see `name_of_estimate`)."""
+    return f"check-{question[:16]}-{severity}-{iteration}-{designs}"
 
 
 def first_part(name: str) -> str:

@@ -16,7 +16,7 @@ from activefail.loop.asynchronous import learned_so_far
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
-from activefail.loop.probability_rule import Looks, contradictions
+from activefail.loop.probability_rule import Looks, contradicted
 from activefail.loop.progress import Observer
 from activefail.record.batch import ACTIVE, CHECK, INITIAL
 from activefail.record.memory import MemoryStore
@@ -145,15 +145,15 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
     hidden = campaign_on(FourBranch(hidden=(-2.4, 2.2)))
     results = hidden.simulator.run(where)
     batch = History(where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins)
-    assert contradictions(hidden, known.classifier, batch).tolist() == [True]
+    assert contradicted(hidden, known.classifier, batch).tolist() == [True]
     # On the right side, but with a margin that the classifier considered impossible.
     odd = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=np.array([[50.0]]))
-    assert contradictions(hidden, known.classifier, odd).tolist() == [True]
+    assert contradicted(hidden, known.classifier, odd).tolist() == [True]
     failed = replace(batch, outcome=np.full(1, -1, dtype=np.int8))
-    assert contradictions(hidden, known.classifier, failed).tolist() == [False]
+    assert contradicted(hidden, known.classifier, failed).tolist() == [False]
     expected = four_branch(where)
     right = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=expected[:, None])
-    assert contradictions(hidden, known.classifier, right).tolist() == [False]
+    assert contradicted(hidden, known.classifier, right).tolist() == [False]
 
 
 def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended) -> None:

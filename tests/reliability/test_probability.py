@@ -54,6 +54,16 @@ def test_hidden_places_lie_in_the_ball_that_matters_and_away_from_all_that_is_kn
         assert np.linalg.norm(others - places[row], axis=1).min() > 0.7
 
 
+def test_distances_of_hidden_places_are_those_of_the_given_coordinates() -> None:
+    # Only the first variable counts, so the places spread along it.
+    known = np.zeros((1, 1))
+    places = hidden_places(SPACE, known, 0.01, 8, np.random.default_rng(1), lambda Z: Z[:, :1])
+    along, across = np.sort(places[:, 0]), places[:, 1]
+    assert np.diff(along).min() > 0.3
+    assert along[-1] - along[0] > 4.0
+    assert np.abs(across).min() < 0.3
+
+
 def test_a_probability_near_one_still_gives_a_ball() -> None:
     places = hidden_places(SPACE, np.zeros((1, 2)), 1.0, 3, np.random.default_rng(1))
     assert np.isfinite(places).all()

@@ -1,0 +1,84 @@
+"""The mode check of a question: simulations far from all others, where an outcome could hide and still matter.
+
+The stop rule for a probability has such a check under the campaign's own distributions (`loop.probability_rule`). Fresh
+simulations go where the classifier doubts, or are drawn by probability. They may all miss a region that it is sure of.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from activefail.acquisition.population import finite
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
+from activefail.reliability.estimate import deviation_of_margins
+from activefail.reliability.hidden import ModeCheck, contradictions, designs_of_check, hidden_places
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.space import REACH, Array, DesignSpace
+from activefail.surrogate.classifier import Classifier, Latent
+from activefail.surrogate.margin import MarginLatent
+
+
+def is_checked(question: Question, latent: Latent | MarginLatent) -> bool:
+    """Whether an estimate has a mode check: under a question, of a boundary that was learned from a margin.
+
+    Far from all simulations a classifier of outcomes doubts, and the fresh simulations know that
+    (docs/decisions/0019). The rows of a table leave no place where an outcome could hide.
+    """
+    return not question.is_own and isinstance(question.space, DesignSpace) and isinstance(latent, MarginLatent)
+
+
+def places_of_check(
+    campaign: Campaign, question: Question, simulated: Array, probability: float, rng: np.random.Generator
+) -> Array:
+    """Designs of a check, (4 + 2 k, d) for k uncertain variables, far from all simulated ones in the features.
+
+    Args:
+        campaign: the campaign.
+        question: that has a check.
+        simulated: (n, d) designs.
+        probability: the estimate under the question.
+        rng: generator of the places.
+    """
+    space, features = question.space, campaign.features
+    assert isinstance(space, DesignSpace)
+
+    def seen(Z: Array) -> Array:
+        return finite(features, question.designs(space.from_normal(Z)))
+
+    known, count = finite(features, simulated), designs_of_check(space.dimension)
+    return question.designs(hidden_places(space, known, max(REACH, probability), count, rng, seen))
+
+
+def check_of(campaign: Campaign, classifier: Classifier, outcome: str, designs: Array, results: Results) -> ModeCheck:
+    """What the simulations of a check show.
+
+    Args:
+        campaign: the campaign.
+        classifier: that has not seen them, and learned the boundary from a margin.
+        outcome: of the boundary.
+        designs: (n, d).
+        results: of the n designs.
+    """
+    severity, latent = campaign.simulator.outcomes.index(outcome), classifier.latent(outcome)
+    assert isinstance(latent, MarginLatent)
+    answered = results.outcome != NUMERICAL_FAILURE
+    margin = margin_of(campaign, classifier, severity, results.outcome, results.margins)
+    deviation = deviation_of_margins(latent, campaign.features, designs, margin)
+    wrong = contradictions(latent, finite(campaign.features, designs), results.outcome >= severity, None)
+    return ModeCheck(len(answered), int((~answered).sum()), int((wrong & answered).sum()), deviation)
+
+
+def margin_of(
+    campaign: Campaign, classifier: Classifier, severity: int, outcome: NDArray[np.int8], margins: Array
+) -> Array:
+    """The margins, (n,), that a boundary was learned from, in relation to it.
+
+    Args:
+        campaign: the campaign.
+        classifier: whose boundary was learned from a margin.
+        severity: number of the boundary's outcome.
+        outcome: (n,) of the simulations.
+        margins: (n, k) as the simulator reported them.
+    """
+    related = campaign.margins_at(severity, outcome, margins)
+    return np.asarray(related[:, classifier.choices[severity - 1].margin])
