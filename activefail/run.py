@@ -363,7 +363,7 @@ class Run:
         result_table, handed_out = ResultTable.told(self.campaign, table), self.handed_out
         ids = np.concatenate([handed_out.asked.id, handed_out.ids])
         designs = handed_out.history.designs.reshape(-1, self.space.dimension)
-        result_table.check_designs(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
+        result_table.check_handed_out(self.campaign, ids, np.concatenate([handed_out.asked.designs, designs]))
         return result_table, handed_out
 
     def drop(self, ids: Iterable[int] | int) -> int:

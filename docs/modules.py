@@ -1,9 +1,12 @@
-"""Writes docs/reference/modules.md, the list of all modules, from the first lines of their docstrings.
+"""Writes docs/reference/modules.md, the list of all modules and templates, from the first lines of their docstrings.
+
+A template's first line is a comment in place of a docstring.
 
 python docs/modules.py
 """
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -12,21 +15,25 @@ PAGE = ROOT / "docs" / "reference" / "modules.md"
 
 HEAD = """# Modules
 
-What each module is for, in its own words. `python docs/modules.py` writes this page. The map in
+What each module and each template is for, in its own words. `python docs/modules.py` writes this page. The map in
 [CONTRIBUTING.md](../../CONTRIBUTING.md) shows the packages and which of them may import which.
 """
 
 
 def summary(file: Path) -> str:
-    """The first sentence or two of a module: the first paragraph of its docstring, on one line."""
-    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-    return " ".join(text.split("\n\n")[0].split())
+    """The first sentence or two of a module or template: the first paragraph of its docstring, on one line."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix == ".j2":
+        comment = re.match(r"\{#-? (.*?) -?#\}", text)
+        return comment[1] if comment else ""
+    return " ".join((ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].split())
 
 
 def package(folder: Path) -> str:
     """A package's section: its summary, and one line for each of its modules."""
     name = folder.relative_to(ROOT).as_posix()
-    lines = [f"- `{file.name}`: {summary(file)}" for file in sorted(folder.glob("*.py")) if file.name != "__init__.py"]
+    files = sorted(file for file in folder.iterdir() if file.suffix in (".py", ".j2") and file.name != "__init__.py")
+    lines = [f"- `{file.name}`: {summary(file)}" for file in files]
     return "\n".join([f"\n## {name}/", "", summary(folder / "__init__.py"), "", *lines]) + "\n"
 
 

@@ -1,4 +1,6 @@
-"""Energies below which a bearing can no longer touch a rim, or no longer fail. docs/theory.md has the proof.
+"""Energies below which a bearing can no longer touch a rim, or no longer fail; `simulation` ends a motion by them.
+
+docs/theory.md has the proof.
 
 A plate's part of the potential energy is W z plus the elastic energy of its two contacts, where W is the weight on it
 and z the height above its apex of the midpoint of the two vertices that face it. Over all positions of the vertices at

@@ -1,8 +1,11 @@
-"""The ground motion: an antisymmetric Ricker pulse (paper, eq. 1), and its peak velocity."""
+"""A pulse as ground motion: an antisymmetric Ricker wavelet (paper, eq. 1), its acceleration, jerk and velocity."""
 
 import math
+from typing import Any
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.kernels import KERNEL
@@ -35,6 +38,15 @@ def amplitude_of(velocity: Array, period: Array) -> Array:
 def velocity_of(amplitude: Array, period: Array) -> Array:
     """Peak ground velocity [m/s] of pulses with an amplitude A_p [g] and a period T_p [s]."""
     return amplitude * (VELOCITY_PER_ACCELERATION * period * GRAVITY)
+
+
+def ground_velocity(t: NDArray[np.floating[Any]], amplitude: float, period: float) -> Array:
+    """Ground velocity [m/s] at times t [s], (n,), of a pulse of amplitude A_p [m/s²] and period T_p [s].
+
+    It is the integral of `ground_acceleration` from minus infinity on.
+    """
+    s = _SPREAD * t / period
+    return amplitude * VELOCITY_PER_ACCELERATION * period * (1.0 - s * s) * np.exp(-0.5 * s * s)
 
 
 @njit(cache=True, **KERNEL)

@@ -1,4 +1,4 @@
-"""Simulation of bearings under ground motions: a single response, or a batch of designs on all cores."""
+"""Integrates bearings until they fail or their outcome is settled: a single response, or a batch on all cores."""
 
 import math
 import os

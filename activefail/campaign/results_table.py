@@ -1,4 +1,4 @@
-"""Tables of results for `tell` and `add`: what their columns mean, and which rows are refused, and why."""
+"""Tables of results for `tell` and `add`: their columns, whether their designs match, which rows are refused."""
 
 import difflib
 import math
@@ -255,7 +255,7 @@ class ResultTable:
         """How messages name the first of the marked results, (n,)."""
         return self.table.places[self.rows[int(np.argmax(rows))]]
 
-    def check_designs(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> None:
+    def check_handed_out(self, campaign: Campaign, ids: NDArray[np.int64], designs: Array) -> None:
         """Check that no design was changed since it was handed out.
 
         Args:

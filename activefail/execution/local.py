@@ -1,4 +1,4 @@
-"""Executors on this machine: threads for compiled simulators, worker processes for all others."""
+"""Executors on this machine, and the number of workers: threads for compiled simulators, processes for all others."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Worker processes with a time limit: a simulation whose worker dies or hangs is tried once more, then given up."""
+"""Starts, guards and ends worker processes: a simulation whose worker dies or hangs is tried again, then given up."""
 
 import math
 import os

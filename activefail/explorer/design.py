@@ -23,7 +23,7 @@ from activefail.reliability.estimate import Standardised, standardised_latent
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, SIMULATIONS, Requirement, design_task
 from activefail.risk.design.findings import DesignFindings
-from activefail.risk.design.required import least_value
+from activefail.risk.design.required_chart import least_value
 from activefail.risk.design.search import find_design
 from activefail.shares import percent
 from activefail.space import Array

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, styled
 from activefail.risk.design.findings import DesignFindings
-from activefail.risk.design.required import RequiredChart
+from activefail.risk.design.required_chart import RequiredChart
 from activefail.risk.design.stored import StoredDesign
 from activefail.space import DesignSpace
 

@@ -1,4 +1,4 @@
-"""Length scales of a classifier."""
+"""Draws the length scales that a classifier has learned."""
 
 from collections.abc import Sequence
 

@@ -1,15 +1,17 @@
-"""Reads the segments of a run folder, checks them against the campaign, and joins them to one chain."""
+"""Reads and checks the segments of a run folder, joins them to one chain, and clears away what interruptions left."""
 
 import difflib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from activefail.errors import DamagedError, StoreError
+from activefail.files import TEMPORARY, sync_folder
 from activefail.record.batch import Schema
+from activefail.record.layout import FOLDERS, SEGMENTS
 from activefail.record.segment import Segment, decode_segment
 from activefail.visible import visible
 
@@ -172,3 +174,33 @@ def set_aside(path: Path, reason: str) -> str:
     except OSError as error:
         raise StoreError(f"Cannot rename {path}: {error.strerror or error}.") from error
     return f"{path.parent.name}/{path.name} {reason}; it was renamed to {aside.name} and is not used."
+
+
+def clear_remains(folder: Path, recovery: Recovery) -> list[str]:
+    """Clear away what interruptions left in a run folder, as its only writer; returns warnings for the user.
+
+    Temporary files and the inputs of compactions are removed, damaged segments are quarantined, and folders that are
+    missing are created.
+
+    Raises:
+        StoreError: with the system's reason.
+    """
+    segments, warnings = folder / SEGMENTS, []
+    try:
+        for name in FOLDERS:
+            with suppress(FileExistsError):
+                os.mkdir(folder / name)
+        for parent in (folder, *(folder / name for name in FOLDERS)):
+            for name in plain_files(parent):
+                if name.startswith(TEMPORARY):
+                    os.unlink(parent / name)
+        warnings += [set_aside(segments / name, reason) for name, reason in sorted(recovery.damaged.items())]
+        # The merged segment must be durable under its name before its inputs are removed.
+        sync_folder(segments)
+        for name in recovery.covered:
+            os.unlink(segments / name)
+    except OSError as error:
+        raise StoreError(f"Cannot write to {folder}: {error.strerror or error}.") from error
+    sync_folder(segments)
+    sync_folder(folder)
+    return warnings

@@ -43,7 +43,6 @@ from activefail.record.corrections import (
 from activefail.record.layout import (
     ASKED,
     CORRECTIONS,
-    FOLDERS,
     LARGEST_SETTINGS,
     LOCK,
     SEGMENTS,
@@ -57,8 +56,8 @@ from activefail.record.layout import (
 from activefail.record.lock import FolderLock
 from activefail.record.recovery import (
     QUARANTINE,
-    Recovery,
     check_campaign,
+    clear_remains,
     is_segment,
     plain_files,
     quarantine_of,
@@ -285,7 +284,9 @@ class FolderStore:
             if not is_segment(name) and not name.startswith(TEMPORARY) and QUARANTINE not in name:
                 self._warn(f"segments/{name} is ignored: its name is not that of a segment.")
         if self._lock:
-            self._tidy(recovery)
+            self._check_place()
+            for text in clear_remains(self.folder, recovery):
+                self._warn(text)
             self._compare_provenance()
             self._remove_lost_corrections()
         else:
@@ -311,29 +312,6 @@ class FolderStore:
                 + "; ".join(f"{name} {_short(before[name])} -> {_short(now)}" for name, now in changed.items())
                 + "."
             )
-
-    def _tidy(self, recovery: Recovery) -> None:
-        """Create missing folders, quarantine damaged files, and remove temporary files and inputs of compactions."""
-        folder = self.folder / SEGMENTS
-        self._check_place()
-        try:
-            for name in FOLDERS:
-                with suppress(FileExistsError):
-                    os.mkdir(self.folder / name)
-            for parent in (self.folder, *(self.folder / name for name in FOLDERS)):
-                for name in plain_files(parent):
-                    if name.startswith(TEMPORARY):
-                        os.unlink(parent / name)
-            for name, reason in sorted(recovery.damaged.items()):
-                self._warn(set_aside(folder / name, reason))
-            # The merged segment must be durable under its name before its inputs are removed.
-            sync_folder(folder)
-            for name in recovery.covered:
-                os.unlink(folder / name)
-        except OSError as error:
-            raise StoreError(f"Cannot write to {self.folder}: {error.strerror or error}.") from error
-        sync_folder(folder)
-        sync_folder(self.folder)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from activefail.json_text import json_text
 from activefail.report.environment import page_environment
 from activefail.report.picture import picture
 from activefail.risk.design.findings import DesignFindings
-from activefail.risk.design.required import RequiredChart
+from activefail.risk.design.required_chart import RequiredChart
 from activefail.shares import percent
 from activefail.visible import or_worse
 

@@ -1,4 +1,4 @@
-"""The prior of a latent: a constant mean and an ARD covariance, with priors for its scales.
+"""The prior of a latent: a constant mean and an ARD covariance, with priors for the scales of a classifier of outcomes.
 
 Training and prediction use the values and derivatives of this module. `gpytorch_model.covariance_module` is the same
 covariance in GPyTorch, for BoTorch's model; tests compare the two.

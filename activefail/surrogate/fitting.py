@@ -1,4 +1,4 @@
-"""Training of a variational GP classifier on outcomes: sites by fixed-point iteration, hyperparameters by L-BFGS.
+"""Trains a variational GP classifier on outcomes: sites by fixed-point iteration, length scales and mean by L-BFGS.
 
 The hyperparameters maximise the bound at the optimal sites, whose gradient needs no derivative of the sites. Up to
 `EXACT` points the posterior is that of all points; beyond, it is projected on inducing points. GPyTorch is not used in

@@ -29,7 +29,7 @@ from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore
 from activefail.reliability.estimate import standardised_latent
 from activefail.risk.classifier_probability import classifier_probability
-from activefail.risk.design.required import least_value
+from activefail.risk.design.required_chart import least_value
 from activefail.simulators.interface import Results
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread

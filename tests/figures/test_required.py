@@ -4,7 +4,7 @@ import numpy as np
 
 from activefail.figures.design import Mark, plot_required
 from activefail.parameter import Parameter
-from activefail.risk.design.required import RequiredChart
+from activefail.risk.design.required_chart import RequiredChart
 from activefail.space import DesignSpace
 
 SPACE = DesignSpace((Parameter("D_tot", 0.4, 0.9, "m"), Parameter("T_b", 2.0, 6.0, "s"), Parameter("mu", 0.03, 0.1)))

@@ -20,7 +20,7 @@ from activefail.parameter import Parameter
 from activefail.reliability.strata import StratifiedPlan, plan_strata
 from activefail.report.design import render_design
 from activefail.risk.design.design_task import DesignTask, Requirement, read_targets
-from activefail.risk.design.required import least_value, required_chart
+from activefail.risk.design.required_chart import least_value, required_chart
 from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design
 from activefail.run import Run
 from activefail.shares import percent

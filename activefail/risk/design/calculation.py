@@ -9,7 +9,7 @@ from activefail.campaign.hazard import FRICTION, Hazard, hazard_question
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, DesignTask
 from activefail.risk.design.findings import BEARING_PERIOD, DesignFindings
-from activefail.risk.design.required import RequiredChart, required_chart
+from activefail.risk.design.required_chart import RequiredChart, required_chart
 from activefail.risk.design.search import Designed, find_design
 from activefail.verification.probability_estimator import Estimator
 

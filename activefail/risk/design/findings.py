@@ -9,7 +9,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.design_task import LOOKS, Rate
-from activefail.risk.design.required import RequiredChart
+from activefail.risk.design.required_chart import RequiredChart
 from activefail.risk.design.search import Designed
 from activefail.shares import bounds_percent, percent
 from activefail.simulators.bearing import limits_of

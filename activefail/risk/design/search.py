@@ -1,4 +1,4 @@
-"""The algorithm: the cheapest design whose probabilities of outcomes meet their targets, verified by simulation."""
+"""Searches for the cheapest design that meets its targets, such as the smallest D_tot, and verifies it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import correlate
 
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.pulse import HALF_DURATION, VELOCITY_PER_ACCELERATION, ground_acceleration
+from activefail.bearing.pulse import HALF_DURATION, ground_acceleration, ground_velocity
 from activefail.errors import InputError
 from activefail.risk.ida.capacity import Capacities, on_ladder
 from activefail.risk.ida.collapse import jackknife
@@ -58,9 +58,7 @@ def equivalent_pulse(record: Accelerogram) -> EquivalentPulse:
     def fitted(period: float) -> tuple[float, float]:
         """The explained share, and the amplitude."""
         half = math.ceil(HALF_DURATION * period / record.dt)
-        s = 2.0 * math.pi / math.sqrt(3.0) * record.dt * np.arange(-half, half + 1) / period
-        # The velocity of the pulse: the integral of `ground_acceleration`, for the amplitude 1 m/s2.
-        w = VELOCITY_PER_ACCELERATION * period * (1.0 - s**2) * np.exp(-0.5 * s**2)
+        w = ground_velocity(record.dt * np.arange(-half, half + 1), 1.0, period)
         products = correlate(v, w, mode="full", method="fft")
         best = float(products[int(np.argmax(np.abs(products)))])
         return best**2 / (float(w @ w) * energy), best / float(w @ w)

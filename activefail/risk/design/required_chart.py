@@ -1,4 +1,4 @@
-"""The value of one variable that a target requires, against two others, under the classifier."""
+"""The chart of required values: the least value of a variable that meets a target, against two others."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
