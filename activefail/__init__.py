@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from activefail.accelerogram_files import read_accelerogram
+    from activefail.accelerogram_sets import RecordSet, SetRecord, read_record_set
     from activefail.bearing import (
         TABLE_1,
         Accelerogram,
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     )
     from activefail.errors import ActivefailError, BusyError, InputError, SimulationError, StoreError
     from activefail.opening import create_run, open_run
+    from activefail.risk.ida.calculation import ida, ida_of_campaign
+    from activefail.risk.ida.p695 import MarginRequest
+    from activefail.risk.ida.simulations import campaign_under_records
     from activefail.run import Run
 
 __version__ = "0.1.0"
@@ -31,17 +35,24 @@ __all__ = [
     "Bearing",
     "BusyError",
     "InputError",
+    "MarginRequest",
     "Model",
     "Pulse",
+    "RecordSet",
     "Response",
     "Responses",
     "Run",
+    "SetRecord",
     "SimulationError",
     "StoreError",
     "Tolerance",
+    "campaign_under_records",
     "create_run",
+    "ida",
+    "ida_of_campaign",
     "open_run",
     "read_accelerogram",
+    "read_record_set",
     "simulate",
     "simulate_one",
     "simulate_records",
@@ -51,6 +62,10 @@ _ERRORS = ("ActivefailError", "BusyError", "InputError", "SimulationError", "Sto
 
 _MODULES = {
     "read_accelerogram": "accelerogram_files",
+    **dict.fromkeys(("RecordSet", "SetRecord", "read_record_set"), "accelerogram_sets"),
+    **dict.fromkeys(("ida", "ida_of_campaign"), "risk.ida.calculation"),
+    "MarginRequest": "risk.ida.p695",
+    "campaign_under_records": "risk.ida.simulations",
     "Run": "run",
     "create_run": "opening",
     "open_run": "opening",

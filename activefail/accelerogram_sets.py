@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,7 +105,7 @@ class RecordSet:
 
 
 def read_record_set(
-    folder: Path, unit: str | None = None, dt: float | None = None, vertical: bool = False
+    folder: str | os.PathLike[str], unit: str | None = None, dt: float | None = None, vertical: bool = False
 ) -> RecordSet:
     """Read the records in a folder, or the set of FEMA P695 of this name (`P695`) if there is no such folder.
 
@@ -122,6 +123,7 @@ def read_record_set(
         InputError: naming file, row, rule and value; if there are fewer than two records; or if unit or dt is stated
             for a set of FEMA P695, or its vertical components are asked for.
     """
+    folder = Path(folder)
     if str(folder) in P695 and not folder.exists():
         for option, value in (("--unit", unit), ("--dt", dt)):
             if value is not None:

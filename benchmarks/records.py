@@ -33,11 +33,10 @@ from activefail.bearing import (
     simulate_records,
 )
 from activefail.bearing.design import GRAVITY
-from activefail.bearing.outcome import FAILURE
 from activefail.bearing.pulse import HALF_DURATION, ground_acceleration
-from activefail.risk.ida.calculation import BISECTIONS, LEVELS, analyse, ladder
+from activefail.risk.ida.calculation import ida
+from activefail.risk.ida.capacity import BISECTIONS, LEVELS, ladder
 from activefail.risk.ida.intensity import Intensity
-from activefail.risk.ida.predictions import Surrogate
 
 BEARINGS = {
     "T_b 3 s, mu 0.06, D_tot 0.55 m": [3.0, 0.06, 0.55, 0.6, 0.10, 45.0, 2e9],
@@ -126,16 +125,16 @@ def times(records):
     simulate_records(np.tile(bearing, (len(moved), 1)), moved, threads=1)
     of_ladder = time.process_time() - began
     began = time.process_time()
-    found = analyse(bearing, records, PGV, threads=1)
+    found = ida(bearing, records, PGV, workers=1)
     return of_ladder, time.process_time() - began, found.capacities.runs
 
 
-def capacities_and_pulses(sets, surrogate):
+def capacities_and_pulses(sets, learned):
     """The rows of the two tables."""
     capacities, pulses = [], []
     for name, records in sets.items():
         for title, row in BEARINGS.items():
-            found = analyse(np.array(row), records, PGV, pulses=True, surrogate=surrogate)
+            found = ida(row, records, PGV, pulses=True, run=learned)
             fit, one = found.fragility, found.pulses
             capacities.append(
                 [
@@ -165,12 +164,11 @@ def capacities_and_pulses(sets, surrogate):
     return capacities, pulses
 
 
-def surrogate_of(folder):
+def learned_of(folder):
     if not folder.exists():
         with activefail.create_run(folder, "bearing") as run:
             run.take(progress=False)
-    with activefail.open_run(folder) as run:
-        return Surrogate(run.campaign, run.classifier, FAILURE)
+    return activefail.open_run(folder)
 
 
 def against_opensees(python):
@@ -212,9 +210,9 @@ def main():
     if options.opensees:
         median = against_opensees(options.opensees)
         goals.append(["peaks of the rigid bearing and OpenSees, before a rim touch: at most 2 % in the median", median])
-    surrogate = None if options.campaign is None else surrogate_of(options.campaign)
-    capacities, pulses = capacities_and_pulses(sets, surrogate)
-    predictors = ("pulse", *(["classifier"] if surrogate else []), "reduced model")
+    learned = None if options.campaign is None else learned_of(options.campaign)
+    capacities, pulses = capacities_and_pulses(sets, learned)
+    predictors = ("pulse", *(["classifier"] if learned else []), "reduced model")
     of_capacities = "records, events", "median PGV [m/s]", "dispersion", "resurrections", "lifted", "runs"
     parts = [
         table(("goal", "measured"), goals),

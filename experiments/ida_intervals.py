@@ -11,7 +11,7 @@ import argparse
 
 import numpy as np
 
-from activefail.risk.ida.calculation import BISECTIONS, ladder
+from activefail.risk.ida.capacity import BISECTIONS, ladder
 from activefail.risk.ida.collapse import fit_lognormal, fitted
 from activefail.risk.ida.intensity import Intensity
 

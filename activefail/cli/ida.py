@@ -1,11 +1,10 @@
 """`activefail ida`: at which intensity of each record of a set a bearing fails."""
 
-import math
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -31,15 +30,6 @@ from activefail.files import writing_to
 from activefail.interrupts import INTERRUPTED
 from activefail.record.layout import check_output
 from activefail.visible import visible
-
-if TYPE_CHECKING:
-    from activefail.accelerogram_sets import RecordSet
-    from activefail.bearing import Model, Tolerance
-    from activefail.risk.ida.findings import IdaFindings
-    from activefail.risk.ida.intensity import Intensity
-    from activefail.risk.ida.p695 import MarginRequest
-    from activefail.risk.ida.predictions import Surrogate
-    from activefail.space import Array
 
 
 def ida(
@@ -155,10 +145,12 @@ def ida(
     The intensities give a fragility curve.
     """
     from activefail.accelerogram_sets import read_record_set
-    from activefail.bearing.design import Model, Tolerance
+    from activefail.bearing.design import Model, Tolerance, outside_table_1
+    from activefail.risk.ida import calculation
     from activefail.risk.ida.bearing_file import read_bearing
     from activefail.risk.ida.intensity import Intensity
     from activefail.risk.ida.p695 import MarginRequest
+    from activefail.risk.ida.simulations import campaign_under_records
 
     check_output("--out", out)
     if campaign is not None and not pulses:
@@ -174,16 +166,21 @@ def ida(
         loss_of_confinement=loss_of_confinement,
     )
     integration, intensity = Tolerance(relative=tolerance), Intensity.of(scale_to)
-    request = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
+    margin = MarginRequest(mce=mce, ssf=ssf, sdc=sdc, ductility=ductility, beta_total=beta_total, ratings=ratings)
     if simulator is None:
         if executor != "local" or scheduler is not None:
             raise InputError("--executor and --scheduler require --simulator; the bearing model runs in threads.")
         row = read_bearing(bearing, model)
         read = read_record_set(records, unit, dt, vertical)
-        surrogate = None if campaign is None else _surrogate(campaign, outcome, model)
-        with _kept_in(out):
-            findings = _of_bearing(
-                row, read, intensity, outcome, to, request, pulses, surrogate, model, integration, workers, out
+        with (
+            _interruptible(out),
+            nullcontext() if campaign is None else opened_run(campaign) as run,
+            progress_bar("simulating") as begin,
+        ):
+            for note in outside_table_1(row.tolist()):
+                print(f"note: {note}", file=sys.stderr)
+            findings = calculation.ida(
+                row, read, intensity, outcome, to, margin, pulses, run, model, integration, workers, begin, out
             )
     else:
         if vertical or pulses:
@@ -195,9 +192,13 @@ def ida(
             )
         if intensity.kind != "pgv":
             raise InputError(f"--scale-to: must be pgv with --simulator, got {visible(scale_to)!r}.")
-        read = read_record_set(records, unit, dt)
-        with _kept_in(out):
-            findings = _of_campaign(simulator, bearing, read, outcome, to, request, workers, executor, scheduler, out)
+        asked = campaign_under_records(simulator, bearing, read_record_set(records, unit, dt))
+        with (
+            _interruptible(out),
+            make_executor(asked.campaign, workers, executor, scheduler) as pool,
+            progress_bar("simulating") as begin,
+        ):
+            findings = calculation.ida_of_campaign(asked, outcome, to, margin, None, pool, begin, out)
     if out is not None:
         from activefail.report.ida import write_ida
 
@@ -215,113 +216,11 @@ def ida(
 
 
 @contextmanager
-def _kept_in(out: Path | None) -> Iterator[None]:
-    """Make the folder before the simulations, and say after Ctrl-C what is kept in it."""
-    if out is not None:
-        with writing_to(out):
-            out.mkdir(parents=True, exist_ok=True)
+def _interruptible(out: Path | None) -> Iterator[None]:
+    """Say after Ctrl-C what is kept."""
     try:
         yield
     except KeyboardInterrupt:
         how = "nothing is kept without --out" if out is None else "the same command continues"
         print(f"activefail: stopped; {how}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
-
-
-def _of_bearing(
-    bearing: "Array",
-    records: "RecordSet",
-    intensity: "Intensity",
-    outcome: str | None,
-    to: float | None,
-    request: "MarginRequest",
-    pulses: bool,
-    surrogate: "Surrogate | None",
-    model: "Model",
-    tolerance: "Tolerance",
-    workers: int | None,
-    out: Path | None,
-) -> "IdaFindings":
-    """The analysis of the bearing model."""
-    from activefail.bearing.design import outside_table_1
-    from activefail.bearing.outcome import OUTCOMES
-    from activefail.risk.ida.calculation import BISECTIONS, LEVELS, analyse
-
-    options = request.options(float(bearing[0]), records.of_p695)
-    for note in outside_table_1(bearing.tolist()):
-        print(f"note: {note}", file=sys.stderr)
-    with progress_bar("simulating") as begin:
-        noted = begin(len(records.records) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
-        return analyse(
-            bearing,
-            records,
-            intensity,
-            OUTCOMES[-1] if outcome is None else outcome,
-            to,
-            options,
-            pulses,
-            surrogate,
-            model,
-            tolerance,
-            workers,
-            noted,
-            out,
-        )
-
-
-def _of_campaign(
-    file: Path,
-    bearing: Path,
-    records: "RecordSet",
-    outcome: str | None,
-    to: float | None,
-    request: "MarginRequest",
-    workers: int | None,
-    executor: str,
-    scheduler: str | None,
-    out: Path | None,
-) -> "IdaFindings":
-    """The analysis of what a campaign's simulator simulates.
-
-    Raises:
-        InputError: if file, values or options break a rule.
-    """
-    from activefail.campaign.on_disk import read_campaign
-    from activefail.campaign.question import read_fixed
-    from activefail.campaign.shipped import campaign_file
-    from activefail.risk.ida.calculation import BISECTIONS, LEVELS, analyse_campaign
-    from activefail.risk.ida.simulations import CampaignUnderRecords, check_under_records
-
-    file = campaign_file(file)
-    campaign = read_campaign(file, code=file.absolute().parent, features=False)
-    values = read_fixed(bearing, campaign.space)
-    # Before workers start.
-    check_under_records(campaign, values, len(records.records))
-    period = {**campaign.space.fixed, **values}.get("T_b", math.nan)
-    options = request.options(period, records.of_p695)
-    motions = [record.motion for record in records.records]
-    with make_executor(campaign, workers, executor, scheduler) as pool, progress_bar("simulating") as begin:
-        noted = begin(len(motions) * (LEVELS + BISECTIONS))
-        simulate = CampaignUnderRecords(campaign, values, motions, pool, noted)
-        return analyse_campaign(simulate, file.name, records, outcome, to, options, out)
-
-
-def _surrogate(folder: Path, outcome: str | None, model: "Model") -> "Surrogate":
-    """The classifier of a run folder.
-
-    Raises:
-        InputError: if the folder has no campaign under pulses with this model, or the outcome is unknown.
-    """
-    from activefail.bearing.outcome import OUTCOMES
-    from activefail.risk.ida.predictions import Surrogate
-
-    outcome = OUTCOMES[-1] if outcome is None else outcome
-    if outcome not in OUTCOMES:
-        raise InputError(f"--outcome: must be one of {', '.join(OUTCOMES[1:])}, got {outcome!r}.")
-    with opened_run(folder) as run:
-        if run.settings.bearing.model() != model:
-            raise InputError(
-                "--campaign: its [bearing] settings differ from this command's options. Give this command the same "
-                "values."
-            )
-        return Surrogate(run.campaign, run.classifier, OUTCOMES.index(outcome))

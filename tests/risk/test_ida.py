@@ -14,21 +14,23 @@ from commandline import activefail, refused
 from scipy.integrate import solve_ivp
 from scipy.stats import norm
 
+import activefail as af
 from activefail import create_run, open_run
 from activefail.bearing import TABLE_1, Accelerogram, simulate_records
 from activefail.bearing.design import GRAVITY, Model, Tolerance
 from activefail.bearing.outcome import CAUSES
 from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
+from activefail.json_text import json_text
 from activefail.risk.ida import simulations as module
-from activefail.risk.ida.calculation import ladder
-from activefail.risk.ida.capacity import Answers, Capacities, Runs, capacities
+from activefail.risk.ida.capacity import Answers, Capacities, Runs, capacities, ladder
 from activefail.risk.ida.collapse import LARGEST, collapse_margin, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
+from activefail.risk.ida.kept import Kept
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.predictions import Agreement
-from activefail.risk.ida.simulations import BearingUnderRecords, Kept
+from activefail.risk.ida.simulations import BearingUnderRecords
 
 BEARING = np.array([3.5, 0.06, 0.6, 0.6, 0.1, 45.0, 2e9])
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
@@ -196,13 +198,13 @@ def test_simulations_before_an_interruption_are_kept(tmp_path: Path) -> None:
     assert np.flatnonzero(answers.lifted).tolist() == [3]
 
 
-def test_kept_simulations_of_another_question_and_damaged_ones_are_not_used(tmp_path: Path) -> None:
+def test_damaged_kept_simulations_are_not_used(tmp_path: Path) -> None:
     file = tmp_path / "kept"
     Kept(Counting(), file, {"a": 1})(MANY)
     assert len(Kept(Counting(), file, {"a": 1}).read()) == 250
-    assert Kept(Counting(), file, {"a": 2}).read() == {}
     whole = file.read_bytes()
-    for damaged in (b"", b"[]", b"{", whole[:-9], whole.replace(b"0.1, 1,", b"0.1, 0,"), b"[" * 100_000):
+    changed = whole.replace(b"0.1, 1,", b"0.1, 0,"), whole.replace(b'{"a": 1}', b'{"a": 2}')
+    for damaged in (b"", b"[]", b"{", b"{}", whole[:-9], *changed, b"[" * 100_000):
         assert damaged != whole
         file.write_bytes(damaged)
         assert Kept(Counting(), file, {"a": 1}).read() == {}
@@ -210,6 +212,27 @@ def test_kept_simulations_of_another_question_and_damaged_ones_are_not_used(tmp_
     file.mkdir()
     with pytest.raises(InputError, match="kept: cannot be written"):
         Kept(Counting(), file, {"a": 1})(MANY)
+
+
+def test_kept_simulations_of_another_analysis_are_refused_and_stay(tmp_path: Path) -> None:
+    file = tmp_path / "kept"
+    of = {"bearing": {"mu": 0.06, "T_b": 3.5}, "versions": {"numpy": "1", "sources": 64 * "a"}, "records": "abc"}
+    Kept(Counting(), file, of)(MANY)
+    before = file.read_bytes()
+    for changes, message in (
+        ({"bearing": {"mu": 0.07, "T_b": 3.5}}, "another bearing (mu 0.06, now 0.07)"),
+        ({"versions": {"numpy": "2", "sources": 64 * "b"}}, "other versions (numpy 1, now 2; sources)"),
+        ({"records": "abd", "intensities": [1.0]}, "other records"),
+        ({"intensities": [1.0]}, "another --scale-to"),
+        ({"records": "", "bearing": {"mu": 0.06}}, "another bearing (T_b 3.5, now None) and other records"),
+        ({"simulator": {"python": "a:run"}, "bearing": {"x": 1.0}}, "another simulator"),
+    ):
+        with pytest.raises(InputError) as raised:
+            Kept(Counting(), file, of | changes)(MANY)
+        assert str(raised.value) == (
+            f"{file}: has simulations with {message}. Name another folder, or remove this file to simulate again."
+        )
+    assert file.read_bytes() == before
 
 
 def test_numerical_failures_are_simulated_again(tmp_path: Path) -> None:
@@ -639,6 +662,59 @@ def test_what_is_no_campaign_under_these_records_is_refused(case: Path, plate: P
     )
 
 
+def test_a_folder_of_another_analysis_is_refused_and_the_message_says_what_differs(
+    case: Path, plate: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    words = ["ida", "--records", case / "set", "--workers", "1", "--out", out, "--bearing"]
+    of_plate = [*words, plate / "strength.toml", "--simulator", plate / "plate.toml"]
+    assert activefail(*of_plate).code == 0
+    kept = out / "simulations.json"
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    (tmp_path / "stronger.toml").write_text("strength = 1.6\n")
+    refused(
+        activefail(*words, tmp_path / "stronger.toml", *of_plate[-2:]),
+        f"{kept}: has simulations with another bearing (strength 1.5, now 1.6). Name another folder, or remove this",
+    )
+    shutil.copytree(case / "set", tmp_path / "set")
+    first = tmp_path / "set" / "0a.txt"
+    first.write_text(first.read_text().replace("e-", "e-0", 1) + "0.0\n")
+    refused(activefail(*of_plate, "--records", tmp_path / "set"), "has simulations with other records. ")
+    refused(activefail(*words, case / "bearing.toml"), "has simulations with another simulator. ")
+    code = (plate / "plate.py").read_text()
+    (plate / "plate.py").write_text(code.replace("3.9", "3.8"))
+    refused(activefail(*of_plate), "has simulations with other code of the simulator (simulator.python). ")
+    (plate / "plate.py").write_text(code)
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+    assert activefail(*of_plate).code == 0
+    other = [*words, case / "bearing.toml", "--out", tmp_path / "bearing"]
+    assert activefail(*other).code == 0
+    for options, message in (
+        (("--scale-to", "pga"), "another --scale-to. "),
+        (("--tolerance", "1e-6"), "another tolerance (relative 0.0001, now 1e-06). "),
+        (("--slider-diameter", "0.4"), "another model (slider_diameter 0.3, now 0.4). "),
+        (("--records", tmp_path / "set", "--scale-to", "pga"), "other records. "),
+    ):
+        refused(
+            activefail(*other, *options), f"{tmp_path / 'bearing'}/simulations.json: has simulations with {message}"
+        )
+
+
+def test_python_finds_the_numbers_of_the_command(case: Path, plate: Path, campaign: Path) -> None:
+    records, words = af.read_record_set(str(case / "set")), ("--records", case / "set", "--json")
+    margin = af.MarginRequest(mce=0.8)
+    with open_run(campaign) as run:
+        found = af.ida(BEARING.tolist(), records, margin=margin, pulses=True, run=run, folder=plate / "new" / "out")
+    options = ("--bearing", case / "bearing.toml", "--mce", "0.8", "--pulses", "--campaign", campaign)
+    assert json_text({"version": 1, **found.as_json()}) == activefail("ida", *words, *options).out.rstrip("\n")
+    asked = af.campaign_under_records(plate / "plate.toml", {"strength": 1.5}, records)
+    other = af.ida_of_campaign(asked, "bent", workers=1)
+    options = ("--bearing", plate / "strength.toml", "--simulator", plate / "plate.toml", "--outcome", "bent")
+    assert json_text({"version": 1, **other.as_json()}) == activefail("ida", *words, *options).out.rstrip("\n")
+    with pytest.raises(InputError, match=r"bearing: must be the seven values T_b, .*, k, got shape \(9,\)"):
+        af.ida(np.ones(9), records)
+
+
 def test_a_simulator_that_never_answers_is_named(case: Path, plate: Path) -> None:
     (plate / "plate.py").write_text("def run(design):\n    raise ValueError('no licence')\n")
     words = ("--bearing", plate / "strength.toml", "--simulator", plate / "plate.toml", "--workers", "1")
@@ -683,7 +759,13 @@ def test_values_outside_the_paper_are_named(case: Path, tmp_path: Path) -> None:
     ("options", "message"),
     [
         (("--outcome", "collapse"), "outcome: must be one of impact, failure, got 'collapse'"),
-        (("--to", "0"), "--to: must be positive, got 0"),
+        (("--to", "0"), "--to: must be positive and finite, got 0"),
+        (("--to", "-1"), "--to: must be positive and finite, got -1"),
+        (("--to", "nan"), "--to: must be positive and finite, got nan"),
+        (("--to", "inf"), "--to: must be positive and finite, got inf"),
+        (("--to", "1e300"), "--to: must be between 1e-75 and 1e+75, got 1e+300"),
+        (("--to", "5e-324"), "--to: must be between 1e-75 and 1e+75, got 4.94066e-324"),
+        (("--to", "1e75"), "--to: 1e+75 m/s scales 0a to 3.85e+75 m/s2; a record must stay below 1e+75 m/s2."),
         (("--mce", "-1"), "--mce: must be positive, got -1"),
         (("--mce", "1", "--beta-total", "nan"), "--beta-total: must be positive, got nan"),
         (("--scale-to", "sv"), "--scale-to: must be factor, pga, pgv or sa:T, got 'sv'"),

@@ -1,7 +1,10 @@
-"""Incremental dynamic analysis of one bearing, or of what a campaign under records simulates."""
+"""`ida` and `ida_of_campaign`: incremental dynamic analysis of a bearing, or of what a campaign simulates."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,85 +13,86 @@ from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import TABLE_1, Model, Tolerance
 from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
-from activefail.risk.ida.capacity import Capacities, Simulate, capacities, on_ladder
+from activefail.files import writing_to
+from activefail.risk.ida.capacity import BISECTIONS, LEVELS, Capacities, Simulate, capacities, ladder, on_ladder
 from activefail.risk.ida.collapse import Fragility, Margin, collapse_margin, fitted
 from activefail.risk.ida.equivalent_pulse import EquivalentPulse, compare_pulses, equivalent_pulse
-from activefail.risk.ida.findings import LOWEST, IdaFindings
-from activefail.risk.ida.intensity import Intensity
-from activefail.risk.ida.p695 import MarginOptions
-from activefail.risk.ida.predictions import Agreement, Prediction, Surrogate, predicted_by_reduced_model
-from activefail.risk.ida.simulations import BearingUnderRecords, CampaignUnderRecords, Kept
+from activefail.risk.ida.findings import IdaFindings
+from activefail.risk.ida.intensity import Intensity, unscaled
+from activefail.risk.ida.kept import Kept
+from activefail.risk.ida.p695 import MarginOptions, MarginRequest
+from activefail.risk.ida.predictions import Agreement, Learned, Prediction, Surrogate, predicted_by_reduced_model
+from activefail.risk.ida.simulations import BearingUnderRecords, CampaignSimulations, CampaignUnderRecords
 from activefail.space import Array
 
-LEVELS, BISECTIONS = 10, 5
-"""Levels of the ladder, and of the bisection after it."""
+if TYPE_CHECKING:
+    from activefail.execution.executor import Executor
+    from activefail.risk.sensitivity.findings import Begin
 
 KEPT, KEPT_OF_PULSES = "simulations.json", "simulations-of-pulses.json"
 """Files of an analysis from which it continues."""
 
-_LARGEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
-"""Highest level of the ladder by default, by the kind of the intensity."""
 
-
-def ladder(intensity: Intensity, highest: float | None = None) -> Array:
-    """The rising levels of an analysis, with equal ratios between them.
-
-    Raises:
-        InputError: if the highest level is not positive.
-    """
-    top = _LARGEST[intensity.kind] if highest is None else highest
-    if not (np.isfinite(top) and top > 0.0):
-        raise InputError(f"--to: must be positive, got {top:g}.")
-    return np.geomspace(LOWEST * top, top, LEVELS)
-
-
-def analyse(
-    bearing: Array,
+def ida(
+    bearing: Sequence[float] | Array,
     records: RecordSet,
-    intensity: Intensity,
-    outcome: str = OUTCOMES[-1],
-    highest: float | None = None,
-    options: MarginOptions | None = None,
+    scale_to: Intensity | str = "pgv",
+    outcome: str | None = None,
+    to: float | None = None,
+    margin: MarginRequest | None = None,
     pulses: bool = False,
-    surrogate: Surrogate | None = None,
+    run: Learned | None = None,
     model: Model | None = None,
     tolerance: Tolerance | None = None,
-    threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
-    folder: Path | None = None,
+    workers: int | None = None,
+    begin: "Begin" = lambda _: lambda _: None,
+    folder: str | Path | None = None,
 ) -> IdaFindings:
-    """The incremental dynamic analysis of a bearing under a set of records.
+    """Find the intensity at which a bearing fails, for each record of a set.
 
     Args:
         bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
-        records: the set.
-        intensity: by which records are scaled.
-        outcome: "impact" or "failure"; worse outcomes count too.
-        highest: level of the ladder; by default 8, 3 g, 4 m/s or 2 g.
-        options: of the collapse margin; None for none.
+        records: the set (`read_record_set`).
+        scale_to: intensity by which records are scaled: "factor", "pga" [g], "pgv" [m/s], or "sa:T" [g] with a
+            period T [s].
+        outcome: "impact" or "failure", which is the default; worse outcomes count too.
+        to: highest level of the intensity; by default 8, 3 g, 4 m/s or 2 g.
+        margin: the collapse margin of FEMA P695; None for none.
         pulses: whether to compare the records with their equivalent pulses, and with predictions.
-        surrogate: a campaign's classifier, to predict the outcomes under the equivalent pulses.
-        model, tolerance, threads, progress: as for `simulate_records`.
-        folder: of the files from which an interrupted analysis continues; None keeps none.
+        run: of a campaign under pulses, whose classifier predicts the outcomes under the equivalent pulses.
+        model, tolerance: as for `simulate_records`.
+        workers: number of threads; all cores if None.
+        begin: called with the largest number of simulations; returns a callback for finished ones.
+        folder: for the files from which an interrupted analysis continues; None keeps none.
 
     Raises:
-        InputError: if an argument is invalid.
+        InputError: if an argument is invalid, or the folder has simulations of another analysis.
     """
-    severity = _severity(outcome, OUTCOMES)
-    model, tolerance = model or Model(), tolerance or Tolerance()
+    bearing = np.asarray(bearing, dtype=np.float64)
+    if bearing.shape != (7,):
+        raise InputError(
+            f"bearing: must be the seven values {', '.join(TABLE_1.names[:7])}, got shape {bearing.shape}."
+        )
+    outcome = OUTCOMES[-1] if outcome is None else outcome
+    intensity = Intensity.of(scale_to) if isinstance(scale_to, str) else scale_to
+    severity, model, tolerance = _severity(outcome, OUTCOMES), model or Model(), tolerance or Tolerance()
+    surrogate = None if run is None else Surrogate.of(run, severity, model)
+    options = None if margin is None else margin.options(float(bearing[0]), records.of_p695)
     motions = [record.motion for record in records.records]
-    levels = ladder(intensity, highest)
-    intensities = np.array([intensity.of_record(motion) for motion in motions])
+    levels = ladder(intensity, to)
+    intensities = unscaled(intensity, motions, float(levels[-1]))
+    _make(folder)
+    progress = begin(len(motions) * (LEVELS + BISECTIONS) * (2 if pulses else 1))
 
     def capacities_under(ground: Sequence[Accelerogram], name: str) -> Capacities:
-        simulate = BearingUnderRecords(bearing, ground, intensities, model, tolerance, threads, progress)
+        simulate = BearingUnderRecords(bearing, ground, intensities, model, tolerance, workers, progress)
         kept: Simulate = simulate
         if folder is not None:
-            kept = Kept(simulate, folder / name, simulate.identity, progress)
+            kept = Kept(simulate, Path(folder) / name, simulate.identity, progress)
         return capacities(kept, len(ground), levels, BISECTIONS, severity)
 
     of_records = capacities_under(motions, KEPT)
-    fragility, margin = _curve(of_records, records, options)
+    fragility, margin_found = _curve(of_records, records, options)
     compared = None
     predictions: tuple[Prediction, ...] = ()
     if pulses:
@@ -110,47 +114,59 @@ def analyse(
         outcome,
         of_records,
         fragility,
-        margin,
+        margin_found,
         options,
         compared,
         predictions,
     )
 
 
-def analyse_campaign(
-    simulate: CampaignUnderRecords,
-    name: str,
-    records: RecordSet,
+def ida_of_campaign(
+    asked: CampaignUnderRecords,
     outcome: str | None = None,
-    highest: float | None = None,
-    options: MarginOptions | None = None,
-    folder: Path | None = None,
+    to: float | None = None,
+    margin: MarginRequest | None = None,
+    workers: int | None = None,
+    executor: "Executor | None" = None,
+    begin: "Begin" = lambda _: lambda _: None,
+    folder: str | Path | None = None,
 ) -> IdaFindings:
-    """The incremental dynamic analysis of what a campaign under records simulates, such as a building.
+    """Find the peak ground velocity at which what a campaign simulates, such as a building, fails, for each record.
 
     Args:
-        simulate: the simulations.
-        name: of the campaign.
-        records: the campaign's set.
+        asked: campaign, values and records (`campaign_under_records`).
         outcome: one of the campaign's, the most severe if None; worse outcomes count too.
-        highest: level of the ladder [m/s]; 4 by default.
-        options, folder: as for `analyse`.
+        to: highest level [m/s]; 4 by default.
+        margin: as for `ida`.
+        workers: number of processes, or of threads for a compiled simulator; all cores if None.
+        executor: runs the simulations; None for `workers` on this machine.
+        begin, folder: as for `ida`.
 
     Raises:
-        InputError: if an argument is invalid.
+        InputError: as `ida` does.
         SimulationError: if no simulation gives an outcome, or as the executor does.
     """
-    outcomes = tuple(simulate.campaign.simulator.outcomes)
+    from activefail.execution.local import local_executor
+
+    campaign, records = asked.campaign, asked.records
+    outcomes = tuple(campaign.simulator.outcomes)
     outcome = outcomes[-1] if outcome is None else outcome
     severity, intensity = _severity(outcome, outcomes), Intensity("pgv")
-    levels = ladder(intensity, highest)
-    ask: Simulate = simulate
-    if folder is not None:
-        ask = kept = Kept(simulate, folder / KEPT, simulate.identity, simulate.progress)
-        simulate.answered = bool(kept.read())
-    of_records = capacities(ask, len(records.records), levels, BISECTIONS, severity)
-    fragility, margin = _curve(of_records, records, options)
-    values = {**simulate.campaign.space.fixed, **simulate.values}
+    values = {**campaign.space.fixed, **asked.values}
+    options = None if margin is None else margin.options(values.get("T_b", math.nan), records.of_p695)
+    levels = ladder(intensity, to)
+    unscaled(intensity, [record.motion for record in records.records], float(levels[-1]))
+    _make(folder)
+    progress = begin(len(records.records) * (LEVELS + BISECTIONS))
+    local = nullcontext(executor) if executor else local_executor(campaign.simulator, workers, campaign.time_limit)
+    with local as pool:
+        simulate = CampaignSimulations(asked, pool, progress)
+        ask: Simulate = simulate
+        if folder is not None:
+            ask = kept = Kept(simulate, Path(folder) / KEPT, simulate.identity, progress)
+            simulate.answered = bool(kept.read())
+        of_records = capacities(ask, len(records.records), levels, BISECTIONS, severity)
+    fragility, margin_found = _curve(of_records, records, options)
     return IdaFindings(
         values,
         None,
@@ -161,11 +177,22 @@ def analyse_campaign(
         outcome,
         of_records,
         fragility,
-        margin,
+        margin_found,
         options,
-        simulator=name,
+        simulator=asked.name,
         fault=simulate.first_fault,
     )
+
+
+def _make(folder: str | Path | None) -> None:
+    """Make the folder of the kept simulations.
+
+    Raises:
+        InputError: if it cannot be made.
+    """
+    if folder is not None:
+        with writing_to(Path(folder)):
+            Path(folder).mkdir(parents=True, exist_ok=True)
 
 
 def _severity(outcome: str, outcomes: Sequence[str]) -> int:

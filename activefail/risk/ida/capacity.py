@@ -7,8 +7,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from activefail.bearing.design import LARGEST
+from activefail.errors import InputError
+from activefail.risk.ida.intensity import Intensity
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
+
+LEVELS, BISECTIONS = 10, 5
+"""Levels of the ladder, and of the bisection after it."""
+
+LOWEST = 1.0 / 16.0
+"""The lowest level of the ladder over the highest."""
+
+_HIGHEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
+"""Highest level of the ladder by default, by the kind of the intensity."""
 
 Runs = Sequence[tuple[int, float]]
 """Simulations: of each the record, by its place in the set, and the level."""
@@ -51,7 +63,21 @@ class Capacities:
         return sum(map(len, self.levels))
 
 
-def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int, severity: int) -> Capacities:
+def ladder(intensity: Intensity, highest: float | None = None) -> Array:
+    """The rising levels of the ladder, with equal ratios between them.
+
+    Raises:
+        InputError: if the highest level is not positive, or too near to 0 or infinity for the others.
+    """
+    top = _HIGHEST[intensity.kind] if highest is None else highest
+    if not (np.isfinite(top) and top > 0.0):
+        raise InputError(f"--to: must be positive and finite, got {top:g}.")
+    if not 1.0 / LARGEST <= top <= LARGEST:
+        raise InputError(f"--to: must be between {1.0 / LARGEST:g} and {LARGEST:g}, got {top:g}.")
+    return np.geomspace(LOWEST * top, top, LEVELS)
+
+
+def capacities(simulate: Simulate, records: int, rungs: Array, bisections: int, severity: int) -> Capacities:
     """Simulate records at the levels of a ladder, then between the two levels that hold each capacity.
 
     The whole ladder is simulated, because a higher level may be survived than one that is not. A level without an
@@ -60,11 +86,11 @@ def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int,
     Args:
         simulate: the outcomes of records at levels.
         records: their number n.
-        ladder: (k,) rising levels of the intensity.
+        rungs: (k,) rising levels of the ladder.
         bisections: levels between the last survived and the first failed one of the ladder.
         severity: of the outcome that is sought, or a worse one.
     """
-    levels = [ladder.copy() for _ in range(records)]
+    levels = [rungs.copy() for _ in range(records)]
     lifted = np.zeros(records, dtype=np.int64)
 
     def outcomes_at(runs: Runs) -> NDArray[np.int8]:
@@ -72,7 +98,7 @@ def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int,
         np.add.at(lifted, [k for k, _ in runs], answers.lifted)
         return answers.outcome
 
-    first = outcomes_at([(k, level) for k in range(records) for level in ladder.tolist()])
+    first = outcomes_at([(k, level) for k in range(records) for level in rungs.tolist()])
     outcomes = list(first.reshape(records, -1))
     for _ in range(bisections):
         brackets = [_bracket(*one, severity) for one in zip(levels, outcomes, strict=True)]
@@ -97,10 +123,10 @@ def capacities(simulate: Simulate, records: int, ladder: Array, bisections: int,
     )
 
 
-def on_ladder(simulated: Capacities, ladder: Array) -> NDArray[np.int8]:
+def on_ladder(simulated: Capacities, rungs: Array) -> NDArray[np.int8]:
     """The outcomes at the levels of the ladder, (n, k), without those of the bisections."""
     pairs = zip(simulated.levels, simulated.outcomes, strict=True)
-    return np.array([outcomes[np.isin(levels, ladder)] for levels, outcomes in pairs], dtype=np.int8)
+    return np.array([outcomes[np.isin(levels, rungs)] for levels, outcomes in pairs], dtype=np.int8)
 
 
 def _bracket(levels: Array, outcomes: NDArray[np.int8], severity: int) -> tuple[float, float]:

@@ -10,16 +10,13 @@ from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.design import Model, Tolerance
-from activefail.risk.ida.capacity import Capacities
+from activefail.risk.ida.capacity import LOWEST, Capacities
 from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, Margin
 from activefail.risk.ida.equivalent_pulse import PulseComparison
 from activefail.risk.ida.intensity import Intensity
 from activefail.risk.ida.p695 import MarginOptions
 from activefail.risk.ida.predictions import Prediction
 from activefail.space import Array
-
-LOWEST = 1.0 / 16.0
-"""The lowest level of the ladder over the highest."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """Intensities by which records are scaled: factor, peak acceleration or velocity, spectral acceleration."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -8,8 +9,9 @@ import numpy as np
 from scipy.signal import lsim
 
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import GRAVITY
+from activefail.bearing.design import GRAVITY, LARGEST
 from activefail.errors import InputError
+from activefail.space import Array
 from activefail.visible import visible
 
 DAMPING = 0.05
@@ -84,6 +86,31 @@ class Intensity:
         if not (math.isfinite(value) and value > 0.0):
             raise InputError(f"{motion.name}: its {self.name} must be positive, got {value:g}.")
         return value
+
+
+def unscaled(intensity: Intensity, motions: Sequence[Accelerogram], highest: float) -> Array:
+    """The intensities of records as they are, (n,).
+
+    Args:
+        intensity: its measure.
+        motions: the n records.
+        highest: level to which they will be scaled.
+
+    Raises:
+        InputError: if a record does not move, or if its accelerations at the highest level would be too large.
+    """
+    own = np.array([intensity.of_record(motion) for motion in motions])
+    for motion, value in zip(motions, own.tolist(), strict=True):
+        vertical = 0.0 if motion.vertical is None else float(np.abs(motion.vertical).max())
+        # A product that overflows is infinite.
+        peak = max(motion.peak, vertical) / value * highest
+        if not peak <= LARGEST:
+            unit = f" {intensity.unit}" if intensity.unit else ""
+            raise InputError(
+                f"--to: {highest:g}{unit} scales {motion.name} to {peak:.3g} m/s2; a record must stay below "
+                f"{LARGEST:g} m/s2."
+            )
+    return own
 
 
 def spectral_acceleration(motion: Accelerogram, period: float) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +113,20 @@ def predicted_by_reduced_model(
     return np.asarray(features[:, column] > 0.0)
 
 
+class Learned(Protocol):
+    """A campaign and what was learned in it: a `Run`."""
+
+    @property
+    def campaign(self) -> Campaign:
+        """With its settings."""
+        ...
+
+    @property
+    def classifier(self) -> Classifier:
+        """Learned from its simulations."""
+        ...
+
+
 @dataclass(frozen=True)
 class Surrogate:
     """The classifier of a campaign under pulses, asked about one bearing.
@@ -121,26 +135,35 @@ class Surrogate:
         campaign, classifier: of a run folder.
         severity: of the outcome that is sought.
 
-    Raises:
-        InputError: if the campaign's variables are not those of a bearing under a pulse, or it lacks the outcome.
     """
 
     campaign: Campaign
     classifier: Classifier
     severity: int
 
-    def __post_init__(self) -> None:
-        space = self.campaign.space
+    @classmethod
+    def of(cls, run: Learned, severity: int, model: Model) -> Self:
+        """Of what a run folder has learned.
+
+        Raises:
+            InputError: if its campaign is not one of a bearing under a pulse with this model.
+        """
+        if run.campaign.settings.bearing.model() != model:
+            raise InputError(
+                "--campaign: its [bearing] settings differ from this command's options. Give this command the same "
+                "values."
+            )
+        space = run.campaign.space
         known = (*space.names, *space.fixed)
         if set(known) != set(TABLE_1.names) or not {"T_p", "A_p"} <= set(space.names):
             raise InputError(
                 "--campaign: must be a campaign under pulses, with the variables "
                 f"{', '.join(TABLE_1.names)}; got {', '.join(known)}."
             )
-        if self.classifier.outcomes != OUTCOMES:
-            raise InputError(
-                f"--campaign: must have the outcomes {', '.join(OUTCOMES)}, got {', '.join(self.classifier.outcomes)}."
-            )
+        outcomes = tuple(run.campaign.simulator.outcomes)
+        if outcomes != OUTCOMES:
+            raise InputError(f"--campaign: must have the outcomes {', '.join(OUTCOMES)}, got {', '.join(outcomes)}.")
+        return cls(run.campaign, run.classifier, severity)
 
     def under_pulses(self, bearing: Array, period: Array, amplitude: Array) -> tuple[NDArray[np.bool_], float]:
         """Whether the outcome, or a worse one, is predicted under pulses, (n,); the share outside the design space.

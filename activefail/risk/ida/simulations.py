@@ -1,7 +1,6 @@
-"""The simulations of an incremental dynamic analysis: of the bearing model or of a campaign, kept in a file."""
+"""The simulations of an incremental dynamic analysis: of the bearing model, or of a campaign under records."""
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -9,15 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.accelerogram import Accelerogram
-from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.design import TABLE_1, Model, Tolerance
 from activefail.bearing.outcome import CAUSES, OUTCOMES
 from activefail.bearing.simulation import simulate_records
 from activefail.campaign.assembly import Campaign
+from activefail.campaign.on_disk import read_campaign
 from activefail.campaign.provenance import simulation_versions
+from activefail.campaign.question import checked_values, read_fixed
+from activefail.campaign.shipped import campaign_file
 from activefail.errors import InputError, SimulationError
-from activefail.files import read_regular, replacing, writing_to
-from activefail.risk.ida.capacity import Answers, Runs, Simulate
+from activefail.risk.ida.capacity import Answers, Runs
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array
 from activefail.verification.stored_sets import first_fault_text
@@ -32,13 +34,8 @@ RECORD, VELOCITY = "record", "PGV"
 _LIFTED = CAUSES.index("failure_without_rim_touch")
 _FAILURE = len(OUTCOMES) - 1
 
-_PART = 100
-"""Simulations after which the file is written: an interruption loses fewer."""
-
 _FIRST = 4
 """Simulations of a campaign's simulator before the others: if all fail, the others would too, and might take long."""
-
-_LARGEST_FILE = 100_000_000
 
 Progress = Callable[[int], None]
 
@@ -82,8 +79,8 @@ class BearingUnderRecords:
     def identity(self) -> dict[str, Any]:
         """All that the outcomes depend on, besides record and level."""
         return {
-            "bearing": self.bearing.tolist(),
-            "own": self.intensities.tolist(),
+            "bearing": dict(zip(TABLE_1.names, self.bearing.tolist(), strict=False)),
+            "intensities": self.intensities.tolist(),
             "records": digest_of(self.records),
             "model": asdict(self.model),
             "tolerance": asdict(self.tolerance),
@@ -91,33 +88,83 @@ class BearingUnderRecords:
         }
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class CampaignUnderRecords:
-    """Simulations by the simulator of a campaign under records, which scales them itself.
+    """A campaign under records, whose simulator scales them itself, with values of its other variables.
 
     Attributes:
+        name: of the campaign.
         campaign: with the variables `record` and `PGV`.
         values: of all other variables.
-        records: of the set, in the campaign's order.
-        executor: runs the simulations.
-        progress: called with numbers of simulations that ended.
-        answered: whether a simulation has given an outcome.
-        first_fault: why the first numerical failure happened, as a sentence; empty without one.
+        records: the campaign's set, in its order.
 
     Raises:
         InputError: if the campaign lacks a variable, has another number of records, or a value is missing.
     """
 
+    name: str
     campaign: Campaign
     values: Mapping[str, float]
-    records: Sequence[Accelerogram]
+    records: RecordSet
+
+    def __post_init__(self) -> None:
+        space, records = self.campaign.space, len(self.records.records)
+        for name in (RECORD, VELOCITY):
+            if name not in space.names:
+                raise InputError(
+                    f"--simulator: must be a campaign under records, with the variables {RECORD} and {VELOCITY}; got "
+                    f"{visible(', '.join(space.names))}."
+                )
+            if name in self.values:
+                raise InputError(f"--bearing: {name} belongs to the ground motion; leave it out.")
+        number = float(space.high[space.names.index(RECORD)])
+        if number != records:
+            raise InputError(f"--records: must be the {number:g} records of the campaign, got {records}.")
+        if missing := [name for name in space.names if name not in (*self.values, RECORD, VELOCITY)]:
+            raise InputError(f"--bearing: requires {visible(', '.join(missing))}.")
+
+
+def campaign_under_records(
+    file: str | Path, values: Mapping[str, float] | str | Path, records: RecordSet
+) -> CampaignUnderRecords:
+    """A campaign under records, for `ida_of_campaign`.
+
+    Args:
+        file: the campaign file, or the name of a shipped campaign, such as "building_records". Its folder has the
+            simulator's code, which is executed.
+        values: of all variables but `record` and `PGV`: by name, or a TOML file.
+        records: the campaign's set, in its order.
+
+    Raises:
+        InputError: naming the file, the key, the rule and the value.
+    """
+    file = campaign_file(Path(file))
+    campaign = read_campaign(file, code=file.absolute().parent, features=False)
+    campaign.check_simulates()
+    if isinstance(values, str | Path):
+        values = read_fixed(Path(values), campaign.space)
+    else:
+        values = checked_values(values, campaign.space)
+    return CampaignUnderRecords(file.name, campaign, values, records)
+
+
+@dataclass(eq=False)
+class CampaignSimulations:
+    """Simulations by the simulator of a campaign under records.
+
+    Attributes:
+        asked: campaign, values and records.
+        executor: runs the simulations.
+        progress: called with numbers of simulations that ended.
+        answered: whether a simulation has given an outcome.
+        first_fault: why the first numerical failure happened, as a sentence; empty without one.
+    """
+
+    asked: CampaignUnderRecords
     executor: "Executor"
     progress: Progress | None = None
     answered: bool = field(default=False, init=False)
     first_fault: str = field(default="", init=False)
-
-    def __post_init__(self) -> None:
-        check_under_records(self.campaign, self.values, len(self.records))
 
     def __call__(self, runs: Runs) -> Answers:
         """The outcomes of records at levels.
@@ -128,12 +175,12 @@ class CampaignUnderRecords:
         """
         if not self.answered and len(runs) > _FIRST:
             return _joined(self(runs[:_FIRST]), self(runs[_FIRST:]))
-        space, ground = self.campaign.space, np.array(runs)
+        campaign, ground = self.asked.campaign, np.array(runs)
         # Half a number from the next record, so that rounding changes nothing.
-        columns = {name: np.full(len(runs), value) for name, value in self.values.items()}
+        columns = {name: np.full(len(runs), value) for name, value in self.asked.values.items()}
         columns |= {RECORD: ground[:, 0] + 0.5, VELOCITY: ground[:, 1]}
-        X = np.column_stack([columns[name] for name in space.names])
-        results = self.executor.run(self.campaign.simulator, X, self.progress)
+        X = np.column_stack([columns[name] for name in campaign.space.names])
+        results = self.executor.run(campaign.simulator, X, self.progress)
         self.first_fault = self.first_fault or first_fault_text(results.faults.values()).strip()
         self.answered = self.answered or bool((results.outcome != NUMERICAL_FAILURE).any())
         if not self.answered:
@@ -143,42 +190,20 @@ class CampaignUnderRecords:
     @property
     def identity(self) -> dict[str, Any]:
         """All that the outcomes depend on and that is known, besides record and level."""
+        campaign = self.asked.campaign
         return {
-            "simulator": self.campaign.settings.model_dump(
-                mode="json", include={"simulator": {"python", "command", "outcomes"}}
-            ),
-            "sources": self.campaign.sources,
-            "space": self.campaign.space.names,
-            "values": {**self.campaign.space.fixed, **self.values},
-            "records": digest_of(self.records),
+            "simulator": campaign.settings.model_dump(
+                mode="json", include={"simulator": {"python", "command", "outcomes", "margins", "levels"}}
+            )["simulator"],
+            "code": campaign.sources,
+            "bearing": {**campaign.space.fixed, **self.asked.values},
+            "records": digest_of([record.motion for record in self.asked.records.records]),
             "versions": simulation_versions(),
         }
 
 
 def _joined(*parts: Answers) -> Answers:
     return Answers(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def check_under_records(campaign: Campaign, values: Mapping[str, float], records: int) -> None:
-    """Check that a campaign is one under a number of records, and that its other variables have values.
-
-    Raises:
-        InputError: naming the option, the rule and the value.
-    """
-    space = campaign.space
-    for name in (RECORD, VELOCITY):
-        if name not in space.names:
-            raise InputError(
-                f"--simulator: must be a campaign under records, with the variables {RECORD} and {VELOCITY}; got "
-                f"{visible(', '.join(space.names))}."
-            )
-        if name in values:
-            raise InputError(f"--bearing: {name} belongs to the ground motion; leave it out.")
-    number = float(space.high[space.names.index(RECORD)])
-    if number != records:
-        raise InputError(f"--records: must be the {number:g} records of the campaign, got {records}.")
-    if missing := [name for name in space.names if name not in (*values, RECORD, VELOCITY)]:
-        raise InputError(f"--bearing: requires {visible(', '.join(missing))}.")
 
 
 def digest_of(records: Sequence[Accelerogram]) -> str:
@@ -190,64 +215,3 @@ def digest_of(records: Sequence[Accelerogram]) -> str:
             digest.update(np.array([len(part)]).tobytes())
             digest.update(np.ascontiguousarray(part).tobytes())
     return digest.hexdigest()
-
-
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """Simulations whose outcomes are kept in a file, from which an interrupted analysis continues.
-
-    Numerical failures are not kept: they may have been those of a machine.
-
-    Attributes:
-        simulate: makes the simulations that the file lacks.
-        file: JSON; one of other simulations, or a damaged one, is replaced.
-        identity: all that the outcomes depend on, besides record and level.
-        progress: called with the number of simulations that were kept.
-    """
-
-    simulate: Simulate
-    file: Path
-    identity: Mapping[str, Any]
-    progress: Progress | None = None
-
-    def __call__(self, runs: Runs) -> Answers:
-        """The outcomes of records at levels.
-
-        Raises:
-            InputError: if the file cannot be written; or as `simulate` does.
-        """
-        known = self.read()
-        missing = [one for one in runs if one not in known]
-        if self.progress is not None:
-            self.progress(len(runs) - len(missing))
-        for first in range(0, len(missing), _PART):
-            part = missing[first : first + _PART]
-            answers = self.simulate(part)
-            known |= zip(part, zip(answers.outcome.tolist(), answers.lifted.tolist(), strict=True), strict=True)
-            self._write({key: answer for key, answer in known.items() if answer[0] != NUMERICAL_FAILURE})
-        outcome, lifted = zip(*(known[one] for one in runs), strict=True)
-        return Answers(np.array(outcome, dtype=np.int8), np.array(lifted, dtype=bool))
-
-    def read(self) -> dict[tuple[int, float], tuple[int, bool]]:
-        """The kept outcomes by record and level; none if the file is missing, damaged or of other simulations."""
-        try:
-            saved = json.loads(read_regular(self.file, _LARGEST_FILE, follow=True))
-            rows = saved["simulations"]
-            if saved["of"] != self._of or saved["digest"] != _digest(rows):
-                return {}
-            return {(int(k), float(level)): (int(outcome), bool(lifted)) for k, level, outcome, lifted in rows}
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            return {}
-
-    @property
-    def _of(self) -> str:
-        return _digest(self.identity)
-
-    def _write(self, known: Mapping[tuple[int, float], tuple[int, bool]]) -> None:
-        rows = [[k, level, outcome, lifted] for (k, level), (outcome, lifted) in sorted(known.items())]
-        with writing_to(self.file), replacing(self.file) as file:
-            json.dump({"of": self._of, "digest": _digest(rows), "simulations": rows}, file)
-
-
-def _digest(values: object) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
