@@ -31,6 +31,9 @@ from activefail.loop.progress import Observer, Progress
 from activefail.parameter import Parameter
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
+from activefail.risk.ida import kept
+from activefail.risk.ida.capacity import Answers, Asked
+from activefail.risk.ida.simulations import CampaignSimulations
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
 from activefail.space import Array, DesignSpace
@@ -621,6 +624,50 @@ def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(
     assert result.code == 0, result.err
     assert activefail(*words, tmp_path / "here").code == 0
     assert record(tmp_path / "there") == record(tmp_path / "here")
+
+
+def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of_this_machine(
+    alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone.add("one")
+    (tmp_path / "set").mkdir()
+    for name in "abc":
+        np.savetxt(tmp_path / "set" / f"{name}.txt", np.random.default_rng(ord(name)).normal(size=50))
+    (tmp_path / "plate.py").write_text(
+        "import os\n\n"
+        "def run(design):\n"
+        "    with open(f'simulated-{os.getpid()}', 'a') as file:\n"
+        "        file.write('x')\n"
+        "    return 'failure' if design['PGV'] > 1.0 + 0.1 * int(design['record']) else 'safe'\n"
+    )
+    (tmp_path / "plate.toml").write_text(
+        'simulator = { python = "plate:run" }\n'
+        "space = { record = { low = 0, high = 3 }, PGV = { low = 0.1, high = 3 }, mass = { low = 1, high = 2 } }\n"
+    )
+    (tmp_path / "mass.toml").write_text("mass = 1.5\n")
+    monkeypatch.chdir(tmp_path)
+    words = ("ida", "--records", "set", "--unit", "m/s2", "--dt", "0.01", "--bearing", "mass.toml")
+    words = (*words, "--simulator", "plate.toml", "--out")
+    assert activefail(*words, "whole", "--workers", "1").code == 0
+    monkeypatch.setattr(kept, "_PART", 10)
+    here, parts = CampaignSimulations.__call__, iter(range(2))
+
+    def stopping(self: CampaignSimulations, asked: Asked) -> Answers:
+        if len(asked) == 10 and next(parts, None) is None:
+            raise KeyboardInterrupt
+        return here(self, asked)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(CampaignSimulations, "__call__", stopping)
+        assert activefail(*words, "stopped", "--workers", "1").code == 130
+    for path in tmp_path.glob("simulated-*"):
+        path.unlink()
+    continued = activefail(*words, "stopped", "--executor", "dask", "--scheduler", alone.address)
+    assert continued.code == 0, continued.err
+    for name in ("ida.json", "ida.csv", "simulations.json"):
+        assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    # Ten levels and five bisections for each record, without the two parts that were kept.
+    assert sum(len(path.read_text()) for path in tmp_path.glob("simulated-*")) == 3 * 15 - 20
 
 
 def versions() -> dict[str, str]:
