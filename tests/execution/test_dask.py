@@ -32,7 +32,7 @@ from activefail.parameter import Parameter
 from activefail.record.batch import columns_of
 from activefail.record.memory import MemoryStore
 from activefail.risk.ida import kept
-from activefail.risk.ida.capacity import Answers, Asked
+from activefail.risk.ida.capacity import Answers, Runs
 from activefail.risk.ida.simulations import CampaignSimulations
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
@@ -652,10 +652,10 @@ def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of
     monkeypatch.setattr(kept, "_PART", 10)
     here, parts = CampaignSimulations.__call__, iter(range(2))
 
-    def stopping(self: CampaignSimulations, asked: Asked) -> Answers:
-        if len(asked) == 10 and next(parts, None) is None:
+    def stopping(self: CampaignSimulations, runs: Runs) -> Answers:
+        if len(runs) == 10 and next(parts, None) is None:
             raise KeyboardInterrupt
-        return here(self, asked)
+        return here(self, runs)
 
     with monkeypatch.context() as patched:
         patched.setattr(CampaignSimulations, "__call__", stopping)
