@@ -22,7 +22,7 @@ def is_checked(question: Question, latent: Latent | MarginLatent) -> bool:
     """Whether an estimate has a mode check: under a question, of a boundary that was learned from a margin.
 
     Far from all simulations a classifier of outcomes doubts, and the fresh simulations know that
-    (docs/decisions/0019). The rows of a table leave no place where an outcome could hide.
+    (docs/decisions/0017). The rows of a table leave no place where an outcome could hide.
     """
     return not question.is_own and isinstance(question.space, DesignSpace) and isinstance(latent, MarginLatent)
 
