@@ -24,11 +24,11 @@ from activefail.errors import InputError
 from activefail.json_text import json_text
 from activefail.risk.ida import simulations as module
 from activefail.risk.ida.capacity import Answers, Capacities, Runs, capacities, ladder
-from activefail.risk.ida.collapse import LARGEST, collapse_margin, fit_lognormal, fitted
+from activefail.risk.ida.collapse import LARGEST, fit_lognormal, fitted
 from activefail.risk.ida.equivalent_pulse import compare_pulses, equivalent_pulse
 from activefail.risk.ida.intensity import Intensity, spectral_acceleration
 from activefail.risk.ida.kept import Kept
-from activefail.risk.ida.p695 import MarginOptions
+from activefail.risk.ida.p695 import MarginOptions, collapse_margin
 from activefail.risk.ida.predictions import Agreement
 from activefail.risk.ida.simulations import BearingUnderRecords
 

@@ -15,12 +15,12 @@ from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
 from activefail.files import writing_to
 from activefail.risk.ida.capacity import BISECTIONS, LEVELS, Capacities, Simulate, capacities, ladder, on_ladder
-from activefail.risk.ida.collapse import Fragility, Margin, collapse_margin, fitted
+from activefail.risk.ida.collapse import Fragility, fitted
 from activefail.risk.ida.equivalent_pulse import EquivalentPulse, compare_pulses, equivalent_pulse
 from activefail.risk.ida.findings import IdaFindings
 from activefail.risk.ida.intensity import Intensity, unscaled
 from activefail.risk.ida.kept import Kept
-from activefail.risk.ida.p695 import MarginOptions, MarginRequest
+from activefail.risk.ida.p695 import Margin, MarginOptions, MarginRequest, collapse_margin
 from activefail.risk.ida.predictions import Agreement, Learned, Prediction, Surrogate, predicted_by_reduced_model
 from activefail.risk.ida.simulations import BearingUnderRecords, CampaignSimulations, CampaignUnderRecords
 from activefail.space import Array

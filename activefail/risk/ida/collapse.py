@@ -1,4 +1,4 @@
-"""The fragility that follows from the capacities under records: a lognormal fit, its interval over events, P695."""
+"""The fragility that follows from the capacities under records: a lognormal fit and its interval over events."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -144,30 +144,3 @@ def _half_width(left_out: Array) -> Array:
     count = len(left_out)
     error = np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
     return np.asarray(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE) * error)
-
-
-@dataclass(frozen=True)
-class Margin:
-    """The collapse margin of [FEMA2009].
-
-    Attributes:
-        cmr: median collapse intensity over that of the maximum considered earthquake.
-        acmr: `cmr` times the spectral shape factor.
-        acceptable_10, acceptable_20: least acceptable ACMR for 10 and 20 % probability of collapse.
-    """
-
-    cmr: float
-    acmr: float
-    acceptable_10: float
-    acceptable_20: float
-
-
-def collapse_margin(median: float, mce: float, shape_factor: float, total_dispersion: float) -> Margin:
-    """The margin of a median collapse intensity.
-
-    The acceptable values follow from a lognormal capacity with the total uncertainty, exp(β Φ⁻¹(1 − p)), which is how
-    [FEMA2009, table 7-3] is made.
-    """
-    cmr = median / mce
-    acceptable = [math.exp(total_dispersion * float(ndtri(1.0 - p))) for p in (0.10, 0.20)]
-    return Margin(cmr, shape_factor * cmr, *acceptable)

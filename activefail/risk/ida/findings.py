@@ -11,10 +11,10 @@ from scipy.special import ndtr
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.design import Model, Tolerance
 from activefail.risk.ida.capacity import LOWEST, Capacities
-from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, Margin
+from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility
 from activefail.risk.ida.equivalent_pulse import PulseComparison
 from activefail.risk.ida.intensity import Intensity
-from activefail.risk.ida.p695 import MarginOptions
+from activefail.risk.ida.p695 import Margin, MarginOptions
 from activefail.risk.ida.predictions import Prediction
 from activefail.space import Array
 

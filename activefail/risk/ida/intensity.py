@@ -1,4 +1,4 @@
-"""Intensities by which records are scaled: factor, peak acceleration or velocity, spectral acceleration."""
+"""Measures of the intensity of a record: factor, peak acceleration or velocity, spectral acceleration."""
 
 import math
 from collections.abc import Sequence

@@ -1,7 +1,9 @@
-"""What FEMA P695 needs besides the capacities: spectral shape factor and total dispersion."""
+"""FEMA P695: the adjusted collapse margin ratio, with its spectral shape factor and total dispersion."""
 
 import math
 from dataclasses import dataclass
+
+from scipy.special import ndtri
 
 from activefail.errors import InputError
 from activefail.visible import visible
@@ -174,3 +176,30 @@ def total_dispersion(ratings: str, ductility: float | None = None) -> float:
             f"{visible(ratings)!r}."
         )
     return math.hypot(record_to_record(ductility), *(RATINGS[letter] for letter in letters))
+
+
+@dataclass(frozen=True)
+class Margin:
+    """The collapse margin of [FEMA2009].
+
+    Attributes:
+        cmr: median collapse intensity over that of the maximum considered earthquake.
+        acmr: `cmr` times the spectral shape factor.
+        acceptable_10, acceptable_20: least acceptable ACMR for 10 and 20 % probability of collapse.
+    """
+
+    cmr: float
+    acmr: float
+    acceptable_10: float
+    acceptable_20: float
+
+
+def collapse_margin(median: float, mce: float, shape_factor: float, total_dispersion: float) -> Margin:
+    """The margin of a median collapse intensity.
+
+    The acceptable values follow from a lognormal capacity with the total uncertainty, exp(β Φ⁻¹(1 − p)), which is how
+    [FEMA2009, table 7-3] is made.
+    """
+    cmr = median / mce
+    acceptable = [math.exp(total_dispersion * float(ndtri(1.0 - p))) for p in (0.10, 0.20)]
+    return Margin(cmr, shape_factor * cmr, *acceptable)

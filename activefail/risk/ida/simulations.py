@@ -1,4 +1,4 @@
-"""The simulations of an incremental dynamic analysis: of the bearing model, or of a campaign under records."""
+"""Scales records to the levels of an analysis and simulates them: by the bearing model, or as a campaign does."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
