@@ -204,15 +204,23 @@ def _spread(sizes: Array, periods: Array) -> tuple[NDArray[np.int_], Array]:
     would misplace. Each row has strata of equal probability. Their places within the strata differ from row to row, so
     that the steps of different rows do not coincide.
     """
-    from scipy.special import ndtri
-
     n = math.ceil(_PULSES / len(sizes))
     order = np.lexsort((periods, sizes))
-    shifts = (np.arange(len(sizes)) + 0.5) * _GOLDEN % 1.0
-    z = ndtri((np.arange(n) + shifts[:, None]) / n)
+    z = deviates(len(sizes), n)
     block = (np.arange(len(sizes))[:, None] + np.arange(n)) % BLOCKS
     by_block = np.argsort(block, axis=None, kind="stable")
     return np.repeat(order, n)[by_block], z.ravel()[by_block]
+
+
+def deviates(rows: int, n: int) -> Array:
+    """Standard normal deviates, (rows, n): in each row one in each of n strata of equal probability.
+
+    Their places within the strata differ from row to row, so that all rows together have the tails as well.
+    """
+    from scipy.special import ndtri
+
+    shifts = (np.arange(rows) + 0.5) * _GOLDEN % 1.0
+    return np.asarray(ndtri((np.arange(n) + shifts[:, None]) / n))
 
 
 def _lognormal(name: str, median: float, dispersion: float, unit: str) -> Parameter:

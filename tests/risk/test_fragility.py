@@ -15,11 +15,15 @@ from commandline import activefail, refused
 from scipy.special import ndtr, ndtri
 
 from activefail.bearing.design import GRAVITY
-from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION
-from activefail.campaign.hazard import read_hazard
+from activefail.bearing.pulse import VELOCITY_PER_ACCELERATION, velocity_of
+from activefail.campaign.hazard import Hazard, hazard_question, read_hazard
+from activefail.campaign.question import Question
+from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.opening import open_run
+from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.findings import FragilityFindings
+from activefail.space import Array
 
 MEDIAN, BETA = 1.2, 0.3
 """Of the peak ground velocity at failure [m/s]; damage begins at exp(−0.3) of it."""
@@ -140,6 +144,28 @@ def test_failures_are_attributed_to_the_pulses_that_cause_them(uncertain: Fragil
     assert parts.period_of_failures.median == pytest.approx(2.0, rel=0.1)
     assert parts.velocity_of_pulses.median == pytest.approx(0.8, rel=0.03)
     assert parts.velocity_of_failures.median > 1.05 * 0.8
+
+
+@pytest.mark.parametrize("limit", [1.2, 1.6, 2.0])
+def test_rare_failures_of_a_capacity_with_added_uncertainty_are_not_missed(tmp_path: Path, limit: float) -> None:
+    (tmp_path / "site.toml").write_text(
+        "[magnitude]\nM = 7.0\n[pgv]\nmedian_m_s = 1.0\ndispersion = 0.2\n[uncertainty]\nmodelling = 0.3\n"
+    )
+    settings = parse_settings("", "made.toml")
+    space = settings.design_space()
+    middles = {one.name: 0.5 * (one.low + one.high) for one in space.parameters if one.name not in ("T_p", "A_p")}
+
+    def beyond(X: Array) -> Array:
+        T_p, A_p = (X[:, space.names.index(name)] for name in ("T_p", "A_p"))
+        return 1e6 * np.log(velocity_of(A_p, T_p) / limit)[:, None]
+
+    def question(hazard: Hazard) -> Question:
+        return hazard_question(hazard, settings, space, middles)
+
+    (parts,) = deaggregated(beyond, question, read_hazard(tmp_path / "site.toml"))
+    true = float(ndtr(-math.log(limit) / math.hypot(0.2, 0.3)))
+    # 512 pulses with 8 values each; that of failures with a probability of 3 % is 120 points.
+    assert parts.probability == pytest.approx(true, rel=0.06)
 
 
 def test_the_period_enters_the_curve_against_the_amplitude(ended: Path) -> None:

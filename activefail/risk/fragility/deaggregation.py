@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from activefail.acquisition.population import integration_points
-from activefail.campaign.hazard import Hazard
+from activefail.campaign.hazard import Hazard, deviates
 from activefail.campaign.question import PERIOD, PGV, Question
 from activefail.risk.fragility.levels import Boundaries
 from activefail.space import Array
@@ -99,12 +99,12 @@ def deaggregated(
     )
     period, velocity = X[:, names.index(PERIOD)], X[:, names.index(PGV)]
     values = max(_SPREAD, math.ceil(_LEAST / len(X)))
-    z = ndtri((np.arange(values) + 0.5) / values) if added else np.zeros(1)
+    z = deviates(len(X), values) if added else np.zeros((len(X), 1))
     # What is added divides the capacity, or multiplies the velocity.
-    felt = np.repeat(X, len(z), axis=0)
-    felt[:, names.index(PGV)] *= np.tile(np.exp(added * z - hazard.bias), len(X))
+    felt = np.repeat(X, z.shape[1], axis=0)
+    felt[:, names.index(PGV)] *= np.exp(added * z.ravel() - hazard.bias)
     beyond = ndtr(boundaries(question.designs(felt)))
-    parts = weight[:, None] * beyond.reshape(len(X), len(z), -1).mean(axis=1)
+    parts = weight[:, None] * beyond.reshape(*z.shape, -1).mean(axis=1)
     return [_of_boundary(period, velocity, weight, part) for part in parts.T]
 
 
