@@ -34,7 +34,13 @@ function begin() {
     );
   }
 
+  // Until there is an answer to the present values, the page dims the former one.
+  function dim(isFormer) {
+    document.querySelector(".answer").setAttribute("aria-busy", String(isFormer));
+  }
+
   function showAnswer(answer) {
+    dim(false);
     isRefined = answer.refined;
     find("required").replaceChildren(withSubscripts(answer.text));
     Object.assign(find("required").dataset, { required: answer.required, probability: answer.probability, points: answer.points });
@@ -60,6 +66,7 @@ function begin() {
 
   function moved(changed) {
     version += 1;
+    dim(true);
     show();
     if (find("earlier")) find("earlier").hidden = find("found").hidden;
     clearTimeout(timer);

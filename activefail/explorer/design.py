@@ -36,6 +36,12 @@ _ALONG = 9
 _AT_ONCE, _REFINED = 128, 1024
 """Points of an integral: at once, and when the sliders rest."""
 
+_TRIALS = 3
+"""Values between two of the curve whose probabilities are compared with the target."""
+
+_TOWARDS_SAFETY = 0.05
+"""Share of the way to a value that meets the target by which the next trial leaves the interpolated value."""
+
 _LEAST_TARGET, _LARGEST_TARGET = 0.001, 0.9
 
 
@@ -219,12 +225,8 @@ class DesignAnswers:
         value = least_value(grid, P, request.target)
         is_met = bool(np.isfinite(value))
         if is_met and low < value < high:
-            # Between two values of the grid the probability may exceed the target that its interpolation meets.
             k = int(np.searchsorted(grid, value))
-            between = np.array([value, grid[k]])
-            at_value = self._probability(request.site, request.bearing, value, points)
-            if at_value > request.target >= P[k]:
-                value = least_value(between, np.array([at_value, P[k]]), request.target)
+            value = self._met_between(request, points, value, (float(grid[k]), float(P[k])))
         # A smaller one may meet the target where a larger one does not: failure is not monotone.
         at = value if is_met else high if P.min() <= request.target else float(grid[int(np.argmin(P))])
         probability = self._probability(request.site, request.bearing, at, points)
@@ -244,6 +246,23 @@ class DesignAnswers:
             "notes": self._notes(hazard),
             "svg": self._drawn(grid, P, request.target, value),
         }
+
+    def _met_between(self, request: Asked, points: int, value: float, safe: tuple[float, float]) -> float:
+        """An interpolated value, or one beyond it where its probability exceeds the target.
+
+        Args:
+            request: what is asked.
+            points: of an integral.
+            value: the interpolated one.
+            safe: a value beyond it that meets the target, and its probability.
+        """
+        for _ in range(_TRIALS):
+            probability = self._probability(request.site, request.bearing, value, points)
+            if probability <= request.target:
+                return value
+            value = least_value(np.array([value, safe[0]]), np.array([probability, safe[1]]), request.target)
+            value += _TOWARDS_SAFETY * (safe[0] - value)
+        return safe[0]
 
     def verified(self, request: Asked, watch: Watch) -> Answer:
         """Search the design and verify it, as `activefail design` does; nothing is stored.
