@@ -1,4 +1,4 @@
-"""How a ground motion continues: a pulse has one formula for all times, an accelerogram one between two samples.
+"""How a pulse or an accelerogram continues after a time: its next sample, its end, and the impulse to come.
 
 `simulation.integrate` calls these functions with the samples of an accelerogram, or with None for a pulse. The type
 chooses the formula, so that a pulse pays nothing for accelerograms.

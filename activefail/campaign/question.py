@@ -1,4 +1,4 @@
-"""A question: another distribution of a campaign's variables, under which a probability is asked for."""
+"""A question: another distribution of a campaign's variables, and its share outside the design space."""
 
 import hashlib
 from collections.abc import Iterable, Mapping

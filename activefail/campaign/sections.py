@@ -1,4 +1,4 @@
-"""Sections of a campaign's settings, each with its rules."""
+"""Sections of a campaign's settings, each with its rules and what its keys mean."""
 
 import itertools
 import re

@@ -1,4 +1,4 @@
-"""Compare a campaign with static designs of the same size on the same fresh designs."""
+"""Compare a campaign with static designs of the same size on the same fresh designs: scores with their intervals."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace

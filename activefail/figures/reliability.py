@@ -1,4 +1,4 @@
-"""Reliability diagrams: how often a classifier's predictions come true."""
+"""Reliability diagrams: how often a classifier's predictions come true, with Wilson's intervals."""
 
 import numpy as np
 from matplotlib.figure import Figure

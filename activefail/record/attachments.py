@@ -1,4 +1,4 @@
-"""Files in addition to the batches: states of the classifier, and sets of designs outside the budget."""
+"""The bytes of the files beside the batches: states of the classifier, and sets of designs outside the budget."""
 
 from collections.abc import Collection, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""The store interface: how a campaign's record is kept, and what a store guarantees."""
+"""The store interface: how a campaign's record is kept, what a store guarantees, and how many states it keeps."""
 
 import re
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Confidence bounds on a share estimated by stratified sampling, and on the probability of an unseen event."""
+"""Confidence bounds by beta distributions: on a share from strata, and on the probability of an unseen event."""
 
 from dataclasses import dataclass
 
