@@ -223,7 +223,7 @@ def test_what_is_no_record_is_refused(acceleration: list[float], dt: float, mess
 def test_bearings_and_records_must_match() -> None:
     with pytest.raises(InputError, match="records: must be 2, one for each bearing, got 1"):
         simulate_records(bearings(2), [synthetic(0)])
-    with pytest.raises(InputError, match=r"\(n, 7\) array"):
+    with pytest.raises(InputError, match=r"\(n, 7\) with the columns"):
         simulate_records(np.ones((2, 9)), [synthetic(0)] * 2)
     with pytest.raises(InputError, match="scale: must be finite"):
         synthetic(0).scaled(float("nan"))

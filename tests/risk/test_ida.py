@@ -547,7 +547,7 @@ def test_a_set_that_fails_at_every_level_has_no_curve_and_says_so(case: Path) ->
     result = activefail(*words)
     assert result.code == 0
     assert "so there is no curve and no margin. Lower the levels with --to." in result.out
-    assert "8 of the records fail at the lowest level of the ladder, 6.25e+04" in result.out
+    assert "8 of the records have a capacity at or below the lowest level of the ladder, 6.25e+04" in result.out
     assert "median" not in result.out
 
 
