@@ -27,6 +27,8 @@ The guide also says [what the commands are for](../guide.md#campaigns), and list
 def linked(text: str) -> str:
     """A help text with links to the pages that it names, fit for a cell of a table."""
     text = text.replace("|", r"\|").replace("<", r"\<").replace("*", r"\*")
+    # A long list of names has room for a line's end.
+    text = re.sub(r"\b\w+(?:,\w+){3,}", lambda names: names[0].replace(",", ", "), text)
     return re.sub(r"docs/([\w./]+\.md)", lambda page: f"[{page[1]}](../{page[1]})", text)
 
 
