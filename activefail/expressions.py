@@ -68,7 +68,9 @@ def parse_expression(text: str, known: Collection[str]) -> Expression:
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        raise ValueError(f"must be an arithmetic expression, got {text!r} ({error})") from None
+        # Without the file and the line, which an expression does not have.
+        reason = error.msg if isinstance(error, SyntaxError) else error
+        raise ValueError(f"must be an arithmetic expression, got {text!r} ({reason})") from None
     depth = 0
     level: list[ast.AST] = [tree]
     while level:

@@ -789,6 +789,7 @@ class Run:
         Raises:
             InputError: if an argument is invalid, or the initial design is not finished.
         """
+        from activefail.campaign.question_files import check_designs_of
         from activefail.risk.fragility.calculation import checked_ladder, fragility
 
         check_whole("verify", verify, 0)
@@ -796,6 +797,9 @@ class Run:
         check_confidence(confidence)
         site, resolved = site_and_question(self.campaign, hazard, question, fixed)
         ladder = checked_ladder(site, resolved, self.space, intensity, against, bounds, verify)
+        if against is not None:
+            for end in bounds or ():
+                check_designs_of(resolved.at({against: end}), self.campaign.simulator, "bounds (--range)")
         with self._estimator(executor, stage, simulates=bool(verify)) as estimator:
             return fragility(estimator, site, resolved, intensity, ladder, outcome, verify, confidence, stage)
 

@@ -80,7 +80,7 @@ def design(
             hazard,
             question,
             fixed,
-            [name.strip() for name in free.split(",")] if free else (),
+            [name.strip() for name in free.split(",")] if free is not None else (),
             cost or "",
             confidence,
             simulations,

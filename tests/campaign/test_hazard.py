@@ -604,6 +604,12 @@ def test_the_command_prints_draws_and_writes_json(tmp_path: Path, folder: Path) 
     assert json.loads(activefail("hazard", path, "--json").out)["outside"] is None
 
 
+def test_a_range_of_a_curve_that_the_simulator_cannot_take_is_refused(folder: Path) -> None:
+    for name, ends in (("T_p", "-1,2"), ("D_tot", "0,1"), ("D_tot", "0.5,1e9")):
+        result = activefail("fragility", folder, "--against", name, f"--range={ends}")
+        refused(result, "bounds (--range): the simulator cannot take these values: ")
+
+
 def test_rows_are_drawn_too(tmp_path: Path) -> None:
     figure = plot_hazard(HazardSummary.of(rows(tmp_path, "T_p,PGV,weight\n1,1,1\n2,1.5,3\n")), TABLE_1)
     assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == [

@@ -388,6 +388,7 @@ def test_variables_of_the_pulse_cannot_be_free_under_a_hazard() -> None:
     ("options", "parts"),
     [
         (("--target", "0.1", "--free", "mass"), ("free", "mass", "capacity, friction, demand")),
+        (("--target", "0.1", "--free", ""), ("free", "'' is not a variable")),
         (("--target", "0.1", "--free", "capacity,capacity"), ("free", "twice")),
         (("--target", "0.1", "--free", "capacity,friction,demand"), ("question", "uncertain")),
         (("--target", "0.1"), ("free", "name the variables")),
