@@ -57,12 +57,15 @@ def read_accelerogram(path: str | os.PathLike[str], unit: str, dt: float | None 
     if dt is not None and not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"{visible(str(path))}: dt: must be positive and finite, got {dt} s.")
     try:
-        # The mark of UTF-8 before the first number would make its line a header.
-        text = read_regular(path, _LARGEST, follow=True).removeprefix(codecs.BOM_UTF8).decode("latin-1")
+        data = read_regular(path, _LARGEST, follow=True)
     except OSError as error:
         raise InputError(f"{visible(str(path))}: {error.strerror or error}") from None
     except ValueError as error:
         raise InputError(f"{visible(str(path))} {error}") from None
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(f"{visible(str(path))}: must be text in UTF-8 or ASCII, got UTF-16.")
+    # The mark of UTF-8 before the first number would make its line a header.
+    text = data.removeprefix(codecs.BOM_UTF8).decode("latin-1")
     lines = text.splitlines()
     try:
         is_at2 = re.search(r"\bNPTS\b", text[:2000], re.IGNORECASE)
@@ -143,6 +146,7 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
         if len(rows[-1][1]) != len(rows[0][1]) or len(rows[0][1]) > 2:
             raise InputError(
                 f"line {k}: must have one or two numbers, as many as the first line, got {visible(line)!r}."
+                f"{_about_commas(line)}"
             )
     if not rows:
         raise InputError("must have accelerations, got none.")
@@ -166,10 +170,16 @@ def _of_columns(lines: list[str], dt: float | None) -> tuple[np.ndarray, float]:
         k = int(np.argmax(apart >= 0.99 * apart.max())) + 1
         raise InputError(
             f"line {rows[k][0]}: times must rise by equal intervals (median: {median:.6g} s), got {steps[k - 1]:.6g} s."
+            f"{_about_commas(lines[rows[k][0] - 1])}"
         )
     if dt is not None and abs(mean - dt) > EVEN * dt:
         raise InputError(f"dt: the times have an interval of {mean:.6g} s, got {dt:g} s.")
     return values[:, 1], mean
+
+
+def _about_commas(line: str) -> str:
+    """What to know of a line whose commas may be those of decimals; empty for others."""
+    return " Commas separate numbers; decimals need points." if "," in line and "." not in line else ""
 
 
 def _digits(line: str) -> int:

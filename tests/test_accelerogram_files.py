@@ -41,6 +41,17 @@ def test_columns_are_read(tmp_path: Path, separator: str) -> None:
     assert record.acceleration == pytest.approx([-0.03, -0.02, 0.01, 0.06, 0.13])
 
 
+def test_commas_between_columns_are_not_taken_for_decimals(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"line 3: times must rise by equal intervals \(.*\), got 0.2 s\.$"):
+        read_accelerogram(written(tmp_path, "0.1,1\n0.2,1\n0.4,1\n0.5,1\n"), "g")
+
+
+def test_text_in_utf_16_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "record.txt").write_bytes("0.1\n0.2\n".encode("utf-16"))
+    with pytest.raises(InputError, match=r"record.txt: must be text in UTF-8 or ASCII, got UTF-16\."):
+        read_accelerogram(tmp_path / "record.txt", "g", 0.01)
+
+
 def test_a_single_column_needs_its_interval(tmp_path: Path) -> None:
     path = written(tmp_path, "0.1\n-0.2\n")
     assert read_accelerogram(path, "m/s2", 0.02).acceleration.tolist() == [0.1, -0.2]
@@ -58,6 +69,8 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
     [
         ("", "must have accelerations, got none"),
         ("words only\n", "must have accelerations, got none"),
+        ("0\n0,12\n", "as many as the first line, got '0,12'. Commas separate numbers; decimals need points."),
+        ("0,12\n0,15\n0,1\n", "(median: 0 s), got 0 s. Commas separate numbers; decimals need points."),
         ("0.00 1\n0.01 2\n0.03 3\n0.04 4\n", "line 3: times must rise by equal intervals"),
         ("0.00 1\n0.01 2\n0.02 3\n0.022 4\n", "line 4: times must rise by equal intervals"),
         ("0.02 1\n0.01 2\n0.00 3\n", "times must rise by equal intervals"),

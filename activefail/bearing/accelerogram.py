@@ -56,10 +56,15 @@ class Accelerogram:
         """The record with all accelerations multiplied, the vertical ones too.
 
         Raises:
-            InputError: if the factor is not finite.
+            InputError: if the factor is not finite, or makes an acceleration too large.
         """
         if not math.isfinite(factor):
             raise InputError(f"scale: must be finite, got {factor}.")
+        largest = self.peak if self.vertical is None else max(self.peak, float(np.abs(self.vertical).max()))
+        if not abs(factor) * largest <= LARGEST:
+            raise InputError(
+                f"scale: must keep accelerations of up to {largest:.3g} m/s2 below {LARGEST:g} m/s2, got {factor:g}."
+            )
         vertical = None if self.vertical is None else factor * self.vertical
         return replace(self, acceleration=factor * self.acceleration, vertical=vertical)
 

@@ -227,3 +227,6 @@ def test_bearings_and_records_must_match() -> None:
         simulate_records(np.ones((2, 9)), [synthetic(0)] * 2)
     with pytest.raises(InputError, match="scale: must be finite"):
         synthetic(0).scaled(float("nan"))
+    for factor in (1e300, -1e76):
+        with pytest.raises(InputError, match=r"scale: must keep accelerations of up to .* below 1e\+75 m/s2, got "):
+            synthetic(0).scaled(factor)
