@@ -3,8 +3,6 @@
 import os
 import signal
 
-from activefail.interrupts import INTERRUPTED
-
 
 def program() -> None:
     """Load and run the command line; Ctrl-C while it is being loaded ends the process."""
@@ -22,7 +20,7 @@ def program() -> None:
 def _end(number: int, frame: object) -> None:
     # Nothing has been done yet. An exception could be lost, or become another one, in a library that is being imported.
     os.write(2, b"activefail: stopped\n")
-    os._exit(INTERRUPTED)
+    os._exit(130)  # `INTERRUPTED`, whose module is not loaded yet
 
 
 if __name__ == "__main__":
