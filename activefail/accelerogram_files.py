@@ -123,6 +123,8 @@ def _of_at2(lines: list[str], unit: str, dt: float | None) -> tuple[np.ndarray, 
                 raise InputError(f"line {place + 1}: must state {name}, got {visible(lines[place])!r}.")
             stated = {"NPTS": match[1], "DT": match[2]}
             break
+        if re.match(r",\d", lines[place][match.end() :]):
+            raise InputError(f"line {place + 1}: {name}: must have a decimal point, got {visible(lines[place])!r}.")
         stated[name] = match[1]
     values = np.array([x for k, line in enumerate(lines[place + 1 :], place + 2) for x in _numbers(line, k)])
     count = _value(stated["NPTS"])

@@ -68,6 +68,7 @@ def test_times_that_are_rounded_are_even(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "must have accelerations, got none"),
+        (HEADER + "NPTS= 2, DT= 0,01 SEC\n0.1\n0.2\n", "DT: must have a decimal point, got 'NPTS= 2, DT= 0,01 SEC'."),
         ("words only\n", "must have accelerations, got none"),
         ("0\n0,12\n", "as many as the first line, got '0,12'. Commas separate numbers; decimals need points."),
         ("0,12\n0,15\n0,1\n", "(median: 0 s), got 0 s. Commas separate numbers; decimals need points."),

@@ -142,7 +142,9 @@ class IdaFindings:
         capacities, notes = self.capacities, list[str]()
         at_lowest = int((capacities.capacity <= self.lowest).sum())
         if self.fragility is None:
-            lower = "Lower" if 2 * at_lowest > len(capacities.capacity) else "Raise"
+            # Motions that are far too strong have no outcome, rather than a capacity at the lowest level.
+            count, failures = len(capacities.capacity), int(capacities.numerical_failures.sum())
+            lower = "Lower" if 2 * at_lowest > count or failures > count else "Raise"
             without = "curve" if self.options is None else "curve and no margin"
             notes.append(
                 "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no "
