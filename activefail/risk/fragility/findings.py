@@ -111,10 +111,11 @@ class FragilityFindings:
         curves = np.array([one.curve.probability for one in self.boundaries])
         outside = self.outside[((curves >= 0.01) & (curves <= 0.9)).any(axis=0)]
         if len(outside) and outside.max() > 0.0:
+            least, most = percent(float(outside.min())), percent(float(outside.max()))
+            share = most if least == most else f"{least} to {most}"
             sentences.append(
-                f"Where the curves are between 1 and 90 %, {percent(float(outside.min()))} to "
-                f"{percent(float(outside.max()))} of the distribution lies outside the campaign's design space. The "
-                "classifier extrapolates there."
+                f"Where the curves are between 1 and 90 %, {share} of the distribution lies outside the campaign's "
+                "design space. The classifier extrapolates there."
             )
         if self.outside_hazard:
             sentences.append(
