@@ -109,7 +109,7 @@ def test_a_missing_folder_is_named(failure, tmp_path):
 def test_an_mp4_without_ffmpeg_is_refused_with_what_to_install(failure, tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install activefail\[video\]"):
+    with pytest.raises(InputError, match=r"pip install 'activefail\[video\]'"):
         save_animation(failure, tmp_path / "bearing.mp4")
 
 
