@@ -113,7 +113,7 @@ def _check(node: ast.expr, text: str, known: Collection[str]) -> None:
                 _check(argument, text, known)
             return
     raise ValueError(
-        f"may contain numbers, names, + - * / **, brackets and {', '.join(FUNCTIONS)}; "
+        f"may contain numbers, names, + - * / **, parentheses and {', '.join(FUNCTIONS)}; "
         f"got {ast.get_source_segment(text.strip(), node)!r} in {text!r}"
     )
 

@@ -1,4 +1,4 @@
-"""Handle Ctrl-C and SIGTERM: the first one stops work in order, the second ends it at once."""
+"""Handle Ctrl-C and SIGTERM: the first one stops work cleanly, the second ends it at once."""
 
 import atexit
 import os

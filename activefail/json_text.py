@@ -1,4 +1,4 @@
-"""Figures as JSON text, with the version of their keys and null for NaN and infinity."""
+"""Numbers as JSON text, with the version of their keys and null for NaN and infinity."""
 
 import json
 import math

@@ -53,7 +53,7 @@ def simulate(
     unit: Annotated[str | None, typer.Option(help="Unit of the record: g, m/s2 or cm/s2.", show_default=False)] = None,
     scale: Annotated[float | None, typer.Option(help="Factor on the record; 1 by default.", show_default=False)] = None,
     dt: Annotated[
-        float | None, typer.Option(help="Interval of a record without times [s].", show_default=False)
+        float | None, typer.Option(help="Time between the samples of a record without times [s].", show_default=False)
     ] = None,
     vertical: Annotated[
         Path | None, typer.Option(help="Vertical component of the record, in its unit.", show_default=False)

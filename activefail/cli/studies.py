@@ -59,7 +59,9 @@ def compare(
     ] = None,
     test: Annotated[
         int | None,
-        typer.Option(help="Fresh test designs; 2000 for a run folder, 5000 for a file.", min=10, max=1_000_000),
+        typer.Option(
+            help="Fresh test designs. Default: 2000 for a run folder, 5000 for a file.", min=10, max=1_000_000
+        ),
     ] = None,
     jobs: Annotated[
         int | None,

@@ -1,4 +1,4 @@
-"""How a campaign ends, in words: on a request, by its stop rule, or never by its stop rule."""
+"""How a campaign ends, in words: on request or by its stop rule, and why the rule cannot be met."""
 
 from typing import NamedTuple
 

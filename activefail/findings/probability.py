@@ -198,8 +198,8 @@ class ProbabilityFindings:
         )
         if self.is_clipped:
             sentences.append(
-                f"The margin {visible(self.learned_from)} is clipped at its largest value. It does not show a failure "
-                "behind this value, so the estimate and its interval may lack regions of failure."
+                f"The margin {visible(self.learned_from)} is clipped at its largest value. It shows no direction "
+                "towards failure there, so the estimate and its interval may miss regions of failure."
             )
         if self.extrapolated > 0.0:
             sentences.append(

@@ -1,4 +1,4 @@
-"""The initial design of a campaign: Latin hypercubes. It loads none of the libraries of the learning."""
+"""The initial design of a campaign: Latin hypercubes. It imports no machine-learning library."""
 
 import numpy as np
 

@@ -73,8 +73,8 @@ class Task:
         """
         if progress.done and not progress.counts.any():
             raise SimulationError(
-                f"None of the {progress.done} simulations gave an outcome, and the rest of the initial design is in "
-                "flight or was dropped. They are recorded. Fix the simulator. Then record the results in flight with "
+                f"None of the {progress.done} simulations, which are recorded, gave an outcome, and the rest of the "
+                "initial design is in flight or was dropped. Fix the simulator. Then record the results in flight with "
                 f"`activefail tell`, or drop their designs with `activefail drop` and resume "
                 f"with `{self.resume_command}`." + first_fault_text(self.observer.faults)
             )

@@ -337,7 +337,10 @@ def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: P
         (["--hazard", "site.toml", "--question", "site.toml"], "question: cannot be combined with hazard."),
         (["--against", "r", "--intensity", "a_p"], "intensity: requires hazard"),
         (["--against", "q"], "against: must be one of the uncertain variables (T_p, A_p, r), got 'q'."),
-        (["--against", "r", "--range", "2,1"], "bounds (--range): `low < high` must hold, got 2,1."),
+        (
+            ["--against", "r", "--range", "2,1"],
+            "bounds (--range): must be two finite numbers with `low < high`, got 2,1.",
+        ),
         (["--against", "r", "--range", "2"], "--range: must be two numbers separated by a comma, got '2'."),
         (["--against", "r", "--fixed", "fixed.toml"], "against: r has the value 1.1; leave it out of --fixed."),
         (["--hazard", "site.toml", "--verify", "5"], "verify: must be at least 20, got 5."),

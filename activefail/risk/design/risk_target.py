@@ -1,4 +1,4 @@
-"""A target that is a risk in a number of years, as a target given one of the pulses of the hazard's curve."""
+"""Converts a target risk in a number of years into a target probability given a pulse of the hazard's curve."""
 
 import math
 from collections.abc import Sequence

@@ -248,7 +248,7 @@ def find_design(
     status: Status = "verified" if is_verified else "not verified"
     if not with_costs:
         return Designed(task, tuple(looks), status, {})
-    stage("computing the size at other confidences")
+    stage(f"computing {task.free[0]} at other confidences")
     return Designed(task, tuple(looks), status, _costs(task, model, looks[-1]))
 
 

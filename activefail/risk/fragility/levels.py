@@ -115,7 +115,7 @@ def variable_ladder(
     except (TypeError, ValueError):
         raise InputError(f"{_BOUNDS}: must be two numbers, got {bounds!r}.") from None
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"{_BOUNDS}: `low < high` must hold, got {low:g},{high:g}.")
+        raise InputError(f"{_BOUNDS}: must be two finite numbers with `low < high`, got {low:g},{high:g}.")
     is_log = known_one is not None and known_one.distribution in ("log_uniform", "lognormal") and low > 0.0
     return Ladder.between(name, known_one.unit if known_one else "", low, high, _STEPS, is_log)
 
