@@ -307,7 +307,8 @@ def test_a_design_in_flight_while_all_others_fail_leaves_a_campaign_that_can_lea
     store = MemoryStore(disc().schema)
     flight = ask(disc(), store, 1, BUDGET).designs
     with pytest.raises(
-        SimulationError, match=r"None of the 11 simulations gave an outcome, and the rest .*`activefail"
+        SimulationError,
+        match=r"None of the 11 simulations, which are recorded, gave an outcome, and the rest .*`activefail",
     ):
         take(disc(Disc(blind=np.inf)), store)
     campaign = disc()
