@@ -132,7 +132,7 @@ class Course:
         looks = Looks(np.concatenate([looks.table, row]))
         if check is not None and not len(check.waiting):
             # Designs beside the check may have widened the posterior again.
-            passed = is_whole(campaign.space.dimension, check.answered) and looks.is_narrow(rule.cov)
+            passed = is_whole(designs_of_check(campaign.space.dimension), check.answered) and looks.is_narrow(rule.cov)
             passed = passed and not has_clipped_margin(campaign, self.classifier)
             known_through = len(history) + len(self.flight) if passed else 0
             looks, check = Looks(row), None

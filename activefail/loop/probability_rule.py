@@ -91,7 +91,7 @@ def looked(
     check = batch[of_check]
     # The budget may have cut the check short.
     passed = (
-        is_whole(campaign.space.dimension, int(check.answered.sum()))
+        is_whole(designs_of_check(campaign.space.dimension), int(check.answered.sum()))
         and not contradicted(campaign, before, check).any()
     )
     if not of_check.all():

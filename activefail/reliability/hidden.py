@@ -44,7 +44,7 @@ class ModeCheck:
     @property
     def is_whole(self) -> bool:
         """Whether enough designs gave an outcome."""
-        return self.simulations - self.unanswered >= _ANSWERED * self.simulations
+        return is_whole(self.simulations, self.simulations - self.unanswered)
 
 
 def designs_of_check(dimension: int) -> int:
@@ -52,9 +52,9 @@ def designs_of_check(dimension: int) -> int:
     return 4 + 2 * dimension
 
 
-def is_whole(dimension: int, answered: int) -> bool:
+def is_whole(designs: int, answered: int) -> bool:
     """Whether enough designs of a check gave an outcome."""
-    return answered >= _ANSWERED * designs_of_check(dimension)
+    return answered >= _ANSWERED * designs
 
 
 def contradictions(
