@@ -752,7 +752,9 @@ def test_faults_are_quoted_and_can_be_fixed_although_a_design_is_in_flight(tmp_p
     (bad := tmp_path / "bad").touch()
     with af.create_run(tmp_path / "run", tmp_path / "plate.toml") as run:
         run.ask(1)
-        with pytest.raises(af.SimulationError, match=r"None of the 5 simulations .*first .*failed: .*no licence"):
+        with pytest.raises(
+            af.SimulationError, match=r"None of the 5 simulations.*Why the first .*failed: .*no licence"
+        ):
             run.take(progress=False, workers=1)
         bad.unlink()
         run.tell([{"id": 0, "outcome": "safe"}])
