@@ -64,13 +64,13 @@ def probability(
         f"{estimate.simulations} fresh simulations ({estimate.beyond} ended in {name}{failed})"
     )
     print(
-        f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; {estimate.wrong} of the fresh "
-        "simulations contradict it"
+        f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; "
+        f"fresh simulations against it: {estimate.wrong}"
     )
     if check := estimate.check:
         print(
             f"check      {check.simulations} more designs under the question, far from all others; "
-            f"{check.contradictions} of them contradict the classifier"
+            f"{check.contradictions} of them against the classifier"
         )
     print(
         f"recall     {percent(estimate.recall)} of the estimated probability lies where {name} is predicted; "

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import NullFormatter, NullLocator
 from numpy.typing import NDArray
 
 from activefail.figures.marks import outcome_colour, outcome_handles, scatter_outcomes
@@ -89,8 +89,12 @@ def plot_pairs(
     inch = {1: 3.6, 2: 3.0, 3: 2.5}.get(m, 1.6)
     below, above = (_picked(np.flatnonzero(rows)) for rows in (~chosen, chosen))
     with styled():
-        figure = Figure(figsize=(max(4.6, inch * m + 0.5), inch * m + 0.9), layout="constrained")
-        grid = figure.subplots(m, m, squeeze=False)
+        width, height = max(4.6, inch * m + 1.0), inch * m + 0.9
+        figure = Figure(figsize=(width, height))
+        # Fixed margins [in]: a layout that measures the text of all panels takes longer than drawing them.
+        margins = {"left": 0.8 / width, "right": 1.0 - 0.8 / width, "bottom": 0.5 / height, "top": 1.0 - 0.6 / height}
+        gaps = {"wspace": 0.15 * m / (width - 1.6 - 0.15 * (m - 1)), "hspace": 0.3 * m / (height - 1.1 - 0.3 * (m - 1))}
+        grid = figure.subplots(m, m, squeeze=False, gridspec_kw=margins | gaps)
         for row in range(m):
             for column in range(m):
                 axes = grid[row, column]
@@ -108,19 +112,22 @@ def plot_pairs(
             Line2D([], [], color=GREY, linestyle="--", label="initial (below the diagonal)"),
             Line2D([], [], color=BLACK, label="active (above)"),
         ]
-        figure.legend(
-            handles=[*outcome_handles(outcomes), *diagonal], loc="outside upper center", ncols=3 if m < 3 else 6
-        )
+        figure.legend(handles=[*outcome_handles(outcomes), *diagonal], loc="upper center", ncols=3 if m < 3 else 6)
     return figure
 
 
 def _label_pair(axes: Axes, row: int, column: int, quantities: Sequence[Quantity], logarithmic: Sequence[bool]) -> None:
     """Labels and ticks of one panel: names only at the margins of the grid."""
     last = len(quantities) - 1
-    # Over less than a decade matplotlib would label minor ticks too.
-    for axis, is_log in ((axes.xaxis, logarithmic[column]), (axes.yaxis, row != column and logarithmic[row])):
+    for axis, is_log, is_labelled in (
+        (axes.xaxis, logarithmic[column], row == last),
+        (axes.yaxis, row != column and logarithmic[row], column == 0),
+    ):
         if is_log:
+            # Over less than a decade matplotlib would label minor ticks too.
             axis.set_minor_formatter(NullFormatter())
+            if not is_labelled:
+                axis.set_minor_locator(NullLocator())
     axes.tick_params(labelsize=7.5)
     if row == last:
         axes.set_xlabel(quantities[column].axis)

@@ -173,8 +173,8 @@ class ProbabilityFindings:
             )
         if estimate.surprising:
             sentences.append(
-                f"{estimate.surprising} of the fresh simulations contradict the classifier where it was sure. It has "
-                "missed something: continue the campaign before you use this estimate."
+                f"Fresh simulations ({estimate.surprising} of {estimate.simulations}) contradict the classifier "
+                "where it was sure. It has missed something: continue the campaign before you use this estimate."
             )
         sentences += self._of_check
         deviation, where = estimate.deviation, "fresh simulations"
@@ -226,8 +226,8 @@ class ProbabilityFindings:
         sentences = []
         if check.contradictions:
             sentences.append(
-                f"{check.contradictions} of the {check.simulations} designs of the mode check contradict the "
-                f"classifier: far from all other simulations, {name} begins elsewhere than it predicts. Do not rely on "
+                f"The mode check ({check.contradictions} of {check.simulations} designs) contradicts the classifier: "
+                f"far from all other simulations, {name} begins elsewhere than it predicts. Do not rely on "
                 "this estimate. Begin a campaign whose [space] is the question's."
             )
         if not check.is_whole:

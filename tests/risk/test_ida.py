@@ -546,7 +546,7 @@ def test_a_set_that_fails_at_every_level_has_no_curve_and_says_so(case: Path) ->
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--to", "1e6", "--mce", "1")
     result = activefail(*words)
     assert result.code == 0
-    assert "so there is no curve and no margin. Lower the levels with --to." in result.out
+    assert "so there is no curve and no collapse margin ratio. Lower the levels with --to." in result.out
     assert "8 of the records have a capacity at or below the lowest level of the ladder, 6.25e+04" in result.out
     assert "median" not in result.out
 
@@ -567,7 +567,7 @@ def test_a_median_above_the_levels_is_named_an_extrapolation(case: Path) -> None
 
 def test_the_margin_of_an_impact_is_named_so(case: Path) -> None:
     words = ("ida", "--records", case / "set", "--bearing", case / "bearing.toml", "--outcome", "impact", "--mce", "1")
-    assert "The margin is that of the outcome impact, which is not a collapse." in activefail(*words).out
+    assert "The margin ratio is that of the outcome impact, which is not a collapse." in activefail(*words).out
 
 
 def test_an_interrupted_analysis_continues_to_the_same_numbers(

@@ -147,8 +147,9 @@ class DesignFindings:
                 return "The design meets its target: the upper bound from fresh simulations lies below it."
             case "not verified" if designed.surprising:
                 return (
-                    f"Not verified: {designed.surprising} of the fresh simulations contradict the classifier where it "
-                    "was sure, so its boundary is wrong there. Continue the campaign, then search again."
+                    f"Not verified: fresh simulations ({designed.surprising} of {designed.simulations}) contradict the "
+                    "classifier where it was sure, so its boundary is wrong there. Continue the campaign, then search "
+                    "again."
                 )
             case "not verified":
                 return (
@@ -247,7 +248,7 @@ class DesignFindings:
         lines.append(
             (
                 "from",
-                f"{designed.simulations} fresh simulations: {wrong} contradict the classifier"
+                f"{designed.simulations} fresh simulations, {wrong} of them against the classifier"
                 + (f", {failed} are numerical failures" if failed else "")
                 + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; "
                 f"{100.0 * task.confidence:g} % confidence for the result",

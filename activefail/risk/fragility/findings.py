@@ -100,7 +100,7 @@ class FragilityFindings:
             surprising = sum(level.estimate.surprising for level in one.verified)
             if surprising:
                 sentences.append(
-                    f"{surprising} of the fresh simulations contradict the classifier where it was sure, so its "
+                    f"Fresh simulations ({surprising}) contradict the classifier where it was sure, so its "
                     "boundary is wrong there. Continue the campaign before you use these curves."
                 )
         if self.has_verification:

@@ -145,7 +145,7 @@ class IdaFindings:
             # Motions that are far too strong have no outcome, rather than a capacity at the lowest level.
             count, failures = len(capacities.capacity), int(capacities.numerical_failures.sum())
             lower = "Lower" if 2 * at_lowest > count or failures > count else "Raise"
-            without = "curve" if self.options is None else "curve and no margin"
+            without = "curve" if self.options is None else "curve and no collapse margin ratio"
             notes.append(
                 "Fewer than two records both survive a level and reach the outcome at a higher one, so there is no "
                 f"{without}. {lower} the levels with --to."
@@ -207,7 +207,7 @@ class IdaFindings:
         )
         if self.margin is not None and self.options is not None:
             if self.outcome != self.outcomes[-1]:
-                notes.append(f"The margin is that of the outcome {self.outcome}, which is not a collapse.")
+                notes.append(f"The margin ratio is that of the outcome {self.outcome}, which is not a collapse.")
             notes.append(f"{self.options.note} The acceptable ACMR assumes a lognormal capacity with β.".lstrip())
         return notes
 
