@@ -42,9 +42,14 @@ def filled_contours(axes: Axes, x: Array, y: Array, Z: Array, uncertainty: bool 
 
 
 def colour_bar(
-    figure: Figure, axes: Axes | Sequence[Axes], shades: ScalarMappable, title: str, uncertainty: bool = False
+    figure: Figure,
+    axes: Axes | Sequence[Axes],
+    shades: ScalarMappable,
+    title: str,
+    uncertainty: bool = False,
+    fraction: float = 0.15,
 ) -> None:
-    """Add a colour bar to filled contours."""
+    """Add a colour bar to filled contours, on a fraction of their width."""
     opacity = (_UNCERTAINTY if uncertainty else _PROBABILITY)[1]
-    bar = figure.colorbar(shades, ax=axes, ticks=np.linspace(0.0, 1.0, 6), pad=0.01, alpha=opacity)
+    bar = figure.colorbar(shades, ax=axes, ticks=np.linspace(0.0, 1.0, 6), pad=0.01, fraction=fraction, alpha=opacity)
     bar.set_label("width of the 95 % interval [–]" if uncertainty else f"{title} [–]")

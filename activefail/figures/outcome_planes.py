@@ -196,8 +196,19 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
     names = [plain(words(name)) for name in outcomes[1:]]
     titles = [f"P({name})" for name in names] + [f"uncertainty of P({plain(findings.beyond)})"]
     with styled():
-        figure = Figure(figsize=(10.0 if len(values) > 1 else 5.4, 0.9 + 2.75 * len(titles)), layout="constrained")
-        grid = figure.subplots(len(titles), len(values), squeeze=False, sharex=True, sharey=True)
+        inches, height = 10.0 if len(values) > 1 else 5.4, 0.9 + 2.75 * len(titles)
+        figure = Figure(figsize=(inches, height))
+        # Fixed margins [in]: a layout that measures all text takes longer than drawing.
+        margins = {
+            "left": 1.05 / inches,
+            "right": 1.0 - 0.6 / inches,
+            "bottom": 0.5 / height,
+            "top": 1.0 - 0.6 / height,
+        }
+        gaps = {"wspace": 0.07, "hspace": 0.08}
+        grid = figure.subplots(
+            len(titles), len(values), squeeze=False, sharex=True, sharey=True, gridspec_kw=margins | gaps
+        )
         blank = False
         for column, third in enumerate(values):
             rows = np.tile(c.middle, (x.size, 1))
@@ -224,10 +235,10 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
                     width = c.widths(plane, third)
                     panel.set_title(f"{c.quantities[plane.third].symbol} = {third:.3g} ± {width:.2g}")
                 if column == len(values) - 1:
-                    colour_bar(figure, grid[row], shades, titles[row], uncertainty=last)
+                    colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)
         handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
         handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
         if blank:
             handles.append(Patch(facecolor="white", **NOWHERE, linewidth=0.6, label="no design in the space"))
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles) if len(values) > 1 else 2)
+        figure.legend(handles=handles, loc="upper center", ncols=len(handles) if len(values) > 1 else 2)
     return figure
