@@ -39,6 +39,8 @@ _AT_ONCE, _REFINED = 128, 1024
 _TRIALS = 3
 """Values between two of the curve whose probabilities are compared with the target."""
 
+_BY_COMMAND = "activefail design --question finds a design under any distribution of its variables."
+
 _TOWARDS_SAFETY = 0.05
 """Share of the way to a value that meets the target by which the next trial leaves the interpolated value."""
 
@@ -133,9 +135,10 @@ class DesignAnswers:
         try:
             check_pulse(self.space, "design")
         except InputError:
-            return f"{needs} This campaign has the variables {visible(', '.join(self.space.names))}."
+            variables = visible(", ".join(self.space.names))
+            return f"{needs} This campaign has the variables {variables}. {_BY_COMMAND}"
         if CAPACITY not in self.space.names:
-            return f"{needs} In this campaign D_tot is not a variable."
+            return f"{needs} In this campaign D_tot is not a variable. {_BY_COMMAND}"
         return ""
 
     @property
