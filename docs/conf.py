@@ -37,6 +37,7 @@ nitpicky = True
 nitpick_ignore_regex = [("py:class", ".*")]  # types of other libraries, and those without a page, are not links
 
 default_role = "literal"  # docstrings set names between single backticks
+highlight_language = "text"  # what a command prints
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
