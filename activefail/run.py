@@ -726,6 +726,7 @@ class Run:
         question: "Question | Path | str | None" = None,
         executor: "Executor | None" = None,
         fixed: "Mapping[str, float] | Path | str | None" = None,
+        hazard: "Hazard | Path | str | None" = None,
     ) -> "ProbabilityFindings":
         """Estimate the probability of an outcome or a more severe one, from fresh simulations.
 
@@ -737,23 +738,24 @@ class Run:
                 (docs/hazard.md), or what `asked` returns; the campaign's question if None.
             executor: as for `take`.
             fixed: values of variables, which are then certain: by name, or a TOML file.
+            hazard: in place of a question: a hazard, or its file.
 
         Raises:
-            InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary, or
-                the question's file is invalid.
+            InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary,
+                question and hazard are both given, or a file is invalid.
         """
         from activefail.findings.probability import ProbabilityFindings
 
         check_whole("simulations", simulations, 2)
         check_confidence(confidence)
         outcome = self._boundary_named(outcome)
-        resolved = self.asked(question, fixed)
+        _, resolved = site_and_question(self.campaign, hazard, question, fixed)
         with self._estimator(executor) as estimator:
             estimate = estimator.sample(outcome, simulations, resolved, checks=True).estimate(confidence)
         findings = ProbabilityFindings.of(
             self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
         )
-        if self._write and question is None and fixed is None:
+        if self._write and question is None and fixed is None and hazard is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
 

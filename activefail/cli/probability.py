@@ -31,6 +31,10 @@ def probability(
             show_default=False,
         ),
     ] = None,
+    hazard: Annotated[
+        Path | None,
+        typer.Option(help="Hazard file; the distribution is that of its pulses (docs/hazard.md).", show_default=False),
+    ] = None,
     fixed: Fixed = None,
     code: Code = None,
 ) -> None:
@@ -41,7 +45,7 @@ def probability(
     from activefail.findings.probability import rounded_up
 
     with opened_run(folder, write=True, code=code) as opened:
-        findings = opened.probability(simulations, confidence, outcome, question, fixed=fixed)
+        findings = opened.probability(simulations, confidence, outcome, question, fixed=fixed, hazard=hazard)
         summary = opened.summary
         boundaries = opened.campaign.simulator.outcomes
     show_unseen(summary)

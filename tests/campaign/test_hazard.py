@@ -705,8 +705,13 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
     assert "no property bounds" in said
     assert ("Only the pulses are uncertain" in said) == (file == "rows.toml")
     stored = sorted(path.name for path in (learned / "run" / "sets").iterdir())
-    assert activefail("probability", learned / "run", *options).out == result.out
-    assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
+    by_hazard = [word if word != "--question" else "--hazard" for word in options]
+    for words in (options, by_hazard):
+        assert activefail("probability", learned / "run", *words).out == result.out
+        assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
+    both = activefail("probability", learned / "run", *options, "--hazard", learned / file)
+    assert (both.code, both.out) == (2, "")
+    assert "question: cannot be combined with hazard." in both.err
     if file == "rows.toml":
         # The five rows are simulated once each, and then there is nothing left to estimate.
         assert numbers["simulations"] == 5
