@@ -6,6 +6,7 @@ Importing this module imports matplotlib, but not pyplot, so that any thread can
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Polygon
 
-from activefail.bearing import Bearing, Response
+from activefail.bearing import Accelerogram, Bearing, Response
 from activefail.bearing.contact import gap, meets_rim
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.dynamics import lever, seen_by_plate
@@ -177,7 +178,11 @@ def _plot_displacement(axes: Axes, motion: Motion, t: Array, q: Array) -> None:
 
 
 def _plot_ground(axes: Axes, motion: Motion, t: Array) -> None:
-    axes.plot(t, motion.ground(t) / GRAVITY, color=style.BLACK)
+    record = motion.response.pulse
+    if isinstance(record, Accelerogram) and record.vertical is not None:
+        up = replace(record, acceleration=record.vertical).at(t)
+        axes.plot(t, up / GRAVITY, color=style.SKY_BLUE, linewidth=0.9, label="vertical (up)")
+    axes.plot(t, motion.ground(t) / GRAVITY, color=style.BLACK, label="horizontal" if axes.lines else None)
     axes.set(title="Ground motion", ylabel="Ground acceleration [g]")
 
 

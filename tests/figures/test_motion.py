@@ -74,6 +74,18 @@ def test_every_panel_of_a_response_is_finite_and_names_its_axes_with_units(respo
             assert np.isfinite(np.asarray(line.get_xydata(), dtype=float)).all()
 
 
+def test_the_ground_motion_of_a_record_has_its_vertical_component_too():
+    t = np.arange(0.0, 6.0, 0.02)
+    level = Accelerogram(1.5 * np.sin(t), 0.02, "level")
+    risen = level.with_vertical(Accelerogram(0.8 * np.cos(t), 0.02, "up"))
+    for record, labels in ((level, set()), (risen, {"vertical (up)", "horizontal"})):
+        ground = m.plot_response(simulate_one(FAILING, record)).axes[1]
+        assert set(ground.get_legend_handles_labels()[1]) - {"first rim touch", "failure"} == labels
+    times, up = ground.get_lines()[0].get_xdata(), ground.get_lines()[0].get_ydata()
+    during = times <= t[-1]
+    np.testing.assert_allclose(up[during], 0.8 * np.cos(times[during]) / GRAVITY, atol=1e-4)
+
+
 def test_histories_share_one_axis_of_time_and_mark_what_befell(failure, no_impact):
     for response, events in ((failure, {"first rim touch", "failure"}), (no_impact, set())):
         panels = m.plot_histories(response, width=3.6).axes
