@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from activefail.bearing.design import GRAVITY, TABLE_1
 from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.contours import NOWHERE, axis_limits, colour_bar, filled_contours
-from activefail.figures.marks import outcome_handles, scatter_outcomes
+from activefail.figures.marks import legend_columns, legend_height, outcome_handles, scatter_outcomes
 from activefail.figures.paper_planes import PLANES, SLICE, Plane
-from activefail.figures.style import GREY, styled
+from activefail.figures.style import GREY, fitting_size, letters, styled
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import Quantity, plain, quantity, variables, words
 from activefail.findings.results import Findings
@@ -196,19 +196,30 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
     names = [plain(words(name)) for name in outcomes[1:]]
     titles = [f"P({name})" for name in names] + [f"uncertainty of P({plain(findings.beyond)})"]
     with styled():
-        inches, height = 10.0 if len(values) > 1 else 5.4, 0.9 + 2.75 * len(titles)
+        handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
+        handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
+        nowhere = Patch(facecolor="white", **NOWHERE, linewidth=0.6, label="no design in the space")
+        inches = 10.0 if len(values) > 1 else 5.4
+        columns = legend_columns([*handles, nowhere], inches)
+        third_symbol = c.quantities[plane.third].symbol if plane.third >= 0 else ""
+        between = "\n" if letters(third_symbol) > 16 else " "
+        above = legend_height([*handles, nowhere], columns) + (
+            0.42 if between == "\n" else 0.25 if third_symbol else 0.1
+        )
+        height = 2.8 * len(titles) + 0.3 + above
         figure = Figure(figsize=(inches, height))
         # Fixed margins [in]: a layout that measures all text takes longer than drawing.
         margins = {
             "left": 1.05 / inches,
             "right": 1.0 - 0.6 / inches,
             "bottom": 0.5 / height,
-            "top": 1.0 - 0.6 / height,
+            "top": 1.0 - above / height,
         }
         gaps = {"wspace": 0.07, "hspace": 0.08}
         grid = figure.subplots(
             len(titles), len(values), squeeze=False, sharex=True, sharey=True, gridspec_kw=margins | gaps
         )
+        size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
         blank = False
         for column, third in enumerate(values):
             rows = np.tile(c.middle, (x.size, 1))
@@ -228,17 +239,15 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
                 scatter_outcomes(panel, F[shown, plane.x], F[shown, plane.y], outcome[shown], outcomes, 14.0)
                 panel.set(xlim=x_limits, ylim=y_limits)
                 if column == 0:
-                    panel.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}")
+                    panel.set_ylabel(f"{titles[row]}\n{c.quantities[plane.y].axis}", fontsize=size)
                 if last:
-                    panel.set_xlabel(c.quantities[plane.x].axis)
+                    panel.set_xlabel(c.quantities[plane.x].axis, fontsize=size)
                 if row == 0 and plane.third >= 0:
                     width = c.widths(plane, third)
-                    panel.set_title(f"{c.quantities[plane.third].symbol} = {third:.3g} ± {width:.2g}")
+                    panel.set_title(f"{third_symbol}{between}= {third:.3g} ± {width:.2g}")
                 if column == len(values) - 1:
                     colour_bar(figure, grid[row], shades, titles[row], uncertainty=last, fraction=0.2 / inches)
-        handles: list[Line2D | Patch] = [*outcome_handles(outcomes, " (simulated)")]
-        handles.append(Line2D([], [], color=GREY, linewidth=1.7, label="probability 0.5"))
         if blank:
-            handles.append(Patch(facecolor="white", **NOWHERE, linewidth=0.6, label="no design in the space"))
-        figure.legend(handles=handles, loc="upper center", ncols=len(handles) if len(values) > 1 else 2)
+            handles.append(nowhere)
+        figure.legend(handles=handles, loc="upper center", ncols=legend_columns(handles, inches))
     return figure

@@ -10,8 +10,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from activefail.figures.marks import outcome_colour, outcome_handles, scatter_outcomes
-from activefail.figures.style import BLACK, GREY, styled
+from activefail.figures.marks import legend_columns, legend_height, outcome_colour, outcome_handles, scatter_outcomes
+from activefail.figures.style import BLACK, GREY, fitting_size, letters, styled
 from activefail.findings.quantities import Quantity, plain, words
 from activefail.space import Array
 
@@ -89,11 +89,29 @@ def plot_pairs(
     inch = {1: 3.6, 2: 3.0, 3: 2.5}.get(m, 1.6)
     below, above = (_picked(np.flatnonzero(rows)) for rows in (~chosen, chosen))
     with styled():
-        width, height = max(4.6, inch * m + 1.0), inch * m + 0.9
+        handles = [
+            *outcome_handles(outcomes),
+            Line2D([], [], color=GREY, linestyle="--", label="initial (below the diagonal)"),
+            Line2D([], [], color=BLACK, label="active (above)"),
+        ]
+        labels, size = _pair_labels([quantity.axis for quantity in quantities], inch)
+        side, below_panels = (0.95, 0.65) if any("\n" in label for label in labels) else (0.8, 0.5)
+        width = max(4.6, inch * m + 1.0)
+        columns = legend_columns(handles, width)
+        above_panels = legend_height(handles, columns) + 0.25
+        height = inch * m + below_panels + above_panels - 0.2
         figure = Figure(figsize=(width, height))
         # Fixed margins [in]: a layout that measures the text of all panels takes longer than drawing them.
-        margins = {"left": 0.8 / width, "right": 1.0 - 0.8 / width, "bottom": 0.5 / height, "top": 1.0 - 0.6 / height}
-        gaps = {"wspace": 0.15 * m / (width - 1.6 - 0.15 * (m - 1)), "hspace": 0.3 * m / (height - 1.1 - 0.3 * (m - 1))}
+        margins = {
+            "left": side / width,
+            "right": 1.0 - side / width,
+            "bottom": below_panels / height,
+            "top": 1.0 - above_panels / height,
+        }
+        gaps = {
+            "wspace": 0.15 * m / (width - 2.0 * side - 0.15 * (m - 1)),
+            "hspace": 0.3 * m / (height - below_panels - above_panels - 0.3 * (m - 1)),
+        }
         grid = figure.subplots(m, m, squeeze=False, gridspec_kw=margins | gaps)
         for row in range(m):
             for column in range(m):
@@ -107,18 +125,22 @@ def plot_pairs(
                     axes.set_ylim(*_with_margins(F[:, row], logarithmic[row]))
                 axes.set_xscale("log" if logarithmic[column] else "linear")
                 axes.set_xlim(*_with_margins(F[:, column], logarithmic[column]))
-                _label_pair(axes, row, column, quantities, logarithmic)
-        diagonal = [
-            Line2D([], [], color=GREY, linestyle="--", label="initial (below the diagonal)"),
-            Line2D([], [], color=BLACK, label="active (above)"),
-        ]
-        figure.legend(handles=[*outcome_handles(outcomes), *diagonal], loc="upper center", ncols=3 if m < 3 else 6)
+                _label_pair(axes, row, column, labels, logarithmic)
+                axes.xaxis.label.set_size(size)
+                axes.yaxis.label.set_size(size)
+        figure.legend(handles=handles, loc="upper center", ncols=columns)
     return figure
 
 
-def _label_pair(axes: Axes, row: int, column: int, quantities: Sequence[Quantity], logarithmic: Sequence[bool]) -> None:
+def _pair_labels(labels: Sequence[str], inch: float) -> tuple[list[str], float]:
+    """Axis labels, those longer than a panel broken before the unit, and the size of text [pt] at which all fit."""
+    broken = [label.replace(" [", "\n[") if letters(label) > 12.0 * inch else label for label in labels]
+    return broken, fitting_size((line for label in broken for line in label.split("\n")), inch)
+
+
+def _label_pair(axes: Axes, row: int, column: int, labels: Sequence[str], logarithmic: Sequence[bool]) -> None:
     """Labels and ticks of one panel: names only at the margins of the grid."""
-    last = len(quantities) - 1
+    last = len(labels) - 1
     for axis, is_log, is_labelled in (
         (axes.xaxis, logarithmic[column], row == last),
         (axes.yaxis, row != column and logarithmic[row], column == 0),
@@ -130,16 +152,16 @@ def _label_pair(axes: Axes, row: int, column: int, quantities: Sequence[Quantity
                 axis.set_minor_locator(NullLocator())
     axes.tick_params(labelsize=7.5)
     if row == last:
-        axes.set_xlabel(quantities[column].axis)
+        axes.set_xlabel(labels[column])
     else:
         axes.tick_params(labelbottom=False)
     if row == 0 and column == last > 0:
         # The first panel of this row is a histogram with another scale.
         axes.yaxis.set_label_position("right")
         axes.tick_params(labelleft=False, labelright=True)
-        axes.set_ylabel(quantities[row].axis)
+        axes.set_ylabel(labels[row])
     elif column == 0 and row > 0:
-        axes.set_ylabel(quantities[row].axis)
+        axes.set_ylabel(labels[row])
     else:
         axes.tick_params(labelleft=False)
     if row == column:

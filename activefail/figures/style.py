@@ -3,7 +3,7 @@
 Importing this module does not import matplotlib; entering `styled` does.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,6 +66,16 @@ def styled() -> Iterator[None]:
 
     with matplotlib.rc_context(RC):
         yield
+
+
+def letters(text: str) -> int:
+    """The number of letters that a label shows, without the signs of mathtext."""
+    return len(text) - sum(text.count(sign) for sign in "${}_\\")
+
+
+def fitting_size(lines: Iterable[str], length: float) -> float:
+    """The size of text [pt], at most that of labels, at which lines fit into a length [in]."""
+    return min(float(RC["axes.labelsize"]), 72.0 * length / (0.65 * max(letters(line) for line in lines)))
 
 
 def save_figure(figure: "Figure", path: Path) -> None:

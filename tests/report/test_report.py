@@ -5,12 +5,14 @@ import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from campaign.stub import disc
 from cases import some
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from activefail.bearing.design import TABLE_1
@@ -416,6 +418,60 @@ def test_pairs_of_ten_thousand_designs_are_drawn_with_some_of_each_kind_and_stay
     shown = [sum(len(c.get_offsets()) for c in axes.collections) for axes in figure.axes]
     assert shown == [0 if row == column else samples.MOST_SHOWN for row in range(6) for column in range(6)]
     assert len(svg.inline(figure, "pairs", "pairs")) < 600_000
+
+
+DAMAGE = ("no damage", "slight damage", "moderate damage", "severe structural damage")
+
+
+def assert_text_is_inside(figure: Figure) -> None:
+    """Assert that legend, labels and titles lie within the figure, and that titles of one row do not meet."""
+    FigureCanvasAgg(figure).draw()
+    texts = [
+        text for axes in figure.axes for text in (axes.xaxis.label, axes.yaxis.label, axes.title, axes._left_title)
+    ]
+    for artist in (*figure.legends, *(text for text in texts if text.get_text())):
+        box = artist.get_window_extent()
+        assert figure.bbox.x0 <= box.x0, artist
+        assert box.x1 <= figure.bbox.x1, artist
+        assert figure.bbox.y0 <= box.y0, artist
+        assert box.y1 <= figure.bbox.y1, artist
+    titles = [axes._left_title.get_window_extent() for axes in figure.axes if axes._left_title.get_text()]
+    (legend,) = figure.legends
+    for number, box in enumerate(titles):
+        assert not legend.get_window_extent().overlaps(box)
+        assert not any(box.overlaps(other) for other in titles[number + 1 :])
+
+
+@pytest.mark.parametrize("outcomes", [DAMAGE[:2], DAMAGE])
+@pytest.mark.parametrize("m", range(1, 7))
+def test_a_picture_of_pairs_has_room_for_long_names(m, outcomes):
+    rng = np.random.default_rng(1)
+    names = [quantities.quantity(f"concrete_compressive_strength_{i}", "kN/m^2") for i in range(m)]
+    outcome = rng.integers(0, len(outcomes), 40).astype(np.int8)
+    F = 1e5 * rng.random((40, m))
+    assert_text_is_inside(samples.plot_pairs(F, outcome, np.arange(40) > 20, names, [False] * m, outcomes))
+
+
+@pytest.mark.parametrize("outcomes", [DAMAGE[:2], DAMAGE])
+@pytest.mark.parametrize("third", [-1, 2])
+def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
+    rng = np.random.default_rng(1)
+    names = [quantities.quantity(f"concrete_compressive_strength_{i}", "kN/m^2") for i in range(3)]
+
+    def predicted(rows):
+        P = np.full((len(rows), len(outcomes)), 1.0 / len(outcomes))
+        return SimpleNamespace(probabilities=P, high=P[:, 0] + 0.1, low=P[:, 0]), np.arange(len(rows)) > 5
+
+    plane = outcome_planes.Plane("plane", 0, 1, third, (12000.0, 15000.0, 18000.0), (0.0, 0.0, 0.0))
+    F = 1e5 * rng.random((40, 3))
+    c = outcome_planes.Coordinates(names, F, F.mean(axis=0), predicted, [plane], lambda *_: 1500.0)
+    findings = SimpleNamespace(
+        campaign=SimpleNamespace(simulator=SimpleNamespace(outcomes=outcomes)),
+        answered=np.ones(40, dtype=bool),
+        outcome=rng.integers(0, len(outcomes), 40).astype(np.int8),
+        beyond=outcomes[-1],
+    )
+    assert_text_is_inside(outcome_planes.plot_outcome_planes(plane, c, findings))
 
 
 def test_the_spread_of_a_variable_is_told_in_words():
