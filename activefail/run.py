@@ -738,7 +738,7 @@ class Run:
                 (docs/hazard.md), or what `asked` returns; the campaign's question if None.
             executor: as for `take`.
             fixed: values of variables, which are then certain: by name, or a TOML file.
-            hazard: in place of a question: a hazard, or its file.
+            hazard: a hazard or its file (docs/hazard.md); cannot be combined with `question`.
 
         Raises:
             InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary,

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from patience import PATIENCE
 
 # Before numpy and torch are imported, also for the processes that tests start: two workers on two cores, each with two
-# threads of BLAS, take several times as long as with one, because the threads wait for each other.
+# threads of BLAS, take several times as long as with one thread each, because the threads wait for each other.
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 

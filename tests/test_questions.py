@@ -301,7 +301,10 @@ def _check_finds_what_fresh_simulations_may_miss(folder: Path, own: dict[str, An
     assert own["check"] is None
     assert (check["simulations"], check["numerical_failures"]) == (10, 0)
     assert check["contradictions"] > 0
-    assert f"10 more designs under the question, far from all others; {check['contradictions']} of them" in text.out
+    assert (
+        f"10 more designs under the question, far from all others; contradictions: {check['contradictions']}"
+        in text.out
+    )
     assert f"The mode check ({check['contradictions']} of 10 designs) contradicts" in " ".join(text.out.split())
     kept = [path for path in sets.iterdir() if path.name.startswith("check-")]
     with open_run(folder / "run") as opened:

@@ -69,12 +69,12 @@ def probability(
     )
     print(
         f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; "
-        f"fresh simulations against it: {estimate.wrong}"
+        f"contradictions by fresh simulations: {estimate.wrong}"
     )
     if check := estimate.check:
         print(
             f"check      {check.simulations} more designs under the question, far from all others; "
-            f"{check.contradictions} of them against the classifier"
+            f"contradictions: {check.contradictions}"
         )
     print(
         f"recall     {percent(estimate.recall)} of the estimated probability lies where {name} is predicted; "

@@ -39,7 +39,7 @@ _AT_ONCE, _REFINED = 128, 1024
 _TRIALS = 3
 """Values between two of the curve whose probabilities are compared with the target."""
 
-_BY_COMMAND = "activefail design --question finds a design under any distribution of its variables."
+_BY_COMMAND = "activefail design --question FILE --free NAME finds a design for any variables."
 
 _TOWARDS_SAFETY = 0.05
 """Share of the way to a value that meets the target by which the next trial leaves the interpolated value."""

@@ -181,9 +181,10 @@ def _plot_ground(axes: Axes, motion: Motion, t: Array) -> None:
     record = motion.response.pulse
     if isinstance(record, Accelerogram) and record.vertical is not None:
         up = replace(record, acceleration=record.vertical).at(t)
-        axes.plot(t, up / GRAVITY, color=style.SKY_BLUE, linewidth=0.9, label="up")
+        axes.plot(t, up / GRAVITY, color=style.SKY_BLUE, linewidth=0.9, label="vertical")
     axes.plot(t, motion.ground(t) / GRAVITY, color=style.BLACK, label="horizontal" if axes.lines else None)
-    axes.set(title="Ground motion", ylabel="Ground acceleration [g]")
+    # A shorter title leaves room for the longer legend.
+    axes.set(title="Ground" if len(axes.lines) > 1 else "Ground motion", ylabel="Ground acceleration [g]")
 
 
 def _plot_uplift(axes: Axes, motion: Motion, t: Array, gaps: Array) -> None:

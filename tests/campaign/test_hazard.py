@@ -709,6 +709,7 @@ def test_the_probability_under_a_hazard_is_the_closed_form_and_says_what_is_left
     for words in (options, by_hazard):
         assert activefail("probability", learned / "run", *words).out == result.out
         assert sorted(path.name for path in (learned / "run" / "sets").iterdir()) == stored
+    assert not (learned / "run" / "probability.json").exists()
     both = activefail("probability", learned / "run", *options, "--hazard", learned / file)
     assert (both.code, both.out) == (2, "")
     assert "question: cannot be combined with hazard." in both.err

@@ -349,7 +349,7 @@ def test_a_campaign_without_a_pulse_has_a_sentence_in_place_of_the_page(tmp_path
     design = DesignAnswers(answers)
     text = design_page(design.about())
     assert "The page Design needs a pulse, T_p [s] and A_p [g], and the displacement capacity D_tot." in text
-    assert "This campaign has the variables x, y. activefail design --question finds a design under any" in text
+    assert "This campaign has the variables x, y. activefail design --question FILE --free NAME finds" in text
     assert 'type="range"' not in text
     with pytest.raises(InputError, match="needs a pulse"):
         design.asked(REQUEST)

@@ -248,7 +248,7 @@ class DesignFindings:
         lines.append(
             (
                 "from",
-                f"{designed.simulations} fresh simulations, {wrong} of them against the classifier"
+                f"{designed.simulations} fresh simulations, contradictions: {wrong}"
                 + (f", {failed} are numerical failures" if failed else "")
                 + f"; {len(designed.looks)} of at most {len(LOOKS)} looks; "
                 f"{100.0 * task.confidence:g} % confidence for the result",

@@ -98,9 +98,10 @@ class FragilityFindings:
         sentences = list(self.notes)
         for one in self.boundaries:
             surprising = sum(level.estimate.surprising for level in one.verified)
+            fresh = sum(level.estimate.simulations for level in one.verified)
             if surprising:
                 sentences.append(
-                    f"Fresh simulations ({surprising}) contradict the classifier where it was sure, so its "
+                    f"Fresh simulations ({surprising} of {fresh}) contradict the classifier where it was sure, so its "
                     "boundary is wrong there. Continue the campaign before you use these curves."
                 )
         if self.has_verification:

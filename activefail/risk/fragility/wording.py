@@ -97,7 +97,7 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
         text = (
             f"{level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
             f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.simulations} fresh "
-            f"simulations, {estimate.wrong} of them against the classifier"
+            f"simulations, contradictions: {estimate.wrong}"
         )
         rows.append(("verified", text))
     if one.deaggregation is not None:
