@@ -14,7 +14,7 @@ from activefail.features import PAPER_FEATURES, paper_features
 from activefail.figures.contours import NOWHERE, axis_limits, colour_bar, filled_contours
 from activefail.figures.marks import legend_columns, legend_height, outcome_handles, scatter_outcomes
 from activefail.figures.paper_planes import PLANES, SLICE, Plane
-from activefail.figures.style import GREY, fitting_size, letters, styled
+from activefail.figures.style import GREY, fitting_size, letters, margins, styled
 from activefail.findings.prediction import Prediction, predict
 from activefail.findings.quantities import Quantity, plain, quantity, variables, words
 from activefail.findings.results import Findings
@@ -203,21 +203,14 @@ def plot_outcome_planes(plane: Plane, c: Coordinates, findings: Findings) -> Fig
         columns = legend_columns([*handles, nowhere], inches)
         third_symbol = c.quantities[plane.third].symbol if plane.third >= 0 else ""
         between = "\n" if letters(third_symbol) > 16 else " "
-        above = legend_height([*handles, nowhere], columns) + (
-            0.42 if between == "\n" else 0.25 if third_symbol else 0.1
-        )
+        of_titles = 0.1 if not third_symbol else 0.25 if between == " " else 0.42
+        above = legend_height([*handles, nowhere], columns) + of_titles
         height = 2.8 * len(titles) + 0.3 + above
         figure = Figure(figsize=(inches, height))
-        # Fixed margins [in]: a layout that measures all text takes longer than drawing.
-        margins = {
-            "left": 1.05 / inches,
-            "right": 1.0 - 0.6 / inches,
-            "bottom": 0.5 / height,
-            "top": 1.0 - above / height,
-        }
+        around = margins(inches, height, left=1.05, right=0.6, bottom=0.5, top=above)
         gaps = {"wspace": 0.07, "hspace": 0.08}
         grid = figure.subplots(
-            len(titles), len(values), squeeze=False, sharex=True, sharey=True, gridspec_kw=margins | gaps
+            len(titles), len(values), squeeze=False, sharex=True, sharey=True, gridspec_kw=around | gaps
         )
         size = fitting_size([*titles, *(c.quantities[axis].axis for axis in (plane.x, plane.y))], 2.6)
         blank = False

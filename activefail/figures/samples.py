@@ -11,7 +11,7 @@ from matplotlib.ticker import NullFormatter, NullLocator
 from numpy.typing import NDArray
 
 from activefail.figures.marks import legend_columns, legend_height, outcome_colour, outcome_handles, scatter_outcomes
-from activefail.figures.style import BLACK, GREY, fitting_size, letters, styled
+from activefail.figures.style import BLACK, GREY, fitting_size, letters, margins, styled
 from activefail.findings.quantities import Quantity, plain, words
 from activefail.space import Array
 
@@ -101,18 +101,12 @@ def plot_pairs(
         above_panels = legend_height(handles, columns) + 0.25
         height = inch * m + below_panels + above_panels - 0.2
         figure = Figure(figsize=(width, height))
-        # Fixed margins [in]: a layout that measures the text of all panels takes longer than drawing them.
-        margins = {
-            "left": side / width,
-            "right": 1.0 - side / width,
-            "bottom": below_panels / height,
-            "top": 1.0 - above_panels / height,
-        }
+        around = margins(width, height, left=side, right=side, bottom=below_panels, top=above_panels)
         gaps = {
             "wspace": 0.15 * m / (width - 2.0 * side - 0.15 * (m - 1)),
             "hspace": 0.3 * m / (height - below_panels - above_panels - 0.3 * (m - 1)),
         }
-        grid = figure.subplots(m, m, squeeze=False, gridspec_kw=margins | gaps)
+        grid = figure.subplots(m, m, squeeze=False, gridspec_kw=around | gaps)
         for row in range(m):
             for column in range(m):
                 axes = grid[row, column]
