@@ -154,7 +154,9 @@ def ida(
 
     check_output("--out", out)
     if campaign is not None and not pulses:
-        raise InputError("--campaign requires --pulses: a campaign under pulses predicts pulses, not records.")
+        raise InputError(
+            "--campaign requires --pulses: a campaign's classifier predicts outcomes under pulses, not under records."
+        )
     if out is not None and out.resolve() == records.resolve():
         raise InputError(f"--out: must differ from --records, got {visible(str(out))}.")
     model = Model(

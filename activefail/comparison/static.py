@@ -272,12 +272,12 @@ def _score_line(group: Sequence[Score]) -> str:
 
 def given_in_words(scores: Sequence[Score]) -> str:
     """What to know of simulations that the campaign did not ask for; empty without any."""
-    counts = ", ".join(f"{one.given} of {one.simulations}" for one in scores if one.given)
+    counts = ", ".join(f"{one.given} of the first {one.simulations}" for one in scores if one.given)
     if not counts:
         return ""
     return (
-        f"The campaign did not ask for {counts} of its simulations. The comparison includes them. If they were chosen "
-        "near the boundary, it favours the active side."
+        f"Given simulations, which the campaign did not ask for: {counts}. The comparison includes them. If they were "
+        "chosen near the boundary, it favours active sampling."
     )
 
 

@@ -250,7 +250,7 @@ def test_given_simulations_count_among_the_first_of_the_campaign_and_the_scores_
     # The static design is as large as what the active side learned from, given simulations included.
     assert [one.simulations for one in found if one.sampling == "static"] == [12, 18, 26]
     (line,) = [line for line in score_lines(found, "broken") if line.startswith("given: ")]
-    assert "did not ask for 6 of 18, 6 of 26 of its simulations" in line
+    assert "did not ask for: 6 of the first 18, 6 of the first 26." in line
     with pytest.raises(InputError, match="between 2 and the 26 recorded simulations"):
         scores(campaign, store, [27], 60)
     assert not [line for line in score_lines(found[:1], "broken") if line.startswith("given: ")]
