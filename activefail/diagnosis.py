@@ -71,7 +71,7 @@ def _cores() -> Finding:
     from threadpoolctl import threadpool_info
 
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    threads = sorted({f"{pool['num_threads']} of {pool['internal_api']}" for pool in threadpool_info()})
+    threads = sorted({f"{pool['internal_api']} uses {pool['num_threads']}" for pool in threadpool_info()})
     return Finding("cores", f"{usable} usable of {os.cpu_count()}; threads: {', '.join(threads) or 'unknown'}")
 
 

@@ -60,7 +60,7 @@ def fragility(
     confidence: Annotated[float, typer.Option(help="Confidence of the intervals.", min=0.5, max=0.999)] = 0.95,
     outcome: Annotated[
         str | None,
-        typer.Option(help="Outcome whose curve is verified; that of the target boundary by default."),
+        typer.Option(help="Outcome whose curve is verified. Default: the outcome of the target boundary."),
     ] = None,
     as_json: AsJson = False,
     csv: Annotated[

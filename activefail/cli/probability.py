@@ -20,7 +20,11 @@ def probability(
     ] = 50,
     confidence: Annotated[float, typer.Option(help="Confidence of the interval.", min=0.5, max=0.999)] = 0.9,
     outcome: Annotated[
-        str | None, typer.Option(help="Outcome; that of the target boundary by default.", show_default=False)
+        str | None,
+        typer.Option(
+            help="Outcome whose probability is estimated. Default: the outcome of the target boundary.",
+            show_default=False,
+        ),
     ] = None,
     as_json: AsJson = False,
     question: Annotated[

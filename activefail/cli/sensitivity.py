@@ -44,7 +44,11 @@ def sensitivity(
     ] = None,
     fixed: Fixed = None,
     outcome: Annotated[
-        str | None, typer.Option(help="Outcome; that of the target boundary by default.", show_default=False)
+        str | None,
+        typer.Option(
+            help="Outcome whose probability is explained. Default: the outcome of the target boundary.",
+            show_default=False,
+        ),
     ] = None,
     samples: Annotated[
         int | None,

@@ -113,7 +113,9 @@ def check_output(option: str, path: Path | None) -> None:
     if run_folder_owning(path) is not None:
         raise InputError(f"{option}: {path} is one of the run folder's own files; choose another.")
     if (link := link_in_run_folder(path)) is not None:
-        raise InputError(f"{option}: {link} is a symbolic link in a run folder, which is not followed; choose another.")
+        raise InputError(
+            f"{option}: {link} is a symbolic link in a run folder. No such link is followed; choose another path."
+        )
 
 
 def run_folder_owning(path: Path) -> Path | None:

@@ -74,7 +74,7 @@ def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tup
     if (fall := one.curve.fall) is not None:
         text = (
             f"the curve falls by {100.0 * fall.size:.2g} points between {fall.start:.3g} and {fall.end:.3g}{unit}; a "
-            "capacity is the level at which it first exceeds the probability"
+            "capacity is the level at which the curve first exceeds its probability"
         )
         rows.append(("falls", text))
     if one.at_median is not None and findings.median is not None:

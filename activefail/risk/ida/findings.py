@@ -283,8 +283,8 @@ def _pulse_lines(compared: PulseComparison) -> list[tuple[str, str]]:
     lines.append(
         (
             "levels",
-            f"{levels.same} of {levels.levels} outcomes are the same; {levels.missed} "
-            f"failures missed by the pulse, {levels.false} only under the pulse",
+            f"record and pulse cause the same outcome at {levels.same} of {levels.levels} levels; at {levels.missed} "
+            f"only the record causes failure, at {levels.false} only the pulse",
         )
     )
     return lines

@@ -83,8 +83,8 @@ class Prediction:
         """The counts in words."""
         counts = self.levels
         text = (
-            f"{counts.same} of {counts.levels} outcomes are those that the {self.by} predicts; {counts.missed} "
-            f"failures missed, {counts.false} only predicted"
+            f"the {self.by} predicts {counts.same} of {counts.levels} outcomes correctly; it misses {counts.missed} "
+            f"failures, and predicts {counts.false} that did not happen"
         )
         if self.outside is None:
             return text
