@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUN := runs/paper
 PIP = $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: paper test test-faults test-all check faults docs reproduction benchmark clean help
+.PHONY: paper test test-faults test-all check doctor before-tests faults docs reproduction benchmark clean help
 
 help:
 	@echo "make paper        install, run the paper's campaign, compare it with static sampling"
@@ -40,17 +40,25 @@ check: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Slow files have few tests, and come last if the files with most tests come first.
-PYTEST = $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+# Compiles the simulator, which the tests would do before anything else, on one core.
+doctor: $(VENV)/.installed
+	$(BIN)/activefail doctor
 
-test: check
+before-tests: $(VENV)/.installed
+	@$(MAKE) --no-print-directory --jobs 2 check doctor
+
+# A process for each core, but no more than memory of 8 GB allows. Files come in the order of their names: those with most
+# tests first would leave the slow ones, which have few, to the end.
+PYTEST = $(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
+test: before-tests
 	$(PYTEST) -m "not faults"
 
 # With strace (Debian: apt install strace) the fault suite also kills programs at their system calls.
 test-faults: $(VENV)/.installed
 	$(PYTEST) -m faults
 
-test-all: check
+test-all: before-tests
 	$(PYTEST) --exhaustive
 
 faults: $(VENV)/.installed
