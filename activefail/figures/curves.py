@@ -10,7 +10,21 @@ from matplotlib.ticker import MaxNLocator
 from activefail.comparison.equivalent import Equivalent, equivalent
 from activefail.comparison.seeds import STATIC, Point
 from activefail.comparison.static import Score, by_size
-from activefail.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, YELLOW, styled
+from activefail.figures.marks import legend_columns, legend_height
+from activefail.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    YELLOW,
+    fitting_size,
+    margins,
+    styled,
+)
 from activefail.findings.quantities import Quantity
 from activefail.space import Array
 
@@ -130,14 +144,14 @@ def plot_fragility(
         colour: of the curve.
     """
     with styled():
-        figure = Figure(figsize=(4.0, 3.2), layout="constrained")
+        figure = Figure(figsize=(4.0, 3.2))
         axes = figure.add_subplot()
         axes.fill_between(values, low, high, color=colour, alpha=0.2, linewidth=0.0, label="95 % interval")
         axes.plot(values, probability, color=colour, linewidth=1.8, label=f"P({beyond})")
         axes.axvline(current, color=BLACK, linestyle=":", label="this point")
         axes.axhline(0.5, color=GREY, linewidth=0.8, linestyle="--")
         axes.set(xlabel=along.axis, ylabel=f"P({beyond}) [–]", xlim=(values[0], values[-1]), ylim=(-0.02, 1.02))
-        figure.legend(loc="outside upper center", ncols=3)
+        _arrange(figure, axes, left=0.6)
     return figure
 
 
@@ -156,7 +170,7 @@ def plot_required_value(
         colour: of the curve.
     """
     with styled():
-        figure = Figure(figsize=(5.0, 3.6), layout="constrained")
+        figure = Figure(figsize=(5.0, 3.6))
         axes = figure.add_subplot()
         axes.plot(values, 100.0 * probability, color=colour, linewidth=1.8, marker=".", label=f"P({beyond})")
         axes.axhline(100.0 * target, color=GREY, linewidth=1.0, linestyle="--", label="target")
@@ -164,5 +178,22 @@ def plot_required_value(
             axes.axvline(required, color=BLACK, linestyle=":", label="required")
         top = 100.0 * min(1.0, 1.1 * max(float(probability.max()), 1.5 * target))
         axes.set(xlabel=along.axis, ylabel=f"P({beyond}) [%]", xlim=(values[0], values[-1]), ylim=(0.0, top))
-        figure.legend(loc="outside upper center", ncols=3)
+        _arrange(figure, axes, left=0.75)
     return figure
+
+
+def _arrange(figure: Figure, axes: Axes, left: float) -> None:
+    """The legend above the only panel, labels that fit beside it, and fixed margins.
+
+    Args:
+        figure, axes: with all that the legend names.
+        left: margin for the ticks and the label of the vertical axis [in].
+    """
+    width, height = figure.get_size_inches().tolist()
+    handles, _ = axes.get_legend_handles_labels()
+    columns = legend_columns(handles, width)
+    right, bottom, top = 0.25, 0.5, legend_height(handles, columns) + 0.06
+    figure.subplots_adjust(**margins(width, height, left=left, right=right, bottom=bottom, top=top))
+    for label, length in ((axes.xaxis.label, width - left - right), (axes.yaxis.label, height - bottom - top)):
+        label.set_size(fitting_size([label.get_text()], length))
+    figure.legend(handles=handles, loc="upper center", ncols=columns)

@@ -76,6 +76,18 @@ def margins(width: float, height: float, *, left: float, right: float, bottom: f
     return {"left": left / width, "right": 1.0 - right / width, "bottom": bottom / height, "top": 1.0 - top / height}
 
 
+def lay_out(figure: "Figure") -> None:
+    """Arrange a figure as its layout says, once and for all.
+
+    Saving a figure that has a layout draws all of it twice, the first time only to arrange it.
+    """
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        with styled():
+            layout.execute(figure)
+        figure.set_layout_engine(None)
+
+
 def letters(text: str) -> int:
     """The number of letters that a label shows, without the signs of mathtext."""
     return len(text) - sum(text.count(sign) for sign in "${}_\\")
@@ -95,6 +107,7 @@ def save_figure(figure: "Figure", path: Path) -> None:
         OSError: if it cannot be written.
     """
     kind = path.suffix.removeprefix(".").lower()
+    lay_out(figure)
     with replacing(target_of(path), "xb") as file:
         figure.savefig(file, format=kind, metadata={"Date": None} if kind == "svg" else None)
 

@@ -6,7 +6,7 @@ import re
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from activefail.figures.style import styled
+from activefail.figures.style import lay_out, styled
 
 _NO_METADATA: dict[str, None] = {"Date": None, "Creator": None, "Format": None, "Type": None}
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
@@ -51,6 +51,7 @@ def inline(figure: Figure, name: str, alternative: str) -> Markup:
         alternative: text for screen readers.
     """
     buffer = io.StringIO()
+    lay_out(figure)
     with styled():
         figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
     text = buffer.getvalue()

@@ -107,7 +107,8 @@ def test_a_target_alone_changes_no_curve_and_takes_few_new_probabilities(design)
     assert reply["text"].startswith("The target 6 % requires D_tot = ")
 
 
-def test_a_required_value_meets_its_target(design):
+def test_a_required_value_meets_its_target(design, monkeypatch):
+    monkeypatch.setattr(design, "_drawn", lambda *_: "")
     targets = np.linspace(0.05, 0.6, 56).round(6).tolist()
     strong = REQUEST | {"site": SITE | {"median_pgv": 1.0}}
     replies = {target: design.required(design.asked(strong | {"target": target})) for target in targets}

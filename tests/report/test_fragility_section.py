@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from commandline import activefail, refused
 from report.browser import NO_BROWSER, browser, console_errors, photograph, screenshots
+from report.pictures import slow_pictures_empty
 from report.test_report import self_contained
 
 from activefail.arguments import site_and_question
@@ -81,9 +82,10 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def plain(ended: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The report, before anything was verified."""
     page = tmp_path_factory.mktemp("plain") / "page.html"
-    result = activefail(
-        "report", ended / "run", "--hazard", ended / "site.toml", "--bearing", ended / "bearing.toml", "--out", page
-    )
+    with slow_pictures_empty():
+        result = activefail(
+            "report", ended / "run", "--hazard", ended / "site.toml", "--bearing", ended / "bearing.toml", "--out", page
+        )
     assert result.code == 0, result.err
     assert not list((ended / "run" / "sets").glob("*"))
     return page.read_text()
@@ -135,7 +137,8 @@ def test_the_report_shows_fragility_and_what_the_risk_categories_require(plain: 
 def shown(verified: Path) -> Path:
     """The report after the verifications; writing it simulated nothing."""
     before = {path.name for path in (verified / "run" / "sets").iterdir()}
-    (verified / "shown.html").write_text(reported(verified))
+    with slow_pictures_empty():
+        (verified / "shown.html").write_text(reported(verified))
     assert {path.name for path in (verified / "run" / "sets").iterdir()} == before
     return verified / "shown.html"
 
@@ -224,6 +227,7 @@ def test_a_wrong_request_is_refused(ended: Path, monkeypatch, options: list[str]
     refused(activefail("report", "run", *options), message)
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_hazard_says_nothing_of_a_campaign_without_a_pulse(ended: Path, tmp_path: Path) -> None:
     (tmp_path / "plain.py").write_text("def run(d):\n    return 'failure' if d['x'] > 0.5 else 'safe'\n")
     (tmp_path / "plain.toml").write_text(

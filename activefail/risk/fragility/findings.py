@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -53,7 +54,7 @@ class BoundaryFragility:
         """The level at which the curve first exceeds a probability, with what was verified of it."""
         return self.curve.capacity(p), capacity_interval(self.curve, self.verified, p)
 
-    @property
+    @cached_property
     def lognormal(self) -> Lognormal | None:
         """The lognormal curve beside the curve."""
         return fit_lognormal(self.curve)

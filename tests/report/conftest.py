@@ -1,0 +1,13 @@
+"""Pages of the report for claims about words."""
+
+from collections.abc import Iterator
+
+import pytest
+from report.pictures import slow_pictures_empty
+
+
+@pytest.fixture
+def without_pictures(without_pictures: None) -> Iterator[None]:
+    """Write pages without their pictures, of which the slow ones are not made either."""
+    with slow_pictures_empty():
+        yield

@@ -1,0 +1,20 @@
+"""Pages without the pictures that take most of their time."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from matplotlib.figure import Figure
+
+from activefail.report import page
+
+_SLOW = ("plot_pairs", "plot_outcome_planes", "plot_snapshots")
+
+
+@contextmanager
+def slow_pictures_empty() -> Iterator[None]:
+    """Leave those pictures of a campaign empty that take most of a page's time, for a claim about other parts of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in _SLOW:
+            patch.setattr(page, name, lambda *_: Figure())
+        yield
