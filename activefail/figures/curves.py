@@ -195,5 +195,5 @@ def _arrange(figure: Figure, axes: Axes, left: float) -> None:
     right, bottom, top = 0.25, 0.5, legend_height(handles, columns) + 0.06
     figure.subplots_adjust(**margins(width, height, left=left, right=right, bottom=bottom, top=top))
     for label, length in ((axes.xaxis.label, width - left - right), (axes.yaxis.label, height - bottom - top)):
-        label.set_size(fitting_size([label.get_text()], length))
+        label.set_fontsize(fitting_size([label.get_text()], length))
     figure.legend(handles=handles, loc="upper center", ncols=columns)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from explorer.conftest import served
 from patience import until
-from report.browser import NO_BROWSER, browser, console_errors, photograph, requested, screenshots
+from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.explorer.answers import Answers
@@ -54,15 +54,21 @@ def address(answers: Answers) -> Iterator[str]:
         yield server.address
 
 
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
+    with browser() as driver:
+        yield driver
+
+
 @pytest.fixture
-def visitor(address: str) -> Iterator[Visitor]:
-    with browser(1400, 1100) as driver:
-        driver.get(f"{address}design")
-        visitor = Visitor(driver)
-        visitor.settled()
-        yield visitor
-        assert console_errors(driver) == []
-        assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
+def visitor(address: str, driver: Any) -> Iterator[Visitor]:
+    fresh(driver, 1400, 1100)
+    driver.get(f"{address}design")
+    visitor = Visitor(driver)
+    visitor.settled()
+    yield visitor
+    assert console_errors(driver) == []
+    assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +174,7 @@ def test_the_button_verifies_with_a_progress_bar_and_an_interval(visitor, design
     until(lambda: visitor.one("#earlier").is_displayed(), "the word that the result is of earlier values")
 
 
-def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(answers, monkeypatch):
+def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(answers, driver, monkeypatch):
     from selenium.webdriver.common.keys import Keys
 
     required, answering = DesignAnswers.required, threading.Event()
@@ -179,7 +185,8 @@ def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(a
 
     monkeypatch.setattr(DesignAnswers, "required", held)
     answering.set()
-    with served(answers) as server, browser() as driver:
+    fresh(driver)
+    with served(answers) as server:
         driver.get(f"{server.address}design")
         visitor = Visitor(driver)
         visitor.settled()
@@ -195,13 +202,14 @@ def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(a
         until(lambda: float(driver.execute_script(opacity)) == 1.0, "its full colour")
 
 
-def test_a_verification_can_be_stopped_and_is_followed_after_the_page_is_loaded_again(answers, monkeypatch):
+def test_a_verification_can_be_stopped_and_is_followed_after_the_page_is_loaded_again(answers, driver, monkeypatch):
     def verified(self, asked, watch):
         watch.stage("waiting")
         until(lambda: watch.check(), "a stop")
 
     monkeypatch.setattr(DesignAnswers, "verified", verified)
-    with served(answers) as server, browser() as driver:
+    fresh(driver)
+    with served(answers) as server:
         driver.get(f"{server.address}design")
         visitor = Visitor(driver)
         visitor.one("#verify").click()
@@ -215,19 +223,19 @@ def test_a_verification_can_be_stopped_and_is_followed_after_the_page_is_loaded_
         assert not visitor.one("#found").is_displayed()
 
 
-def test_on_a_phone_nothing_is_wider_than_the_page(address, tmp_path):
-    with browser(500, 900) as driver:
-        size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        driver.get(f"{address}design")
-        visitor = Visitor(driver)
-        visitor.settled()
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
-        for control in driver.find_elements("css selector", "button, select, summary, input:not([type=radio])"):
-            if control.is_displayed():
-                assert control.size["height"] >= 24
-        photograph(driver, screenshots("explorer-design-phone.png", tmp_path))
-        assert console_errors(driver) == []
+def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
+    fresh(driver, 500, 900)
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    driver.get(f"{address}design")
+    visitor = Visitor(driver)
+    visitor.settled()
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+    for control in driver.find_elements("css selector", "button, select, summary, input:not([type=radio])"):
+        if control.is_displayed():
+            assert control.size["height"] >= 24
+    photograph(driver, screenshots("explorer-design-phone.png", tmp_path))
+    assert console_errors(driver) == []
 
 
 def test_every_control_is_reached_by_the_tab_key_and_has_a_name(visitor):

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from explorer.conftest import served
 from patience import PATIENCE, until
-from report.browser import NO_BROWSER, browser, console_errors, photograph, requested, screenshots
+from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, requested, screenshots
 from report.test_report import SCRIPT
 
 from activefail.explorer.answers import Answers
@@ -48,15 +48,21 @@ def address(answers: Answers) -> Iterator[str]:
         yield server.address
 
 
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
+    with browser() as driver:
+        yield driver
+
+
 @pytest.fixture
-def visitor(address: str) -> Iterator[Visitor]:
-    with browser(1400, 1000) as driver:
-        driver.get(address)
-        visitor = Visitor(driver)
-        visitor.settled()
-        yield visitor
-        assert console_errors(driver) == []
-        assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
+def visitor(address: str, driver: Any) -> Iterator[Visitor]:
+    fresh(driver, 1400, 1000)
+    driver.get(address)
+    visitor = Visitor(driver)
+    visitor.settled()
+    yield visitor
+    assert console_errors(driver) == []
+    assert [url for url in requested(driver) if not url.startswith((address, "data:"))] == []
 
 
 def test_the_name_of_the_campaign_is_text_and_no_program(visitor):
@@ -195,10 +201,11 @@ def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, answers, 
     until(lambda: not visitor.one("#earlier").is_displayed(), "the motion of this design")
 
 
-def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answers):
+def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answers, driver):
     from selenium.webdriver.common.keys import Keys
 
-    with served(answers) as server, browser() as driver:
+    fresh(driver)
+    with served(answers) as server:
         driver.get(server.address)
         visitor = Visitor(driver)
         visitor.settled()
@@ -212,23 +219,23 @@ def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answe
         assert visitor.one("#status").text == ""
 
 
-def test_on_a_phone_nothing_is_wider_than_the_page(address, tmp_path):
-    with browser(500, 900) as driver:
-        size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        driver.get(address)
-        visitor = Visitor(driver)
-        visitor.settled()
-        visitor.one("#simulate").click()
-        until(lambda: visitor.one("#outcome").text, "the outcome")
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
-        for control in driver.find_elements("css selector", "button, select, input"):
-            if control.is_displayed():
-                assert control.size["height"] >= 24
-        height = driver.execute_script("return document.documentElement.scrollHeight")
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height, "deviceScaleFactor": 1})
-        photograph(driver, screenshots("explorer-phone.png", tmp_path))
-        assert console_errors(driver) == []
+def test_on_a_phone_nothing_is_wider_than_the_page(address, driver, tmp_path):
+    fresh(driver, 500, 900)
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    driver.get(address)
+    visitor = Visitor(driver)
+    visitor.settled()
+    visitor.one("#simulate").click()
+    until(lambda: visitor.one("#outcome").text, "the outcome")
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+    for control in driver.find_elements("css selector", "button, select, input"):
+        if control.is_displayed():
+            assert control.size["height"] >= 24
+    height = driver.execute_script("return document.documentElement.scrollHeight")
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height, "deviceScaleFactor": 1})
+    photograph(driver, screenshots("explorer-phone.png", tmp_path))
+    assert console_errors(driver) == []
 
 
 def test_every_control_is_reached_by_the_tab_key(visitor):

@@ -26,10 +26,10 @@ def failure() -> Response:
 
 
 def test_a_gif_has_its_frames_its_size_and_its_duration(failure, tmp_path):
-    path = save_animation(failure, tmp_path / "bearing.gif", fps=10.0, slow_motion=1.0)
+    path = save_animation(failure, tmp_path / "bearing.gif", fps=7.0, slow_motion=1.0)
     motion = Motion(failure)
     with Image.open(path) as film:
-        assert film.n_frames == round(10.0 * (motion.end - motion.onset)) + 1
+        assert film.n_frames == round(7.0 * (motion.end - motion.onset)) + 1
         assert film.n_frames > 10
         assert film.size[0] == 800
         assert film.size[1] % 2 == 0

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from collections.abc import Callable
 
 import matplotlib
 import numpy as np
@@ -48,6 +49,19 @@ def response(request: pytest.FixtureRequest) -> Response:
     return request.getfixturevalue(request.param)
 
 
+@pytest.fixture(scope="module")
+def plotted() -> Callable[[Response], Figure]:
+    """The pictures of these responses, each made once, for tests that only read them."""
+    made: dict[int, Figure] = {}
+
+    def of(response: Response) -> Figure:
+        if id(response) not in made:
+            made[id(response)] = m.plot_response(response)
+        return made[id(response)]
+
+    return of
+
+
 def words(figure: Figure) -> str:
     return " ".join(text.get_text() for text in figure.texts)
 
@@ -59,8 +73,8 @@ def test_the_examples_have_the_outcomes_that_they_are_named_after(failure, impac
     assert given_up.outcome_name == "numerical_failure"
 
 
-def test_every_panel_of_a_response_is_finite_and_names_its_axes_with_units(response):
-    figure = m.plot_response(response)
+def test_every_panel_of_a_response_is_finite_and_names_its_axes_with_units(response, plotted):
+    figure = plotted(response)
     figure.canvas.draw()
     labels = [panel.get_ylabel() for panel in figure.axes]
     for expected in ("Displacement [m]", "Ground acceleration [g]", "[mm]", "[°]", "Rim force / $Mg$ [-]", "/Mg$ [-]"):
@@ -96,8 +110,8 @@ def test_histories_share_one_axis_of_time_and_mark_what_befell(failure, no_impac
         assert curve.get_xdata()[-1] == pytest.approx(Motion(response).end)
 
 
-def test_the_title_states_the_outcome_its_cause_and_the_design_with_units(response):
-    title = words(m.plot_response(response))
+def test_the_title_states_the_outcome_its_cause_and_the_design_with_units(response, plotted):
+    title = words(plotted(response))
     when = f"{response.margins.failure_time:.3f}".replace("-", "−")
     assert {
         "failure": f"Failure by loss of confinement at t = {when} s",
@@ -110,9 +124,9 @@ def test_the_title_states_the_outcome_its_cause_and_the_design_with_units(respon
     assert "N/m$^{1.5}$" in title
 
 
-def test_only_moments_that_came_are_marked(failure, impact, no_impact):
+def test_only_moments_that_came_are_marked(failure, impact, no_impact, plotted):
     def marked(response):
-        return set(m.plot_response(response).axes[1].get_legend_handles_labels()[1])
+        return set(plotted(response).axes[1].get_legend_handles_labels()[1])
 
     assert marked(failure) == {"first rim touch", "failure"}
     assert marked(impact) == {"first rim touch"}
@@ -146,8 +160,8 @@ def test_an_interpolated_velocity_is_the_rate_of_the_interpolated_position(impac
     assert np.abs(rate - motion.velocity(middle)[:, 3]).max() < 0.02 * np.abs(impact.v[:, 3]).max()
 
 
-def test_the_plotted_loop_has_the_stiffness_and_the_friction_of_the_bearing(no_impact):
-    (curve, *_) = m.plot_response(no_impact).axes[5].get_lines()
+def test_the_plotted_loop_has_the_stiffness_and_the_friction_of_the_bearing(no_impact, plotted):
+    (curve, *_) = plotted(no_impact).axes[5].get_lines()
     x, force = np.asarray(curve.get_xydata()).T
     motion = Motion(no_impact)
     v = motion.velocity(motion.fine_times())[:, 3]

@@ -479,7 +479,7 @@ def test_a_picture_of_planes_has_room_for_long_names(third, outcomes):
     assert_text_is_inside(outcome_planes.plot_outcome_planes(plane, c, findings))
 
 
-@pytest.mark.parametrize("outcome", DAMAGE)
+@pytest.mark.parametrize("outcome", [DAMAGE[0], DAMAGE[-1]])
 @pytest.mark.parametrize(
     ("name", "unit", "low", "high"),
     [("A_p", "g", 0.1, 0.8), ("concrete_compressive_strength", "kN/m^2", 1e5, 9e5), ("k", "N/m^1.5", 1.7e9, 3.3e9)],

@@ -1,9 +1,11 @@
 """The report as a browser shows it: no complaint, no request, nothing wider than the page, every figure drawn."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from report.browser import NO_BROWSER, browser, console_errors, photograph, printed, requested, screenshots
+from report.browser import NO_BROWSER, browser, console_errors, fresh, photograph, printed, requested, screenshots
 from report.test_report import SCRIPT, made, ran, settings
 
 from activefail.campaign.on_disk import open_campaign
@@ -21,44 +23,50 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("name", "width"), [("desktop", 1280), ("phone", 390)])
-def test_the_report_opens_without_a_complaint_or_a_request(report, name, width, tmp_path):
-    with browser(width, 900) as driver:
-        # A headless window is no narrower than 500; the page is what must be.
-        driver.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride",
-            {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500},
-        )
-        driver.get(report.as_uri())
-        assert driver.find_element("tag name", "h1").text == SCRIPT
-        assert console_errors(driver) == []
-        assert [url for url in requested(driver) if not url.startswith(("file:", "data:"))] == []
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
-        figures = driver.find_elements("tag name", "figure")
-        assert len(figures) >= 10
-        for figure in figures:
-            drawing = figure.find_element("tag name", "svg")
-            assert drawing.size["width"] > 300
-            assert drawing.size["height"] > 50
-            assert figure.find_element("tag name", "figcaption").text
-        drawn = driver.execute_script("return [...document.querySelectorAll('figure svg path')].length")
-        assert drawn > 1000
-        driver.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride",
-            {
-                "width": width,
-                "height": driver.execute_script("return document.documentElement.scrollHeight"),
-                "deviceScaleFactor": 1,
-                "mobile": width < 500,
-            },
-        )
-        photograph(driver, screenshots(f"report-{name}.png", tmp_path))
-
-
-def test_the_report_prints(report, tmp_path):
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
     with browser() as driver:
-        driver.get(report.as_uri())
-        pdf = printed(driver)
+        yield driver
+
+
+@pytest.mark.parametrize(("name", "width"), [("desktop", 1280), ("phone", 390)])
+def test_the_report_opens_without_a_complaint_or_a_request(report, driver, name, width, tmp_path):
+    fresh(driver, width, 900)
+    # A headless window is no narrower than 500; the page is what must be.
+    driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500},
+    )
+    driver.get(report.as_uri())
+    assert driver.find_element("tag name", "h1").text == SCRIPT
+    assert console_errors(driver) == []
+    assert [url for url in requested(driver) if not url.startswith(("file:", "data:"))] == []
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+    figures = driver.find_elements("tag name", "figure")
+    assert len(figures) >= 10
+    for figure in figures:
+        drawing = figure.find_element("tag name", "svg")
+        assert drawing.size["width"] > 300
+        assert drawing.size["height"] > 50
+        assert figure.find_element("tag name", "figcaption").text
+    drawn = driver.execute_script("return [...document.querySelectorAll('figure svg path')].length")
+    assert drawn > 1000
+    driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {
+            "width": width,
+            "height": driver.execute_script("return document.documentElement.scrollHeight"),
+            "deviceScaleFactor": 1,
+            "mobile": width < 500,
+        },
+    )
+    photograph(driver, screenshots(f"report-{name}.png", tmp_path))
+
+
+def test_the_report_prints(report, driver, tmp_path):
+    fresh(driver)
+    driver.get(report.as_uri())
+    pdf = printed(driver)
     assert pdf.startswith(b"%PDF")
     pages = pdf.count(b"/Type /Page\n") + pdf.count(b"/Type /Page/") + pdf.count(b"/Type /Page ")
     assert 6 <= pages <= 25
