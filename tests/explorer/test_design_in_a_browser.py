@@ -174,7 +174,7 @@ def test_the_button_verifies_with_a_progress_bar_and_an_interval(visitor, design
     until(lambda: visitor.one("#earlier").is_displayed(), "the word that the result is of earlier values")
 
 
-def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(answers, driver, monkeypatch):
+def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(answers, monkeypatch):
     from selenium.webdriver.common.keys import Keys
 
     required, answering = DesignAnswers.required, threading.Event()
@@ -185,8 +185,8 @@ def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(a
 
     monkeypatch.setattr(DesignAnswers, "required", held)
     answering.set()
-    fresh(driver)
-    with served(answers) as server:
+    # A browser of its own, whose end lets the server end: it would keep its connections open.
+    with served(answers) as server, browser() as driver:
         driver.get(f"{server.address}design")
         visitor = Visitor(driver)
         visitor.settled()
@@ -202,14 +202,14 @@ def test_the_former_answer_is_dimmed_until_that_to_the_present_values_is_there(a
         until(lambda: float(driver.execute_script(opacity)) == 1.0, "its full colour")
 
 
-def test_a_verification_can_be_stopped_and_is_followed_after_the_page_is_loaded_again(answers, driver, monkeypatch):
+def test_a_verification_can_be_stopped_and_is_followed_after_the_page_is_loaded_again(answers, monkeypatch):
     def verified(self, asked, watch):
         watch.stage("waiting")
         until(lambda: watch.check(), "a stop")
 
     monkeypatch.setattr(DesignAnswers, "verified", verified)
-    fresh(driver)
-    with served(answers) as server:
+    # A browser of its own, whose end lets the server end: it would keep its connections open.
+    with served(answers) as server, browser() as driver:
         driver.get(f"{server.address}design")
         visitor = Visitor(driver)
         visitor.one("#verify").click()

@@ -201,11 +201,11 @@ def test_the_simulation_says_the_outcome_and_plays_the_motion(visitor, answers, 
     until(lambda: not visitor.one("#earlier").is_displayed(), "the motion of this design")
 
 
-def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answers, driver):
+def test_while_the_server_is_busy_the_page_asks_again_until_it_is_answered(answers):
     from selenium.webdriver.common.keys import Keys
 
-    fresh(driver)
-    with served(answers) as server:
+    # A browser of its own, whose end lets the server end: it would keep its connections open.
+    with served(answers) as server, browser() as driver:
         driver.get(server.address)
         visitor = Visitor(driver)
         visitor.settled()
