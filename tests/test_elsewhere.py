@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from commandline import activefail, record, refused, table
+from commandline import CommandResult, activefail, record, refused, table
 
 import activefail as af
 from activefail.errors import InputError, StoreError
@@ -43,14 +43,22 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path / "lab.toml"
 
 
-@pytest.fixture
-def folder(lab: Path) -> Path:
-    """A run folder with eight results and two designs in flight."""
-    folder = lab.with_name("run")
-    with af.create_run(folder, lab) as run:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder with eight results and two designs in flight, not to be changed."""
+    file = tmp_path_factory.mktemp("lab") / "lab.toml"
+    file.write_text(LAB)
+    folder = file.with_name("run")
+    with af.create_run(folder, file) as run:
         run.tell(answered(run.ask(8)))
         run.ask(2)
     return folder
+
+
+@pytest.fixture
+def folder(made: Path, lab: Path) -> Path:
+    """A copy of it beside its campaign file."""
+    return Path(shutil.copytree(made, lab.with_name("run")))
 
 
 def answered(designs: pd.DataFrame) -> pd.DataFrame:
@@ -119,8 +127,9 @@ def test_the_bearing_through_csv_files_from_two_shells_in_turns_has_the_bits_of_
         f"           activefail ask {folder} --n 4 --csv todo.csv, to have designs simulated elsewhere",
     ]
     for batch in range(4):
-        # The designs of one shell are simulated by another, which gets all their digits from the table.
-        if batch % 2:
+        # The designs of one shell are simulated by another, which gets all their digits from the table; the last batch
+        # is chosen from what yet another has told.
+        if batch == 3:
             shell("ask", folder, "--n", "4", "--csv", todo)
         else:
             assert activefail("ask", folder, "--n", "4", "--csv", todo).code == 0
@@ -709,17 +718,29 @@ def test_what_is_no_table_is_refused_by_its_type(folder: Path, table: Any) -> No
 
 
 @pytest.mark.parametrize("command", ["tell", "add"])
-def test_results_come_through_a_pipe(folder: Path, command: str) -> None:
-    def piped(text: str) -> subprocess.CompletedProcess[str]:
-        words = [sys.executable, "-m", "activefail.cli", command, str(folder), "--csv", "-"]
-        return subprocess.run(words, input=text, capture_output=True, text=True, check=False)
+def test_results_come_through_a_pipe(folder: Path, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def piped(text: str) -> CommandResult:
+        reader, writer = os.pipe()
+        with open(writer, "w") as pipe:
+            pipe.write(text)
+        with open(reader) as pipe, monkeypatch.context() as patch:
+            patch.setattr(sys, "stdin", pipe)
+            return activefail(command, folder, "--csv", "-")
 
-    bad = piped("id,load,strength,g\n8,2.0,3.0,wide\n")
-    assert (bad.returncode, bad.stdout) == (2, "")
-    assert "standard input: row 1 (line 2), column g: must be a number, got 'wide'" in bad.stderr
+    refused(
+        piped("id,load,strength,g\n8,2.0,3.0,wide\n"),
+        "standard input: row 1 (line 2), column g: must be a number, got 'wide'",
+    )
     said = piped("id,g\n8,1.5\n" if command == "tell" else "load,strength,g\n2.0,3.0,-1.0\n")
+    assert said.code == 0, said.err
+    assert said.out.startswith("1 new result" if command == "tell" else "1 simulation added")
+
+
+def test_results_come_through_a_pipe_from_another_process(folder: Path) -> None:
+    words = [sys.executable, "-m", "activefail.cli", "tell", str(folder), "--csv", "-"]
+    said = subprocess.run(words, input="id,g\n8,1.5\n", capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stderr
-    assert said.stdout.startswith("1 new result" if command == "tell" else "1 simulation added")
+    assert said.stdout.startswith("1 new result")
 
 
 def test_simulations_that_were_given_are_no_initial_design_to_verify(tmp_path: Path) -> None:
@@ -906,6 +927,7 @@ def test_asking_for_nothing_keeps_the_table_that_is_there(folder: Path, tmp_path
     assert todo.read_bytes() == before
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_report_of_given_simulations_alone_is_written(lab: Path, tmp_path: Path) -> None:
     with af.create_run(lab.with_name("run"), lab) as run:
         load, strength = np.random.default_rng(3).uniform([1.0, 2.0], [5.0, 12.0], (20, 2)).T
@@ -1122,6 +1144,7 @@ def test_after_a_failed_campaign_the_classifier_is_that_of_the_record(tmp_path: 
         assert len(run.classifier.latents[0].features) == int(run.history.answered.sum()) > before
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_run_keeps_its_folder_when_the_working_directory_changes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

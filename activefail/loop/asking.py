@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
 from activefail.errors import InputError
-from activefail.loop.choosing import choose
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.learning import Memory, current
 from activefail.record.asked import NEVER, Asked
@@ -98,6 +97,9 @@ def ask(
     learned = current(campaign, store, write=True, memory=memory)
     if learned.looks.is_known and not ignore_stop:
         return Proposed(none, "the stop rule is met")
+    # Loads torch, which the other commands do without.
+    from activefail.loop.choosing import choose
+
     chosen = choose(campaign, handed, learned, n, room)
     if not reason and len(chosen.designs) > n:
         reason = f"the {len(chosen.designs)} designs of the stop rule's check belong together"
