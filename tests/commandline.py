@@ -17,11 +17,15 @@ from unittest import mock
 
 import held
 import pytest
+import typer
 from patience import until
 
-from activefail.cli import main
+from activefail.cli import app, main
 
 TESTS = Path(__file__).parent
+
+# As in a process of its own, the commands are built once: this takes longer than many of them.
+_BUILT = typer.main.get_command(app)
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ def activefail(*words: str | Path) -> CommandResult:
     code: object = 0
     with (
         mock.patch.object(sys, "argv", ["activefail", *map(str, words)]),
+        mock.patch.object(typer.main, "get_command", return_value=_BUILT),
         mock.patch.dict(os.environ, {"COLUMNS": "200", "TERMINAL_WIDTH": "200"}),
         redirect_stdout(out),
         redirect_stderr(err),

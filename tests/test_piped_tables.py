@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import some
 from commandline import CommandResult, activefail, refused, table
 
 import activefail as af
@@ -185,20 +186,33 @@ def test_a_closed_standard_input_or_output_is_named(home: Path, monkeypatch: pyt
 # --- predictions as of earlier simulations -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("learns", ["outcomes", "m"])
-def test_a_prediction_after_whole_batches_has_the_bits_of_the_shorter_campaign(tmp_path: Path, learns: str) -> None:
-    home = folder_of(tmp_path, learns)
+@pytest.fixture(scope="module")
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As `home`, with a classifier that learns from what the parameter says."""
+    if request.param == "outcomes":
+        return Path(request.getfixturevalue("home"))
+    home = folder_of(tmp_path_factory.mktemp("whole"), request.param)
     (home / "designs.csv").write_text(DESIGNS)
     assert activefail("run", home / "model.toml", "--out", home / "run", "--workers", "1").code == 0
-    for number in (12, 16, 20, 24):
-        short = home / f"run-{number}"
+    return home
+
+
+# After the initial design, after some batches, and after all.
+@pytest.mark.parametrize("number", some([12, 16, 20, 24], 12, 20, 24))
+@pytest.mark.parametrize("whole", ["outcomes", "m"], indirect=True)
+def test_a_prediction_after_whole_batches_has_the_bits_of_the_shorter_campaign(
+    whole: Path, tmp_path: Path, number: int
+) -> None:
+    short = whole / "run"
+    if number < 24:
+        short = tmp_path / "run"
         words = ("--out", short, "--budget", str(number), "--workers", "1")
-        assert activefail("run", home / "model.toml", *words).code == 0
-        tables = ("--csv", home / "designs.csv", "--out")
-        assert activefail("predict", short, "--code", home, *tables, home / "short.csv").code == 0
-        result = activefail(*predict(home, *tables, home / "after.csv", "--after", str(number)))
-        assert result.code == 0
-        assert (home / "after.csv").read_bytes() == (home / "short.csv").read_bytes()
+        assert activefail("run", whole / "model.toml", *words).code == 0
+    tables = ("--csv", whole / "designs.csv", "--out")
+    assert activefail("predict", short, "--code", whole, *tables, tmp_path / "short.csv").code == 0
+    result = activefail(*predict(whole, *tables, tmp_path / "after.csv", "--after", str(number)))
+    assert result.code == 0
+    assert (tmp_path / "after.csv").read_bytes() == (tmp_path / "short.csv").read_bytes()
 
 
 def test_an_asynchronous_campaign_predicts_as_of_earlier_simulations_with_the_same_bits(tmp_path: Path) -> None:

@@ -90,6 +90,7 @@ def test_the_classifier_follows_the_record(file: Path, tmp_path: Path) -> None:
         assert len(run.classifier.latents[0].trained.labels) == 25
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, tmp_path: Path) -> None:
     with af.open_run(taken, write=True, code=file.parent) as run:
         error = run.verify(60)

@@ -2,6 +2,7 @@
 
 import os
 import platform
+from functools import cache
 from importlib.metadata import version
 
 from activefail import __version__
@@ -27,12 +28,19 @@ _LIBRARY_OPTIONS = (
 """Environment variables that select other code in the C library, NumPy, OpenBLAS, MKL and PyTorch."""
 
 
+@cache
+def _version(name: str) -> str:
+    """The version of an installed package, read once a process: a run folder records it each time it is opened."""
+    # None if the package's metadata is unreadable.
+    return version(name) or "unknown"
+
+
 def simulation_versions() -> dict[str, str]:
     """The versions that simulation results depend on, on any machine."""
     return {
         "activefail": __version__,
         "python": platform.python_version(),
-        **{name: version(name) or "unknown" for name in ("numpy", "numba")},
+        **{name: _version(name) for name in ("numpy", "numba")},
         BEARING_SOURCES: sources_digest(),
         "numba_options": compiler_options(),
     }
@@ -41,8 +49,7 @@ def simulation_versions() -> dict[str, str]:
 def provenance() -> dict[str, str]:
     """Versions of Python, numerical packages and physics; number of threads; processor; options of the libraries."""
     record = {"python": platform.python_version(), "threads": "1", "machine": platform.machine()}
-    # `version` returns None if a package's metadata is unreadable.
-    record |= {name: version(name) or "unknown" for name in _PACKAGES}
+    record |= {name: _version(name) for name in _PACKAGES}
     import llvmlite.binding as llvm
 
     record[BEARING_SOURCES] = sources_digest()

@@ -102,6 +102,9 @@ class Image:
         self._root = root
         self._size = size
         self.names: tuple[str, ...] = tuple(root)
+        # Each is asked for several times, and to open it takes longer than to read it.
+        self._attributes: dict[str, str] = {}
+        self._declared: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
         # Low-level calls: h5py's high-level ones take longer than reading the rest of a small file.
         for name in self.names:
             if root.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
@@ -116,10 +119,16 @@ class Image:
         Raises:
             DamagedError: if it is not a fixed-length text.
         """
-        declared = self._root.attrs.get_id(name)
-        if declared.dtype.kind != "S" or declared.shape != ():
-            raise DamagedError(f"declares the attribute {name!r} as {declared.dtype}, not as text")
-        return bytes(self._root.attrs[name]).decode()
+        if name in self._attributes:
+            return self._attributes[name]
+        declared = h5py.h5a.open(self._root.id, name.encode())
+        dtype, kind = declared.dtype, declared.get_space().get_simple_extent_type()
+        if dtype.kind != "S" or kind != h5py.h5s.SCALAR:
+            raise DamagedError(f"declares the attribute {name!r} as {dtype}, not as text")
+        read = np.empty((), dtype)
+        declared.read(read)
+        self._attributes[name] = bytes(read[()]).decode()
+        return self._attributes[name]
 
     def attributes(self, prefix: str) -> dict[str, str]:
         """The attributes whose names begin with `prefix`, by name without the prefix."""
@@ -132,6 +141,8 @@ class Image:
             DamagedError: if reading it would access another file, need a filter other than fletcher32, create Python
                 objects, or fill memory with more than the file holds.
         """
+        if name in self._declared:
+            return self._declared[name]
         dataset = h5py.h5d.open(self._root.id, name.encode())
         # The creation list first: even the shape of a virtual dataset may open other files.
         plan = dataset.get_create_plist()
@@ -152,6 +163,7 @@ class Image:
         # Unwritten chunks read as zeros: a file of a kilobyte could declare a terabyte.
         if count * dtype.itemsize > min(self._size, dataset.get_storage_size()):
             raise DamagedError(f"declares {name!r} with shape {shape}, more than the file holds")
+        self._declared[name] = dtype, shape
         return dtype, shape
 
     def check(self, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> None:

@@ -33,8 +33,8 @@ def square(X, space):
 """
 
 TOML = """
-sampling = { initial = 8, budget = 8, batch = 4 }
-validation = { size = 10 }
+sampling = { initial = 4, budget = 4, batch = 2 }
+validation = { size = 4 }
 simulator = { python = "model:run" }
 [space]
 x = { low = 0.0, high = 1.0 }
@@ -70,7 +70,7 @@ def run(mine: Path, tmp_path: Path) -> Path:
 
 
 def resumed(folder: Path, *words: str | Path) -> CommandResult:
-    return activefail("resume", folder, "--budget", "10", "--workers", "1", *words)
+    return activefail("resume", folder, "--budget", "6", "--workers", "1", *words)
 
 
 def succeeded(result: CommandResult) -> None:
@@ -104,7 +104,7 @@ def test_code_that_was_run_is_run_again_without_being_named(run: Path, mine: Pat
     assert (mine / "ran").exists()
     for command in ("verify", "probability"):
         succeeded(activefail(command, run, "--simulations", "10"))
-    succeeded(activefail("compare", run, "--budgets", "8,10", "--test", "10"))
+    succeeded(activefail("compare", run, "--budgets", "4,6", "--test", "10"))
 
 
 def test_status_prints_the_command_that_continues_without_naming_code(run: Path) -> None:
@@ -180,9 +180,9 @@ def test_changed_code_must_be_named_again(run: Path, mine: Path, source: str) ->
 
 def test_the_advice_to_fix_the_simulator_names_its_folder(mine: Path, tmp_path: Path) -> None:
     (mine / "model.py").write_text(MODEL.replace('"safe"', "1 / 0").replace('"failure"', "1 / 0"))
-    (mine / "mine.toml").write_text(TOML.replace("size = 10", "size = 0"))
+    (mine / "mine.toml").write_text(TOML.replace("size = 4", "size = 0"))
     result = activefail("run", mine / "mine.toml", "--out", tmp_path / "run", "--workers", "1")
-    command = f"activefail resume {tmp_path / 'run'} --code {mine} --budget 16"
+    command = f"activefail resume {tmp_path / 'run'} --code {mine} --budget 8"
     assert f"Fix the simulator, then `{command}` continues" in result.err
     (mine / "model.py").write_text(MODEL)
     succeeded(activefail(*shlex.split(command)[1:]))
@@ -375,7 +375,7 @@ def test_a_run_in_python_and_the_command_line_remember_the_same(mine: Path, tmp_
     succeeded(activefail("resume", tmp_path / "run", "--workers", "1"))
     with af.open_run(tmp_path / "run", write=True) as run:
         assert run.campaign.code == mine
-        assert run.take(budget=10).finished
+        assert run.take(budget=6).finished
 
 
 def test_remembering_can_be_switched_off(mine: Path, tmp_path: Path, state: Path) -> None:

@@ -30,7 +30,7 @@ CAMPAIGN = """
 seed = 5
 [sampling]
 initial = 62
-budget = 68
+budget = 65
 batch = 1
 asynchronous = true
 [validation]
@@ -163,16 +163,18 @@ strength = { low = 2.0, high = 12.0 }
 """
 
 
-@pytest.fixture
-def asked_run(tmp_path):
+@pytest.fixture(scope="module")
+def asked_once(tmp_path_factory):
     """A run folder with designs in flight, results told in another order than asked for, dropped and given designs."""
     import activefail
+
+    place = tmp_path_factory.mktemp("asked")
 
     def answered(designs):
         return designs.assign(g=designs["strength"] - 2.0 * designs["load"])
 
-    (tmp_path / "lab.toml").write_text(ELSEWHERE)
-    with activefail.create_run(tmp_path / "run", tmp_path / "lab.toml") as run:
+    (place / "lab.toml").write_text(ELSEWHERE)
+    with activefail.create_run(place / "run", place / "lab.toml") as run:
         first = answered(run.ask(6))
         run.tell(first[3:])
         run.add({"load": 2.0, "strength": 3.0, "g": -1.0})
@@ -181,7 +183,13 @@ def asked_run(tmp_path):
         run.add(first[1:2])  # what was dropped was simulated after all
         run.tell(answered(run.ask(3))[1:2])
         run.drop(10)
-    return tmp_path / "run"
+    return place / "run"
+
+
+@pytest.fixture
+def asked_run(asked_once, tmp_path):
+    """A copy of it."""
+    return Path(shutil.copytree(asked_once, tmp_path / "run"))
 
 
 def test_the_pages_reader_knows_ids_and_what_is_in_flight_from_asked_h5(reader, asked_run, tmp_path):
@@ -204,19 +212,26 @@ def test_the_pages_reader_knows_ids_and_what_is_in_flight_from_asked_h5(reader, 
     assert asked["origin"].tolist() == [0] * 6 + [1] * 3
 
 
-@pytest.fixture
-def corrected_run(asked_run):
+@pytest.fixture(scope="module")
+def corrected_once(asked_once, tmp_path_factory):
     """A run folder in which a result was corrected twice, and a given one once."""
     import activefail
 
-    with activefail.open_run(asked_run, write=True) as run:
+    corrected = Path(shutil.copytree(asked_once, tmp_path_factory.mktemp("corrected") / "run"))
+    with activefail.open_run(corrected, write=True) as run:
         rows = run.simulations[["id", "g"]]
         run.learn()
         run.tell(rows[:1].assign(g=rows["g"] + 1.0), correct=True)
         run.tell(rows[:1].assign(g=-0.5), correct=True)
         run.tell(rows[rows["id"] == 6].assign(g=rows["g"] + 2.0), correct=True)
         run.learn()
-    return asked_run
+    return corrected
+
+
+@pytest.fixture
+def corrected_run(corrected_once, tmp_path):
+    """A copy of it."""
+    return Path(shutil.copytree(corrected_once, tmp_path / "run"))
 
 
 def test_the_pages_reader_applies_corrections(reader, corrected_run, tmp_path):

@@ -675,6 +675,7 @@ def mine(tmp_path: Path) -> Path:
     return tmp_path / "mine"
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_campaign_on_a_function_is_run_resumed_and_read_from_its_folder_alone(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1054,13 +1055,15 @@ def test_a_campaign_without_any_answer_is_told_kept_and_goes_on_when_its_functio
 
 
 def campaign_on_a_program(folder: Path, source: str) -> Path:
-    """The file of a campaign on a program that `program` writes."""
+    """The file of a campaign of twelve simulations on a program that `program` writes."""
     program(folder, source)
     (folder / "mine.toml").write_text(
         TOML.replace(
             'python = "model:run"\noutcomes = ["safe", "damage", "failure"]',
             f'command = "{sys.executable} {{here}}/model.py {{drift}} {{T}} a {{out}}"\noutcomes = ["safe", "damage"]',
-        ).replace("damage", "failure")
+        )
+        .replace("damage", "failure")
+        .replace("initial = 16, budget = 24", "initial = 8, budget = 12")
     )
     return folder / "mine.toml"
 
@@ -1071,10 +1074,10 @@ def test_the_folder_of_a_program_may_be_named_relative_to_the_current_one(
     (tmp_path / "mine").mkdir()
     campaign_on_a_program(tmp_path / "mine", ANSWERS)
     monkeypatch.chdir(tmp_path)
-    assert activefail("run", "mine/mine.toml", "--out", "run", "--budget", "16").code == 0
-    result = activefail("resume", "run", "--budget", "20", "--code", "mine")
+    assert activefail("run", "mine/mine.toml", "--out", "run", "--budget", "8").code == 0
+    result = activefail("resume", "run", "--budget", "12", "--code", "mine")
     assert result.code == 0, result.err
-    assert len(record(tmp_path / "run")) == 20
+    assert len(record(tmp_path / "run")) == 12
     assert "numerical_failure" not in {row["outcome"] for row in record(tmp_path / "run")}
 
 
@@ -1159,7 +1162,7 @@ if os.path.exists({str(slow)!r}):
     assert "simulator.command" in stopped.err
     result = activefail("resume", run, "--code", tmp_path)
     assert result.code == 0, result.err
-    assert len(list((run / "simulations").iterdir())) == 24
+    assert len(list((run / "simulations").iterdir())) == 12
 
 
 @pytest.mark.faults
