@@ -903,8 +903,11 @@ def test_a_port_that_is_none_is_refused(folder: Path) -> None:
     assert activefail("explore", folder, "--port", "70000").code == 2
 
 
-@pytest.mark.usefixtures("without_pictures")
-def test_a_report_that_cannot_be_written_is_refused_by_its_place(folder: Path, tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_written_is_refused_by_its_place(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What would be on the page does not matter.
+    monkeypatch.setattr("activefail.report.page.render", lambda *findings: "a page")
     refused(
         activefail("report", folder, "--out", tmp_path / "page.pdf"),
         "page.pdf: the name of a report must end in .html or .htm",

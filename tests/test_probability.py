@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,14 @@ def clipped(design):
 """
 
 TRUE = float(ndtr(-3.0 / 1.01**0.5))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_worker() -> Iterator[None]:
+    """Commands start one worker process: to start another takes longer than these simulations."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("os.cpu_count", lambda: 1)
+        yield
 
 
 def begun(folder: Path, name: str, budget: int = 60) -> Path:
@@ -280,7 +289,7 @@ def test_whole_numbers_are_checked_in_python_too(ended: Path, tmp_path: Path) ->
 def test_a_probability_that_no_design_reaches_is_not_certified(tmp_path: Path) -> None:
     # The search ends where the probability outside is 1e-8, though the bounds allow designs farther out.
     (tmp_path / "limit.py").write_text('def far(design):\n    return 6.8 - (design["x"] + design["y"]) / 2**0.5\n')
-    text = CAMPAIGN.format(name="far", budget=24).replace("[sampling]", "[sampling]\nreach = 1e-12")
+    text = CAMPAIGN.format(name="far", budget=32).replace("[sampling]", "[sampling]\nreach = 1e-12")
     (tmp_path / "far.toml").write_text("seed = 2\n" + text)
     result = activefail("run", tmp_path / "far.toml", "--out", tmp_path / "run")
     assert result.code == 0, result.err

@@ -1,6 +1,7 @@
 """Probabilities under other distributions than a campaign's own: the number, what is kept, and what is refused."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,14 @@ LIMIT = """
 def plane(design):
     return 3.0 - design["x"] + 0.1 * design["y"] + 0.2 * design["z"]
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_worker() -> Iterator[None]:
+    """Commands start one worker process: to start another takes longer than these simulations."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("os.cpu_count", lambda: 1)
+        yield
 
 
 @pytest.fixture(scope="module")

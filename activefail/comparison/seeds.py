@@ -23,7 +23,6 @@ from activefail.errors import InputError
 from activefail.execution.local import local_executor
 from activefail.execution.pool import ProcessPool, stopping
 from activefail.files import replacing
-from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from
 from activefail.loop.progress import Observer
@@ -184,6 +183,9 @@ class _Job:
 
 def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, History]]:
     """Run an arm's campaign to its budget; yields size and simulations at each checkpoint. Nothing if stopped."""
+    # Loads torch, which what draws learning curves does without.
+    from activefail.loop.batches import run
+
     folder = job.folder / _RUNS / job.arm.name
     if not (folder / SETTINGS).exists():
         create_folder(folder, campaign).close()

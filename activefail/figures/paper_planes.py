@@ -1,6 +1,7 @@
 """The paper's Figures 3 to 5: contours of P(failure) in planes of two features, and predictions along lines in them."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,8 +14,10 @@ from scipy.special import ndtr
 
 from activefail.figures.contours import PROBABILITY_LEVELS, axis_limits
 from activefail.figures.style import BLUE, GREY, VERMILION, styled
-from activefail.paper.study import PaperProcess
 from activefail.space import Array
+
+if TYPE_CHECKING:
+    from activefail.paper.study import PaperProcess
 
 LABELS = ("$D_{ratio}$", "$T_b/T_p$", "$\\mu/A_p$", "$h_{sl}/D_{sl}$", "$h_{rim}/D_{sl}$", "$k_{norm}$")
 _HELD_AT_MEDIAN = (3, 4, 5)
@@ -74,7 +77,7 @@ class _Slices:
     """
 
     plane: Plane
-    process: PaperProcess
+    process: "PaperProcess"
     x_limits: tuple[float, float]
     y_limits: tuple[float, float]
 
@@ -121,7 +124,7 @@ class _Slices:
         panel.set_ylim(-1.15, 1.15)
 
 
-def plot_plane(plane: Plane, process: PaperProcess) -> Figure:
+def plot_plane(plane: Plane, process: "PaperProcess") -> Figure:
     """Three panels of contours of P(failure), and below them predictions along the dotted lines."""
     F = process.F
     slices = _Slices(plane, process, axis_limits(F[:, plane.x]), axis_limits(F[:, plane.y]))

@@ -5,6 +5,7 @@ import os
 import shlex
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
@@ -47,6 +48,14 @@ open(sys.argv[1], "w").write('{"outcome": "%s"}' % ("failure" if float(sys.argv[
 """
 
 NAMED = "name its folder with --code"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_worker() -> Iterator[None]:
+    """Commands start one worker process: to start another takes longer than these simulations."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("os.cpu_count", lambda: 1)
+        yield
 
 
 @pytest.fixture

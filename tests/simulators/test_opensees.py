@@ -204,17 +204,17 @@ def test_the_campaign_runs_is_resumed_and_its_failures_are_told(opensees: str, t
     text = (CAMPAIGNS / "opensees.toml").read_text(encoding="utf-8")
     for shipped, smaller in (
         ("python {here}", f"{opensees} {{here}}"),
-        ("initial = 60", "initial = 8"),
-        ("budget = 120", "budget = 10"),
+        ("initial = 60", "initial = 6"),
+        ("budget = 120", "budget = 8"),
         ("batch = 10", "batch = 2"),
     ):
         assert shipped in text
         text = text.replace(shipped, smaller)
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     run = tmp_path / "run"
-    answer = activefail("run", tmp_path / "mine.toml", "--out", run, "--budget", "8")
+    answer = activefail("run", tmp_path / "mine.toml", "--out", run, "--budget", "6")
     assert answer.code == 0, answer.err
-    answer = activefail("resume", run, "--budget", "10", "--code", tmp_path)
+    answer = activefail("resume", run, "--budget", "8", "--code", tmp_path)
     assert answer.code == 0, answer.err
     whole = activefail("run", tmp_path / "mine.toml", "--out", tmp_path / "whole")
     assert whole.code == 0, whole.err
