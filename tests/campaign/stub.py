@@ -1,5 +1,6 @@
 """A simulator that costs nothing and whose boundary is known: a disc in the plane, two variables and two outcomes."""
 
+import time
 from dataclasses import dataclass
 from threading import Lock
 from typing import TYPE_CHECKING
@@ -70,6 +71,15 @@ class Raising(Disc):
         """Answer designs (x, y), shape (n, 2)."""
         if (X[:, 0] > 1.5).any():
             raise ZeroDivisionError("the stiffness vanished")
+        return super().run(X)
+
+
+@dataclass(frozen=True)
+class Dozing(Disc):
+    """A disc that takes longer for some designs."""
+
+    def run(self, X: Array) -> Results:
+        time.sleep(0.02 * (1.0 + (X[0, 0] % 1.0) * 5.0))
         return super().run(X)
 
 

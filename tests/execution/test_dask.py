@@ -1,6 +1,5 @@
 """Campaigns on a Dask cluster: a real scheduler and real workers, which are killed, added and restarted."""
 
-import operator
 import os
 import signal
 import socket
@@ -8,8 +7,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread, Timer
 
@@ -18,6 +17,7 @@ import pytest
 from campaign.stub import Disc, disc
 from cases import some
 from commandline import activefail, record, refused, started, wait_for
+from execution.sent import Ambush, Deadly, Fatal, Gathered, Grave, Noted, Sleeping, Unknown, versions
 from faults.simulators import Meddling, Remembering
 from patience import PATIENCE
 
@@ -36,7 +36,7 @@ from activefail.risk.ida.capacity import Answers, Runs
 from activefail.risk.ida.simulations import CampaignSimulations
 from activefail.simulators.function import PythonSimulator
 from activefail.simulators.interface import WORKER_DIED, Results
-from activefail.space import Array, DesignSpace
+from activefail.space import DesignSpace
 from activefail.surrogate.threads import one_thread
 
 distributed = pytest.importorskip("distributed", reason="Dask is an optional extra (activefail[cluster])")
@@ -102,6 +102,18 @@ def until(true: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A scheduler with two workers, for tests that leave all three as they were: each takes a second to start."""
+    made = Cluster(tmp_path_factory.mktemp("cluster"))
+    try:
+        made.add("one")
+        made.add("two")
+        yield made
+    finally:
+        made.close()
+
+
 @pytest.fixture
 def alone(tmp_path: Path) -> Iterator[Cluster]:
     """A scheduler without workers."""
@@ -118,46 +130,6 @@ def cluster(alone: Cluster) -> Cluster:
     alone.add("one")
     alone.add("two")
     return alone
-
-
-@dataclass(frozen=True)
-class Noted(Disc):
-    """A disc that takes a while and notes where it is simulated."""
-
-    folder: str = ""
-    seconds: float = 0.2
-    releases_gil = True
-
-    def run(self, X: Array) -> Results:
-        path = Path(self.folder) / f"done-{os.getpid()}"
-        with path.open("a") as file:
-            file.write(".")
-        time.sleep(self.seconds)
-        return super().run(X)
-
-
-@dataclass(frozen=True)
-class Gathered(Noted):
-    """Simulations that, once a third worker was added, wait until three workers have one."""
-
-    def run(self, X: Array) -> Results:
-        results = super().run(X)
-        folder = Path(self.folder)
-        if (folder / "added").exists():
-            until(lambda: len(list(folder.glob("done-*"))) >= 3)
-        return results
-
-
-@dataclass(frozen=True)
-class Fatal(Disc):
-    """A disc that ends its process for some designs, and holds the interpreter's lock."""
-
-    releases_gil = False
-
-    def run(self, X: Array) -> Results:
-        if X[0, 0] > 2.0:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().run(X)
 
 
 def plan(folder: Path, seconds: float = 0.2):
@@ -194,22 +166,6 @@ def test_a_worker_that_is_killed_without_batches_costs_no_simulation(cluster: Cl
         assert observer.faults == []
     check_whole(campaign, store)
     assert cluster.workers["one"].returncode == -signal.SIGKILL
-
-
-@dataclass(frozen=True)
-class Ambush(Disc):
-    """A disc that kills the first worker that it is asked about a certain design by."""
-
-    folder: str = ""
-    design: tuple[float, ...] = ()
-    releases_gil = True
-
-    def run(self, X: Array) -> Results:
-        if tuple(X[0].tolist()) == self.design:
-            with suppress(FileExistsError):
-                (Path(self.folder) / "ambush").touch(exist_ok=False)
-                os.kill(os.getpid(), signal.SIGKILL)
-        return super().run(X)
 
 
 @pytest.mark.faults
@@ -268,24 +224,13 @@ def test_a_hung_simulation_is_ended_by_its_limit_on_the_worker(cluster: Cluster)
     assert "it took longer than 3 s, twice" in results.faults[1]
 
 
-def test_a_simulation_that_earlier_ones_of_its_process_spoil_is_tried_again_in_a_fresh_one(cluster: Cluster) -> None:
+def test_a_simulation_that_earlier_ones_of_its_process_spoil_is_tried_again_in_a_fresh_one(shared: Cluster) -> None:
     X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
     X[::4, 0] = 0.0
-    with DaskExecutor(cluster.address) as executor:
+    with DaskExecutor(shared.address) as executor:
         for simulator in (Remembering(most=2), Meddling(how="forks_and_returns")):
             results = executor.run(simulator, X)
             assert (results.outcome.tolist(), results.faults) == (Disc().run(X).outcome.tolist(), {})
-
-
-class Sleeping(Disc):
-    """A disc that never answers some designs."""
-
-    releases_gil = False
-
-    def run(self, X: Array) -> Results:
-        if X[0, 0] > 2.0:
-            time.sleep(600)
-        return super().run(X)
 
 
 UNRULY = """
@@ -336,10 +281,10 @@ def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time
     until(lambda: not any(map(is_running, processes)))
 
 
-def test_a_batch_is_answered_while_single_designs_are_in_flight(cluster: Cluster) -> None:
+def test_a_batch_is_answered_while_single_designs_are_in_flight(shared: Cluster) -> None:
     # As a stop rule for an error does in an asynchronous campaign.
     X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
-    with DaskExecutor(cluster.address) as executor:
+    with DaskExecutor(shared.address) as executor:
         for ticket in range(4):
             executor.start(Disc(), ticket, X[ticket])
         batch = executor.run(Disc(), X[4:])
@@ -348,24 +293,6 @@ def test_a_batch_is_answered_while_single_designs_are_in_flight(cluster: Cluster
             single |= dict(executor.answered(5.0))
     assert batch.outcome.tolist() == Disc().run(X[4:]).outcome.tolist()
     assert [single[ticket].outcome[0] for ticket in range(4)] == Disc().run(X[:4]).outcome.tolist()
-
-
-class Grave(str):
-    """Text that ends the worker that reads it, the first time."""
-
-    __slots__ = ("folder",)
-
-    def __new__(cls, folder: str) -> "Grave":
-        made = super().__new__(cls)
-        made.folder = folder
-        return made
-
-    def __reduce__(self) -> tuple[object, ...]:
-        try:
-            (Path(self.folder) / "dug").touch(exist_ok=False)
-        except FileExistsError:
-            return str, ("",)
-        os._exit(1)
 
 
 @pytest.mark.faults
@@ -409,16 +336,9 @@ def test_an_answer_that_is_lost_with_its_worker_is_computed_by_another_and_holds
     assert (ticket, results.outcome.tolist(), results.faults) == (7, Disc().run(x[None]).outcome.tolist(), {0: ""})
 
 
-class Unknown(Disc):
-    """A disc that no worker can load, as if the worker had another version of activefail."""
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return operator.attrgetter("no_such_thing"), (0,)
-
-
-def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(cluster: Cluster) -> None:
+def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(shared: Cluster) -> None:
     with (
-        DaskExecutor(cluster.address) as executor,
+        DaskExecutor(shared.address) as executor,
         pytest.raises(SimulationError, match=r"could not simulate design .*The workers need this machine's versions"),
     ):
         executor.run(Unknown(), np.array([[0.0, 20.0]]))
@@ -434,15 +354,6 @@ def test_a_design_that_costs_worker_after_worker_is_given_up(cluster: Cluster, t
         results = executor.run(Deadly(), np.array([[2.5, 20.0]]))
     assert "its workers were lost" in results.faults[0]
     assert results.cause.tolist() == [WORKER_DIED]
-
-
-class Deadly(Disc):
-    """A compiled disc that ends the worker itself."""
-
-    releases_gil = True
-
-    def run(self, X: Array) -> Results:
-        os._exit(1)
 
 
 TOML = """
@@ -561,12 +472,10 @@ def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_pa
     assert len({(row["x"], row["y"]) for row in record(folder)}) == 24
 
 
-def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(
-    cluster: Cluster, tmp_path: Path
-) -> None:
+def test_modules_beside_a_function_are_found_on_a_cluster_and_are_those_of_now(shared: Cluster, tmp_path: Path) -> None:
     space = DesignSpace((Parameter("x", 0.0, 2.0),))
     (tmp_path / "mine.py").write_text("import limit\n\ndef run(design):\n    return limit.judged(design['x'])\n")
-    with DaskExecutor(cluster.address) as executor:
+    with DaskExecutor(shared.address) as executor:
         for least in (1.5, 0.25):
             (tmp_path / "limit.py").write_text(f"def judged(x):\n    return 'failure' if x > {least} else 'safe'\n")
             simulator = PythonSimulator(space, "mine:run", tmp_path, ("safe", "failure"), ())
@@ -615,11 +524,14 @@ def test_what_answers_and_is_no_scheduler_is_told() -> None:
 
 
 def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(
-    cluster: Cluster, tmp_path: Path
+    shared: Cluster, tmp_path: Path
 ) -> None:
-    (tmp_path / "mine.toml").write_text("seed = 2\nsampling = { initial = 20, budget = 30, batch = 5 }")
+    (tmp_path / "mine.py").write_text(
+        "def run(design):\n    return 'failure' if design['x'] * design['y'] > 4.0 else 'safe'\n"
+    )
+    (tmp_path / "mine.toml").write_text(TOML.replace("slow:run", "mine:run").replace("true", "false"))
     words = ("run", tmp_path / "mine.toml", "--out")
-    dask = ("--executor", "dask", "--scheduler", cluster.address)
+    dask = ("--executor", "dask", "--scheduler", shared.address)
     result = activefail(*words, tmp_path / "there", *dask)
     assert result.code == 0, result.err
     assert activefail(*words, tmp_path / "here").code == 0
@@ -627,16 +539,15 @@ def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(
 
 
 def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of_this_machine(
-    alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shared: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    alone.add("one")
     (tmp_path / "set").mkdir()
     for name in "abc":
         np.savetxt(tmp_path / "set" / f"{name}.txt", np.random.default_rng(ord(name)).normal(size=50))
     (tmp_path / "plate.py").write_text(
-        "import os\n\n"
+        "import os, pathlib\n\n"
         "def run(design):\n"
-        "    with open(f'simulated-{os.getpid()}', 'a') as file:\n"
+        "    with open(pathlib.Path(__file__).with_name(f'simulated-{os.getpid()}'), 'a') as file:\n"
         "        file.write('x')\n"
         "    return 'failure' if design['PGV'] > 1.0 + 0.1 * int(design['record']) else 'safe'\n"
     )
@@ -662,7 +573,7 @@ def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of
         assert activefail(*words, "stopped", "--workers", "1").code == 130
     for path in tmp_path.glob("simulated-*"):
         path.unlink()
-    continued = activefail(*words, "stopped", "--executor", "dask", "--scheduler", alone.address)
+    continued = activefail(*words, "stopped", "--executor", "dask", "--scheduler", shared.address)
     assert continued.code == 0, continued.err
     for name in ("ida.json", "ida.csv", "simulations.json"):
         assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
@@ -670,21 +581,16 @@ def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of
     assert sum(len(path.read_text()) for path in tmp_path.glob("simulated-*")) == 3 * 15 - 20
 
 
-def versions() -> dict[str, str]:
-    """What differs between these tests and the workers that they start."""
-    return {"activefail": "1", "leader": "there" if "DASK_TEMPORARY_DIRECTORY" in os.environ else "here"}
-
-
-def test_a_worker_of_another_version_answers_nothing(cluster: Cluster) -> None:
+def test_a_worker_of_another_version_answers_nothing(shared: Cluster) -> None:
     X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
-    with DaskExecutor(cluster.address, versions=versions) as executor:
+    with DaskExecutor(shared.address, versions=versions) as executor:
         with pytest.raises(SimulationError, match="differs from this machine: leader there there, here here") as raised:
             executor.run(Disc(), X)
         assert "none was recorded" in str(raised.value)
 
 
-def test_the_workers_of_a_campaign_must_simulate_with_what_is_here(cluster: Cluster) -> None:
+def test_the_workers_of_a_campaign_must_simulate_with_what_is_here(shared: Cluster) -> None:
     X = disc(initial=12).space.latin_hypercube(4, np.random.default_rng(0))
     assert set(simulation_versions()) == {"activefail", "python", "numpy", "numba", "bearing_sources", "numba_options"}
-    with DaskExecutor(cluster.address, versions=simulation_versions) as executor:
+    with DaskExecutor(shared.address, versions=simulation_versions) as executor:
         assert executor.run(Disc(), X).outcome.tolist() == Disc().run(X).outcome.tolist()

@@ -2,15 +2,16 @@
 
 import hashlib
 import os
+import shutil
 import signal
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign.stub import HIGH, LOW, Brittle, Disc, disc
+from campaign.stub import HIGH, LOW, Brittle, Disc, Dozing, disc
+from cases import some
 from commandline import activefail, record, started, wait_for
 from patience import PATIENCE, until
 
@@ -128,25 +129,33 @@ def test_what_is_chosen_lies_apart_from_what_is_in_flight(uninterrupted: Store) 
     assert distances.min() > 1e-3
 
 
-def test_stopped_after_any_commit_it_goes_on_to_the_same_campaign(uninterrupted: Store, tmp_path: Path) -> None:
+def some_or(every: bool, first: int, end: int) -> list[int]:
+    """Numbers of commits to stop after: every one, or the first two, one in the middle and the last."""
+    commits = range(first, end)
+    return list(commits) if every else sorted({*commits[:2], commits[len(commits) // 2], commits[-1]})
+
+
+@pytest.mark.parametrize("every", some([False, True], False))
+def test_stopped_after_any_commit_it_goes_on_to_the_same_campaign(
+    uninterrupted: Store, tmp_path: Path, every: bool
+) -> None:
     campaign = plan()
-    for commits in range(1, len(uninterrupted.batches)):
+    stops = some_or(every, 1, len(uninterrupted.batches))
+    with FolderStore.create(tmp_path / "run", campaign.settings.text(), campaign.schema) as store:
+
+        def keep(progress: Progress) -> None:
+            # As a kill at this moment would leave it.
+            if len(store.batches) in stops:
+                shutil.copytree(tmp_path / "run", tmp_path / str(len(store.batches)), dirs_exist_ok=True)
+
+        take(campaign, store, observer=Observer(keep))
+    for number, commits in enumerate(stops):
         folder = tmp_path / str(commits)
-        with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
-
-            class Stop(Exception):  # noqa: N818  (at once, as a kill would)
-                pass
-
-            def halt(progress: Progress, store: Store = store, commits: int = commits) -> None:
-                if len(store.batches) == commits:
-                    raise Stop
-
-            with pytest.raises(Stop):
-                take(campaign, store, observer=Observer(halt))
-        if commits % 2:
+        if number % 2:
             for state in (folder / "state").iterdir():
                 state.unlink()
         with FolderStore.open(folder, campaign.schema, write=True) as store:
+            assert len(store.batches) == commits
             take(campaign, store)
             assert kept(store) == kept(uninterrupted)
 
@@ -214,7 +223,8 @@ FOGGED = Disc(blind=np.inf)
 """A disc that never answers."""
 
 
-def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_designs_once_mended() -> None:
+@pytest.mark.parametrize("every", some([False, True], False))
+def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_designs_once_mended(every: bool) -> None:
     broken, mended = plan(FOGGED, 48), plan(budget=48)
     store = MemoryStore(mended.schema)
     for done in (12, 24):
@@ -229,7 +239,7 @@ def test_a_campaign_without_any_answer_stops_and_goes_on_with_other_initial_desi
     assert sorted(map(tuple, X[origin == INITIAL])) == sorted(map(tuple, initial_designs(mended, 3)))
     with one_thread():
         assert bits(resumed(mended, store)) == bits(replayed(mended, store))
-    for commits in range(len(failed) + 1, len(store.batches)):
+    for commits in some_or(every, len(failed) + 1, len(store.batches)):
         bare = MemoryStore(mended.schema)
         for batch in store.batches[:commits]:
             bare.commit(batch)
@@ -269,7 +279,10 @@ def test_a_rule_about_its_error_ends_it_when_it_is_verified(tmp_path: Path) -> N
     assert INITIAL_SIZE <= sum(map(len, store.batches)) < 200
 
 
-def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("every", some([False, True], False))
+def test_interrupted_it_looks_at_its_error_when_it_would_have_without(
+    monkeypatch: pytest.MonkeyPatch, every: bool
+) -> None:
     # Every look that is due is taken, and none of them ends it.
     monkeypatch.setattr("activefail.verification.error.could_show", lambda *_: True)
     campaign = plan(extra="stop = { error = 0.49, confidence = 0.999999, simulations = 10, every = 3 }")
@@ -296,22 +309,15 @@ def test_interrupted_it_looks_at_its_error_when_it_would_have_without(monkeypatc
 
     whole = looks(None)
     assert [looked for _, looked in whole].count(True) == 2
-    for done, _ in whole[1:-2]:
+    first = [looked for _, looked in whole].index(True)
+    # Before the first look, at it and after it.
+    for done, _ in whole[1:-2] if every else whole[first - 1 : first + 2]:
         assert looks(done) == whole
 
 
 def test_too_many_in_flight_for_the_initial_design_are_refused() -> None:
     with pytest.raises(InputError, match=r"`initial` must be at least twice `batch` if asynchronous, got 12 and 7"):
         plan(batch=7)
-
-
-@dataclass(frozen=True)
-class Dozing(Disc):
-    """A disc that takes longer for some designs."""
-
-    def run(self, X: Array) -> Results:
-        time.sleep(0.02 * (1.0 + (X[0, 0] % 1.0) * 5.0))
-        return super().run(X)
 
 
 @pytest.mark.parametrize("executor", [ThreadExecutor, ProcessExecutor])
