@@ -333,6 +333,7 @@ def test_real_workers_answer_in_the_order_of_their_coming_and_the_record_says_al
     assert len(np.unique(X, axis=0)) == BUDGET
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_an_asynchronous_campaign_of_bearings_is_run_resumed_and_reported(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(
         "seed = 2\nsampling = { initial = 20, budget = 30, batch = 4, asynchronous = true }\n"

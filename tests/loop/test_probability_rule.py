@@ -1,9 +1,11 @@
 """Campaigns that end once they know a failure probability: when, after which check, and resumed to the same bits."""
 
+import shutil
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from cases import some
 from rare import four_branch
 
 from activefail.campaign.assembly import Campaign
@@ -99,19 +101,28 @@ def test_it_ends_by_itself_after_a_check_that_found_nothing_and_knows_the_probab
     assert set(history.origin.tolist()) == {INITIAL, ACTIVE, CHECK}
 
 
-def test_interrupted_after_any_batch_it_resumes_to_the_same_bits(ended, tmp_path) -> None:
+@pytest.mark.parametrize("every", some([False, True], False))
+def test_interrupted_after_any_batch_it_resumes_to_the_same_bits(ended, tmp_path, every) -> None:
     campaign, whole = ended
     n = len(whole.batches)
-    for stop in (1, n // 2, n - 2, n - 1):
+    stops = list(range(1, n)) if every else [n // 2, n - 2, n - 1]
+    folder = tmp_path / str(n - 1)
+    with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
+
+        def keep(progress) -> None:
+            # As a kill at this moment would leave it.
+            if len(store.batches) in stops[:-1]:
+                shutil.copytree(folder, tmp_path / str(len(store.batches)), dirs_exist_ok=True)
+
+        taken(campaign, store, Observer(keep, stop=lambda: len(store.batches) >= n - 1))
+    for stop in stops:
         folder = tmp_path / str(stop)
-        with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
-            taken(campaign, store, Observer(stop=lambda stop=stop, store=store: len(store.batches) >= stop))
-            assert len(store.batches) == stop
         if stop == n - 1:
             # Without saved states everything is learned again, from the first batch on.
             for path in (folder / "state").iterdir():
                 path.unlink()
         with FolderStore.open(folder, campaign.schema, write=True) as store:
+            assert len(store.batches) == stop
             taken(campaign, store)
             assert len(store.batches) == n
             for one, other in zip(store.batches, whole.batches, strict=True):
@@ -217,11 +228,11 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
 
 @pytest.mark.parametrize("asynchronous", [False, True])
 def test_a_clipped_margin_never_ends_a_campaign_but_is_checked_again(asynchronous: bool) -> None:
-    campaign = campaign_on(FourBranch(highest=1.5), sampling__budget=90, sampling__asynchronous=asynchronous)
+    campaign = campaign_on(FourBranch(highest=1.5), sampling__budget=66, sampling__asynchronous=asynchronous)
     store = taken(campaign)
     history = History.of(store.batches)
     assert (history.margins == 1.5).sum() >= 3
-    assert len(history) == 90
+    assert len(history) == 66
     assert (history.origin == CHECK).sum() >= 2 * 8
     (text,) = choices_in_words(campaign, history, classifier_of(campaign, store, asynchronous))
     assert "this margin is clipped at its largest value and does not show a failure behind it" in text

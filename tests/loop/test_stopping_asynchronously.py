@@ -101,26 +101,38 @@ def last_of_check(store: Store) -> int:
     return max(checks, default=0)
 
 
-@pytest.mark.parametrize("when", ["within the check", "after the check"])
-def test_stopped_at_once_it_continues_to_the_same_campaign(
-    ended: tuple[Campaign, Store], tmp_path: Path, when: str
-) -> None:
+@pytest.fixture(scope="module")
+def stopped(ended: tuple[Campaign, Store], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The folder of the campaign as stops within its check and right after it leave it."""
     campaign, whole = ended
-    commits = last_of_check(whole) - (when == "within the check")
-    # Some designs were in flight when the check passed; they belong to the campaign.
-    assert commits < len(whole.batches)
-    folder = tmp_path / "run"
-    with FolderStore.create(folder, campaign.settings.text(), campaign.schema) as store:
+    last, folder = last_of_check(whole), tmp_path_factory.mktemp("stopped")
+    with FolderStore.create(folder / "run", campaign.settings.text(), campaign.schema) as store, one_thread():
 
         class Stop(Exception):  # noqa: N818  (at once, as a kill would)
             pass
 
         def halt(progress: Progress) -> None:
-            if len(store.batches) == commits:
+            if len(store.batches) == last - 1:
+                shutil.copytree(folder / "run", folder / "within", dirs_exist_ok=True)
+            if len(store.batches) == last:
                 raise Stop
 
         with pytest.raises(Stop):
             take(campaign, store, Observer(halt))
+    return {"within the check": folder / "within", "after the check": folder / "run"}
+
+
+@pytest.mark.parametrize("when", ["within the check", "after the check"])
+def test_stopped_at_once_it_continues_to_the_same_campaign(
+    ended: tuple[Campaign, Store], stopped: dict[str, Path], tmp_path: Path, when: str
+) -> None:
+    campaign, whole = ended
+    commits = last_of_check(whole) - (when == "within the check")
+    # Some designs were in flight when the check passed; they belong to the campaign.
+    assert commits < len(whole.batches)
+    folder = shutil.copytree(stopped[when], tmp_path / "run")
+    with FolderStore.open(folder, campaign.schema, write=True) as store:
+        assert len(store.batches) == commits
         with one_thread():
             saved = resumed(campaign, store)
             assert bits(saved) == bits(resumed(campaign, copied(campaign, store)))
@@ -180,6 +192,7 @@ def test_more_simulations_than_were_in_flight_at_the_check_meet_the_rule_no_long
 ) -> None:
     campaign, store = ended
     more = copied(campaign, store)
+    more.write_state(*store.latest_state())
     with one_thread():
         known_through = resumed(campaign, more).known_through
     assert len(History.of(store.batches)) <= known_through
@@ -188,14 +201,14 @@ def test_more_simulations_than_were_in_flight_at_the_check_meet_the_rule_no_long
         assert not resumed(campaign, more).looks.is_known
 
 
-def test_a_contradiction_ends_the_check_and_the_search_continues(ended: tuple[Campaign, Store]) -> None:
-    campaign, store = ended
+def test_a_contradiction_ends_the_check_and_the_search_continues(
+    ended: tuple[Campaign, Store], checking: tuple[Path, Course]
+) -> None:
+    (campaign, store), (_, before) = ended, checking
     first = next(number for number, batch in enumerate(store.batches) if (batch.origin == CHECK).any())
     changed = MemoryStore(campaign.schema)
     for batch in store.batches[:first]:
         changed.commit(batch)
-    with one_thread():
-        before = resumed(campaign, changed)
     assert before.check is not None
     batch = store.batches[first]
     rows = batch.origin == CHECK

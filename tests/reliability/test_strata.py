@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import some
 from numpy.typing import NDArray
 from scipy.stats import norm
 
@@ -36,14 +37,25 @@ def all_answered(plan: StratifiedPlan) -> NDArray[np.bool_]:
 
 TRUE = float(fails(SPACE.from_unit(np.random.default_rng(0).random((400_000, 2)))).mean())
 
+SURE = {"too sure": 0.02, "right": 0.12, "unsure": 0.5}
+"""Standard deviations of classifiers."""
 
-@pytest.mark.parametrize("sd", [0.02, 0.12, 0.5], ids=["too sure", "right", "unsure"])
-@pytest.mark.parametrize("m", [30, 250])
-def test_intervals_cover_and_the_estimate_has_no_bias(sd: float, m: int) -> None:
+
+@pytest.fixture(scope="module")
+def hit() -> float:
+    """The probability of a failure that they predict: all have the same boundary."""
+    X = SPACE.from_unit(np.random.default_rng(1).random((400_000, 2)))
+    return float((fails(X) & (X[:, 0] > LIMIT)).mean())
+
+
+CASES = [(30, "too sure"), (30, "right"), (30, "unsure"), (250, "too sure"), (250, "right"), (250, "unsure")]
+
+
+@pytest.mark.parametrize(("m", "sure"), some(CASES, (30, "too sure"), (30, "unsure"), (250, "right")))
+def test_intervals_cover_and_the_estimate_has_no_bias(m: int, sure: str, hit: float) -> None:
     covered, middles, recalls = 0, [], 0
-    hit = float((fails(X := SPACE.from_unit(np.random.default_rng(1).random((400_000, 2)))) & (X[:, 0] > LIMIT)).mean())
     for seed in range(60):
-        plan = plan_of(sd, m, seed)
+        plan = plan_of(SURE[sure], m, seed)
         estimate = plan.estimate(fails(plan.designs), all_answered(plan), 0.9)
         assert estimate.low <= estimate.probability <= estimate.high
         assert estimate.method == "strata of the classifier's doubt"
@@ -142,7 +154,7 @@ def rare_latent(probability: float):
     return lambda X: (X[:, 0] - norm.isf(probability)) / 0.05
 
 
-@pytest.mark.parametrize("probability", [0.009, 0.003])
+@pytest.mark.parametrize("probability", some([0.009, 0.003], 0.003))
 def test_hidden_failure_is_within_the_bound_of_a_rare_outcome_where_importance_sampling_misses_it(
     probability: float,
 ) -> None:

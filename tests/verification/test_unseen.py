@@ -64,9 +64,16 @@ def failures(store):
     return np.concatenate([batch.results.outcome for batch in store.batches]).sum()
 
 
+@pytest.fixture(scope="module")
+def searched():
+    """A campaign that searched for a failure, its store, and its progress."""
+    campaign = campaign_on(FourBranch())
+    return campaign, *taken(campaign)
+
+
 @pytest.mark.parametrize("criterion", some(["eavc", "globalmi", "entropy", "sur"], "eavc"))
-def test_a_criterion_that_would_stay_among_the_safe_designs_is_set_aside_until_a_failure_was_seen(criterion):
-    store, seen = taken(campaign_on(FourBranch(), criterion))
+def test_a_criterion_that_would_stay_among_the_safe_designs_is_set_aside_until_a_failure_was_seen(criterion, searched):
+    store, seen = searched[1:] if criterion == "eavc" else taken(campaign_on(FourBranch(), criterion))
     first = np.concatenate([batch.results.outcome for batch in store.batches[:6]])
     assert first.sum() == 0, "the initial design holds a failure, so that there is nothing to search for"
     assert failures(store) > 0
@@ -89,9 +96,8 @@ def test_a_campaign_that_saw_no_failure_is_never_good_enough(asynchronous):
     assert seen[-1].unseen == ("failure",)
 
 
-def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen():
-    campaign = campaign_on(FourBranch())
-    store, _ = taken(campaign)
+def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen(searched):
+    campaign, store, _ = searched
     classifier = current_classifier(campaign, store, write=False)
     missing = search_for_unseen(campaign, History.of(store.batches[:6]), classifier)
     assert missing.outcomes == ("failure",)
@@ -99,9 +105,10 @@ def test_the_search_begins_where_the_record_stands_and_ends_when_all_was_seen():
     assert search_for_unseen(campaign, History.of(store.batches), classifier) is None
 
 
-def test_the_same_campaign_searches_at_the_same_designs_again():
-    one, other = (taken(campaign_on(FourBranch(), budget=45))[0] for _ in range(2))
-    for a, b in zip(one.batches, other.batches, strict=True):
+def test_the_same_campaign_searches_at_the_same_designs_again(searched):
+    again, _ = taken(campaign_on(FourBranch(), budget=45))
+    assert len(again.batches) == 9
+    for a, b in zip(searched[1].batches[:9], again.batches, strict=True):
         assert np.array_equal(a.designs, b.designs)
 
 
