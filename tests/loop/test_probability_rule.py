@@ -24,6 +24,7 @@ from activefail.record.batch import ACTIVE, CHECK, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
+from activefail.surrogate.threads import one_thread
 
 PROBABILITY = 2.2225e-3
 
@@ -167,16 +168,33 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
     assert contradicted(hidden, known.classifier, right).tolist() == [False]
 
 
-def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended) -> None:
+def copied(campaign, store, batches=None):
+    """A record with the first so many batches of another one, or with all of them and what was learned."""
+    copy = MemoryStore(campaign.schema)
+    for batch in store.batches[:batches]:
+        copy.commit(batch)
+    if batches is None:
+        copy.write_state(*store.latest_state())
+    return copy
+
+
+@pytest.fixture(scope="module")
+def at_check(ended):
+    """The record before the last check, and what was learned from it."""
+    campaign, whole = ended
+    store = copied(campaign, whole, len(whole.batches) - 1)
+    with one_thread():
+        current(campaign, store, write=True)
+    return store
+
+
+def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended, at_check) -> None:
     campaign, store = ended
     n = len(store.batches)
     whole = History.of(store.batches)
     last = whole.last_iteration
     before = History.of(store.batches[: n - 1])
-    partial = MemoryStore(campaign.schema)
-    for batch in store.batches[: n - 1]:
-        partial.commit(batch)
-    earlier = current(campaign, partial, write=False)
+    earlier = current(campaign, copied(campaign, at_check), write=False)
     for rows, failed, known in ((8, 0, True), (8, 2, True), (8, 3, False), (3, 0, False)):
         outcome = store.batches[-1].results.outcome.copy()
         outcome[:failed] = -1
@@ -200,9 +218,7 @@ def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended) -> N
 
 def test_the_rule_is_met_only_as_long_as_nothing_is_simulated_after_the_check(ended) -> None:
     campaign, store = ended
-    more = MemoryStore(campaign.schema)
-    for batch in store.batches:
-        more.commit(batch)
+    more = copied(campaign, store)
     with ThreadExecutor(1) as executor:
         run(campaign, more, executor, len(History.of(store.batches)) + 1, use_stop_rule=False)
     assert not current(campaign, more, write=False).looks.is_known
@@ -281,14 +297,6 @@ def told(campaign, store, designs):
     tell(campaign, store, designs.id, campaign.simulator.run(designs.designs))
 
 
-def copied(campaign, store, batches):
-    """A record with the first so many batches of another one."""
-    copy = MemoryStore(campaign.schema)
-    for batch in store.batches[:batches]:
-        copy.commit(batch)
-    return copy
-
-
 def test_asked_for_one_design_at_a_time_it_ends_with_the_bits_of_the_loop(ended) -> None:
     campaign, whole = ended
     store = MemoryStore(campaign.schema)
@@ -301,9 +309,9 @@ def test_asked_for_one_design_at_a_time_it_ends_with_the_bits_of_the_loop(ended)
     assert len(ask(campaign, store, 1, 120, ignore_stop=True).designs) == 1
 
 
-def test_a_check_is_handed_out_whole_and_nothing_else_before_all_its_results_are_there(ended) -> None:
+def test_a_check_is_handed_out_whole_and_nothing_else_before_all_its_results_are_there(ended, at_check) -> None:
     campaign, whole = ended
-    store = copied(campaign, whole, len(whole.batches) - 1)
+    store = copied(campaign, at_check)
     proposed = ask(campaign, store, 1, 120)
     check = proposed.designs
     assert (check.origin == CHECK).all()
@@ -322,9 +330,9 @@ def test_a_check_is_handed_out_whole_and_nothing_else_before_all_its_results_are
     assert ask(campaign, store, 1, 120).reason == "the stop rule is met"
 
 
-def test_a_check_of_which_too_much_was_dropped_ends_nothing(ended) -> None:
-    campaign, whole = ended
-    store = copied(campaign, whole, len(whole.batches) - 1)
+def test_a_check_of_which_too_much_was_dropped_ends_nothing(ended, at_check) -> None:
+    campaign, _ = ended
+    store = copied(campaign, at_check)
     check = ask(campaign, store, 8, 120).designs
     told(campaign, store, check[:5])
     drop(store, check.id[5:])
@@ -334,9 +342,9 @@ def test_a_check_of_which_too_much_was_dropped_ends_nothing(ended) -> None:
     assert later.reason != "the stop rule is met"
 
 
-def test_results_beside_a_check_do_not_hide_it(ended) -> None:
-    campaign, whole = ended
-    store = copied(campaign, whole, len(whole.batches) - 1)
+def test_results_beside_a_check_do_not_hide_it(ended, at_check) -> None:
+    campaign, _ = ended
+    store = copied(campaign, at_check)
     X = np.array([[0.1, 0.2]])
     check = ask(campaign, store, 8, 120).designs
     told(campaign, store, check[:4])

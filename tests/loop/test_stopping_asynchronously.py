@@ -91,6 +91,7 @@ def test_it_ends_by_itself_after_a_check_that_contradicted_nothing(ended: tuple[
 def test_resumed_after_its_end_it_simulates_nothing_more(ended: tuple[Campaign, Store]) -> None:
     campaign, store = ended
     again = copied(campaign, store)
+    again.write_state(*store.latest_state())
     take(campaign, again)
     assert kept(again) == kept(store)
 
