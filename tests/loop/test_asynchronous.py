@@ -130,9 +130,10 @@ def test_what_is_chosen_lies_apart_from_what_is_in_flight(uninterrupted: Store) 
 
 
 def some_or(every: bool, first: int, end: int) -> list[int]:
-    """Numbers of commits to stop after: every one, or the first two, one in the middle and the last."""
+    """Numbers of commits to stop after: every one, or the first two, two in the middle and the last two."""
     commits = range(first, end)
-    return list(commits) if every else sorted({*commits[:2], commits[len(commits) // 2], commits[-1]})
+    middle = len(commits) // 2
+    return list(commits) if every else sorted({*commits[:2], *commits[middle - 1 : middle + 1], *commits[-2:]})
 
 
 @pytest.mark.parametrize("every", some([False, True], False))
