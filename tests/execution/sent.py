@@ -39,7 +39,7 @@ class Gathered(Noted):
         results = super().run(X)
         folder = Path(self.folder)
         if (folder / "added").exists():
-            until(lambda: len(list(folder.glob("done-*"))) >= 3)
+            until(lambda: len(list(folder.glob("done-*"))) >= 3, "a simulation on each of three workers")
         return results
 
 
