@@ -42,9 +42,20 @@ DESIGN = {
 
 
 @pytest.fixture(scope="module")
-def building() -> ModuleType:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the module in which numba stores what it compiles, for all that load it: compiling takes seconds."""
+    folder = tmp_path_factory.mktemp("campaigns")
+    (folder / "bearing_records.py").write_bytes((CAMPAIGNS / "bearing_records.py").read_bytes())
+    code = (CAMPAIGNS / "building.py").read_text(encoding="utf-8")
+    assert code.count("@njit(error_model=") == code.count("@njit")
+    (folder / "building.py").write_text(code.replace("@njit(", "@njit(cache=True, "), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def building(folder: Path) -> ModuleType:
     """The module as a campaign loads it: from its folder."""
-    run, _ = load_function("building:run", CAMPAIGNS, "test")
+    run, _ = load_function("building:run", folder, "test")
     return sys.modules[run.__module__]
 
 
@@ -310,17 +321,15 @@ def test_what_is_no_building_is_refused(building: ModuleType, wrong: dict[str, f
         building.run(of(**wrong))
 
 
-def test_the_campaign_runs_from_its_file_and_its_table_is_consistent(building: ModuleType, tmp_path: Path) -> None:
+def test_the_campaign_runs_from_its_file_and_its_table_is_consistent(
+    building: ModuleType, folder: Path, tmp_path: Path
+) -> None:
     settings = (CAMPAIGNS / "building.toml").read_text(encoding="utf-8")
     for name, value in (("initial = 120", "initial = 16"), ("size = 500", "size = 0")):
         assert name in settings
         settings = settings.replace(name, value)
-    (tmp_path / "building.toml").write_text(settings, encoding="utf-8")
-    for name in ("building.py", "bearing_records.py"):
-        (tmp_path / name).write_bytes((CAMPAIGNS / name).read_bytes())
-    result = activefail(
-        "run", tmp_path / "building.toml", "--out", tmp_path / "run", "--budget", "20", "--workers", "1"
-    )
+    (folder / "building.toml").write_text(settings, encoding="utf-8")
+    result = activefail("run", folder / "building.toml", "--out", tmp_path / "run", "--budget", "20", "--workers", "1")
     assert result.code == 0, result.err
     assert activefail("export", tmp_path / "run", "--csv", tmp_path / "all.csv").code == 0
     rows = table(tmp_path / "all.csv")

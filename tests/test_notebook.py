@@ -22,10 +22,23 @@ def run_notebook(notebook: Any, place: Path) -> list[Any]:
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
+TAKE = """
+import activefail
+from pathlib import Path
+Path("plate.py").write_text("def run(d):\\n    return 'failure' if d['x'] + d['y'] > 1.3 else 'safe'\\n")
+settings = {"simulator": {"python": "plate:run"}, "sampling": {"initial": 8, "budget": 12, "batch": 4}}
+space = {"x": {"low": 0, "high": 1}, "y": {"low": 0, "high": 1}}
+with activefail.create_run("run", settings | {"space": space}, code=".", remember=False) as run:
+    taken = run.take(workers=1)
+"""
+
+
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
-    """The cells of the page after an execution."""
-    return run_notebook(nbformat.read(PAGE, as_version=4), tmp_path_factory.mktemp("notebook"))
+    """The cells of the page after an execution, and after them one more in the same kernel: a kernel starts slowly."""
+    notebook = nbformat.read(PAGE, as_version=4)
+    notebook.cells.append(nbformat.v4.new_code_cell(TAKE))
+    return run_notebook(notebook, tmp_path_factory.mktemp("notebook"))
 
 
 def output(cell: Any, kind: str) -> str:
@@ -59,20 +72,8 @@ def test_the_notebook_is_stored_without_outputs() -> None:
             assert (cell.outputs, cell.execution_count) == ([], None)
 
 
-TAKE = """
-import activefail
-from pathlib import Path
-Path("plate.py").write_text("def run(d):\\n    return 'failure' if d['x'] + d['y'] > 1.3 else 'safe'\\n")
-settings = {"simulator": {"python": "plate:run"}, "sampling": {"initial": 8, "budget": 12, "batch": 4}}
-space = {"x": {"low": 0, "high": 1}, "y": {"low": 0, "high": 1}}
-with activefail.create_run("run", settings | {"space": space}, code=".", remember=False) as run:
-    taken = run.take(workers=1)
-"""
-
-
-def test_a_notebook_shows_the_progress_of_a_campaign_as_a_bar(tmp_path: Path) -> None:
-    cell = run_notebook(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(TAKE)]), tmp_path)[0]
-    (shown,) = cell.outputs
+def test_a_notebook_shows_the_progress_of_a_campaign_as_a_bar(executed: list[Any]) -> None:
+    (shown,) = cell_with(executed, "run.take").outputs
     assert '<progress value="12" max="12"></progress> 12/12' in shown["data"]["text/html"]
     assert "seeking    the boundary of failure" in shown["data"]["text/html"]
     assert "iteration 1 | " in shown["data"]["text/html"]
