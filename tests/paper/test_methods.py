@@ -47,7 +47,7 @@ def prior(F, y, h):
 def orthant_log_evidence(K, mean, signs):
     """log ∫ N(f | m, K) ∏ Φ(y f) df: the probability that all y (f + unit noise) are positive."""
     covariance = signs[:, None] * (K + np.eye(len(K))) * signs
-    limit = multivariate_normal.cdf(signs * mean, cov=covariance, maxpts=2_000_000, abseps=1e-9, releps=1e-7, rng=1)
+    limit = multivariate_normal.cdf(signs * mean, cov=covariance, maxpts=2_000_000, abseps=1e-9, releps=1e-6, rng=1)
     return math.log(limit)
 
 
