@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import some
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import expit, log_ndtr, ndtr
@@ -47,7 +48,7 @@ def prior(F, y, h):
 def orthant_log_evidence(K, mean, signs):
     """log ∫ N(f | m, K) ∏ Φ(y f) df: the probability that all y (f + unit noise) are positive."""
     covariance = signs[:, None] * (K + np.eye(len(K))) * signs
-    limit = multivariate_normal.cdf(signs * mean, cov=covariance, maxpts=2_000_000, abseps=1e-9, releps=1e-6, rng=1)
+    limit = multivariate_normal.cdf(signs * mean, cov=covariance, maxpts=200_000, abseps=1e-9, releps=1e-7, rng=1)
     return math.log(limit)
 
 
@@ -153,8 +154,9 @@ def test_evidence_and_moments_are_those_of_dense_quadrature(n, signal_variance):
     assert (np.abs(moments.sd / sd - 1.0) < looseness).all()
 
 
-@pytest.mark.parametrize("signal_variance", [2.0, 25.0])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("signal_variance", "seed"), some([(2.0, 0), (2.0, 1), (25.0, 0), (25.0, 1)], (2.0, 0), (25.0, 1))
+)
 def test_evidence_and_moments_of_five_points_are_those_of_importance_sampling(signal_variance, seed):
     F, y = points(5, seed=seed)
     h = hyperparameters(signal_variance=signal_variance)
@@ -178,7 +180,9 @@ def test_evidence_and_moments_of_five_points_are_those_of_importance_sampling(si
     assert (np.abs(moments.sd / sd - 1.0) < looseness).all()
 
 
-@pytest.mark.parametrize(("signal_variance", "mean_error", "sd_error"), [(2.0, 0.02, 0.03), (9.0, 0.04, 0.08)])
+@pytest.mark.parametrize(
+    ("signal_variance", "mean_error", "sd_error"), some([(2.0, 0.02, 0.03), (9.0, 0.04, 0.08)], (9.0, 0.04, 0.08))
+)
 def test_expectation_propagation_has_the_moments_of_a_long_markov_chain(signal_variance, mean_error, sd_error):
     F, y = points(20, seed=4)
     h = hyperparameters(signal_variance=signal_variance)

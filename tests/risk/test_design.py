@@ -145,7 +145,8 @@ def test_a_target_that_no_design_meets_ends_with_the_nearest_one(folder: Path) -
     assert "classifier" in result.out
 
 
-def test_a_result_that_simulations_do_not_confirm_is_not_called_verified(folder: Path) -> None:
+@pytest.mark.usefixtures("without_pictures")
+def test_a_result_that_simulations_do_not_confirm_is_not_called_verified(folder: Path, tmp_path: Path) -> None:
     # Fifty simulations can hardly show 1 %.
     options = (
         "--code",
@@ -157,10 +158,9 @@ def test_a_result_that_simulations_do_not_confirm_is_not_called_verified(folder:
         "--free",
         "capacity",
     )
-    result = activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options)
-    shown = json.loads(
-        activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options, "--json").out
-    )
+    out = tmp_path / "out"
+    result = activefail("design", folder / "run", "--target", "0.01", "--simulations", 50, *options, "--out", out)
+    shown = json.loads((out / "design.json").read_text())
     assert (result.code == 3) == (shown["high"] > 0.01)
     assert ("Not verified" in result.out) == (shown["status"] == "not verified")
 
