@@ -64,7 +64,7 @@ def test_ratios_over_decades_enter_by_their_logarithm() -> None:
 
 @pytest.mark.parametrize("name", ["paper", "design", "sliding", "collision"])
 def test_features_have_mean_0_and_standard_deviation_1_over_the_design_measure(name: str) -> None:
-    F = feature_map(name, TABLE_1)(TABLE_1.sobol(2**14, np.random.default_rng(99)))  # type: ignore[arg-type]
+    F = feature_map(name, TABLE_1)(TABLE_1.sobol(2**13, np.random.default_rng(99)))  # type: ignore[arg-type]
     assert_allclose(F.mean(axis=0), 0.0, atol=0.01)
     assert_allclose(F.std(axis=0), 1.0, atol=0.01)
 

@@ -40,26 +40,24 @@ class Springs(NamedTuple):
     fast_damping: float
 
 
-class Duffing(NamedTuple):
-    """q'' = −damping q' − linear q − cubic q³ + push cos(frequency t)."""
+class Oscillator(NamedTuple):
+    """q'' = (swing (1 − q²) − damping) q' − linear q − cubic q³ + push cos(frequency t), and NaN beyond a wall.
 
-    damping: float
-    linear: float
-    cubic: float
-    push: float
-    frequency: float
+    One type for all problems of one coordinate, because each type is compiled anew.
+    """
+
+    damping: float = 0.0
+    linear: float = 0.0
+    cubic: float = 0.0
+    push: float = 0.0
+    frequency: float = 0.0
+    swing: float = 0.0
+    wall: float = math.inf
 
 
-class VanDerPol(NamedTuple):
+def van_der_pol(stiffness: float) -> Oscillator:
     """q'' = stiffness (1 − q²) q' − q."""
-
-    stiffness: float
-
-
-class Wall(NamedTuple):
-    """q'' = 0 up to a wall beyond which there is no acceleration to speak of."""
-
-    place: float
+    return Oscillator(swing=stiffness, linear=1.0)
 
 
 @overload(integrator.acceleration)
@@ -73,17 +71,16 @@ def _accelerations(problem, t, q, v):
             return -mean - half, -mean + half
 
         return springs
-    if kind is Duffing:
+    if kind is Oscillator:
 
-        def duffing(problem, t, q, v):
-            pull = -problem.damping * v[0] - problem.linear * q[0] - problem.cubic * q[0] ** 3
+        def oscillator(problem, t, q, v):
+            pull = (problem.swing * (1.0 - q[0] * q[0]) - problem.damping) * v[0]
+            pull -= problem.linear * q[0] + problem.cubic * q[0] ** 3
+            if q[0] >= problem.wall:
+                pull = math.nan
             return (pull + problem.push * math.cos(problem.frequency * t),)
 
-        return duffing
-    if kind is VanDerPol:
-        return lambda problem, t, q, v: (problem.stiffness * (1.0 - q[0] * q[0]) * v[0] - q[0],)
-    if kind is Wall:
-        return lambda problem, t, q, v: (0.0 if q[0] < problem.place else math.nan,)
+        return oscillator
     return None
 
 
@@ -99,27 +96,15 @@ def _linearisations(problem, t, q, v):
             return integrator.acceleration(problem, t, q, v), ((a, b), (b, a)), ((c, d), (d, c)), (0.0, 0.0)
 
         return springs
-    if kind is Duffing:
+    if kind is Oscillator:
 
-        def duffing(problem, t, q, v):
-            by_q = -problem.linear - 3.0 * problem.cubic * q[0] ** 2
+        def oscillator(problem, t, q, v):
+            by_q = -2.0 * problem.swing * q[0] * v[0] - problem.linear - 3.0 * problem.cubic * q[0] ** 2
+            by_v = problem.swing * (1.0 - q[0] * q[0]) - problem.damping
             by_t = -problem.push * problem.frequency * math.sin(problem.frequency * t)
-            return integrator.acceleration(problem, t, q, v), ((by_q,),), ((-problem.damping,),), (by_t,)
+            return integrator.acceleration(problem, t, q, v), ((by_q,),), ((by_v,),), (by_t,)
 
-        return duffing
-    if kind is VanDerPol:
-
-        def van_der_pol(problem, t, q, v):
-            by_q, by_v = -2.0 * problem.stiffness * q[0] * v[0] - 1.0, problem.stiffness * (1.0 - q[0] * q[0])
-            return integrator.acceleration(problem, t, q, v), ((by_q,),), ((by_v,),), (0.0,)
-
-        return van_der_pol
-    if kind is Wall:
-
-        def wall(problem, t, q, v):
-            return integrator.acceleration(problem, t, q, v), ((0.0,),), ((0.0,),), (0.0,)
-
-        return wall
+        return oscillator
     return None
 
 
@@ -162,12 +147,12 @@ def reference(function, t: Array, y0: list[float]) -> Array:
     return path.y.T
 
 
-def duffing_reference(problem: Duffing, t: Array, y0: list[float]) -> Array:
-    d, a, b, p, w = problem
+def duffing_reference(problem: Oscillator, t: Array, y0: list[float]) -> Array:
+    d, a, b, p, w = problem[:5]
     return reference(lambda t, y: (y[1], -d * y[1] - a * y[0] - b * y[0] ** 3 + p * math.cos(w * t)), t, y0)
 
 
-DUFFING = Duffing(damping=0.3, linear=1.0, cubic=2.0, push=1.5, frequency=1.7)
+DUFFING = Oscillator(damping=0.3, linear=1.0, cubic=2.0, push=1.5, frequency=1.7)
 
 
 def tableaux() -> list[Tableau]:
@@ -236,8 +221,8 @@ def test_a_table_and_its_embedded_method_meet_the_order_conditions(tableau):
                 assert weights @ stages == pytest.approx(value, abs=1e-9), (order, degree)
 
 
-# Compiling a table takes most of the time: kept are the one in use and one of another order.
-@pytest.mark.parametrize("tableau", some_of(tableaux(), {0, 4}), ids=lambda tableau: tableau.name)
+# Compiling a table takes most of the time: kept is the one in use.
+@pytest.mark.parametrize("tableau", some_of(tableaux(), {0}), ids=lambda tableau: tableau.name)
 def test_the_step_of_a_table_has_its_order_and_its_error_estimate_that_of_the_embedded_method(tableau):
     attempt = step_of(tableau)
 
@@ -288,7 +273,7 @@ def test_a_forced_nonlinear_oscillator_is_integrated_with_order_four():
 def test_a_van_der_pol_oscillator_is_integrated_with_order_four():
     exact = reference(lambda t, y: (y[1], 2.0 * (1.0 - y[0] ** 2) * y[1] - y[0]), np.array([0.0, 3.0]), [1.5, 0.5])[-1]
     errors = [
-        np.abs(fixed_steps(VanDerPol(2.0), 0.0, [1.5], [0.5], 3.0, n)[0][:, 0] - exact).max() for n in (60, 120, 240)
+        np.abs(fixed_steps(van_der_pol(2.0), 0.0, [1.5], [0.5], 3.0, n)[0][:, 0] - exact).max() for n in (60, 120, 240)
     ]
     assert (orders(errors) > 3.7).all(), orders(errors)
     assert errors[-1] < 1e-6
@@ -378,7 +363,7 @@ def test_a_relaxation_oscillator_is_crossed_with_few_steps_and_the_right_period(
     state, crossings = start(0.0, 1e-3, (2.0,), (-1.0 / 1500.0,)), []
     while len(crossings) < 3:
         t, q = state.t, state.q[0]
-        status, state, _, _ = advance(VanDerPol(stiffness), state, scalar(1e-5, 20_000), math.inf)
+        status, state, _, _ = advance(van_der_pol(stiffness), state, scalar(1e-5, 20_000), math.inf)
         assert status == ACCEPTED
         if q * state.q[0] < 0.0:
             crossings.append(t + (state.t - t) * q / (q - state.q[0]))
@@ -408,7 +393,7 @@ def test_too_many_attempts_and_a_vanishing_step_are_said_and_change_nothing():
 
     status, state = ACCEPTED, start(0.0, 0.1, (0.0,), (1.0,))
     while status == ACCEPTED:
-        status, state, _, _ = advance(Wall(place=1.0), state, scalar(1e-6), 0.1)
+        status, state, _, _ = advance(Oscillator(wall=1.0), state, scalar(1e-6), 0.1)
     assert status == STEP_UNDERFLOW
     assert state.q[0] == pytest.approx(1.0, abs=1e-9)
     assert np.isfinite([state.q[0], state.v[0]]).all()

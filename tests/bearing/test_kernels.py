@@ -44,7 +44,21 @@ def test_kernels_compiled_under_other_options_are_kept_apart(tmp_path: Path, mon
     assert len(folders) == 5
 
 
-def test_the_environment_selects_the_kernels_and_is_recorded(tmp_path: Path) -> None:
+RECORDED = (
+    ({}, "defaults defaults defaults"),
+    ({"NUMBA_OPT": "max"}, "NUMBA_OPT=max NUMBA_OPT=max defaults"),
+    (
+        {"NUMBA_OPT": "1", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2", "OPENBLAS_CORETYPE": "Haswell"},
+        "NUMBA_OPT=1 NUMBA_OPT=1 GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2 OPENBLAS_CORETYPE=Haswell",
+    ),
+)
+"""Options in the environment, and what is recorded of them."""
+
+
+@pytest.fixture(scope="module")
+def another_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A folder in which processes with different options keep a kernel, and what each of them records."""
+    folder = tmp_path_factory.mktemp("cache")
     code = (
         "from activefail.bearing.pulse import ground_acceleration; ground_acceleration(0.1, 1.0, 1.0)\n"
         "from activefail.campaign.provenance import provenance, simulation_versions\n"
@@ -53,23 +67,22 @@ def test_the_environment_selects_the_kernels_and_is_recorded(tmp_path: Path) -> 
     # The machine may set some of these variables itself.
     set_here = ("NUMBA_", "OPENBLAS_", "GLIBC_TUNABLES", "MKL_")
     unset = {name: value for name, value in os.environ.items() if not name.startswith(set_here)}
-    for options, recorded in (
-        ({}, "defaults defaults defaults"),
-        ({"NUMBA_OPT": "max"}, "NUMBA_OPT=max NUMBA_OPT=max defaults"),
-        (
-            {"NUMBA_OPT": "1", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2", "OPENBLAS_CORETYPE": "Haswell"},
-            "NUMBA_OPT=1 NUMBA_OPT=1 GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2 OPENBLAS_CORETYPE=Haswell",
-        ),
-    ):
-        done = subprocess.run(
+    return folder, [
+        subprocess.run(
             [sys.executable, "-c", code],
-            env=unset | options | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            env=unset | options | {"NUMBA_CACHE_DIR": str(folder)},
             check=True,
             capture_output=True,
             text=True,
-        )
-        assert done.stdout.strip() == recorded
-    assert len(list(tmp_path.rglob("pulse.ground_acceleration*.nbi"))) == 3
+        ).stdout.strip()
+        for options, _ in RECORDED
+    ]
+
+
+def test_the_environment_selects_the_kernels_and_is_recorded(another_cache: tuple[Path, list[str]]) -> None:
+    folder, printed = another_cache
+    assert printed == [recorded for _, recorded in RECORDED]
+    assert len(list(folder.rglob("pulse.ground_acceleration*.nbi"))) == 3
 
 
 def test_the_digest_changes_with_a_source(tmp_path):
@@ -79,12 +92,10 @@ def test_the_digest_changes_with_a_source(tmp_path):
     assert sources_digest(tmp_path) != before
 
 
-def test_kernels_in_another_cache_are_kept_by_the_sources_digest(tmp_path: Path) -> None:
-    code = "from activefail.bearing.pulse import ground_acceleration; ground_acceleration(0.1, 1.0, 1.0)"
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
-    assert [path.name for path in tmp_path.iterdir()] == [f"kernels-{sources_digest()[:16]}"]
-    assert list(tmp_path.rglob("pulse.ground_acceleration*.nbi"))
+def test_kernels_in_another_cache_are_kept_by_the_sources_digest(another_cache: tuple[Path, list[str]]) -> None:
+    folder, _ = another_cache
+    assert [path.name for path in folder.iterdir()] == [f"kernels-{sources_digest()[:16]}"]
+    assert list(folder.rglob("pulse.ground_acceleration*.nbi"))
 
 
 def test_without_compilation_the_bearing_is_refused_with_the_reason() -> None:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import some
 from numba import njit
 
 from activefail.bearing import TABLE_1, Bearing, Model, Pulse, simulate_one
@@ -32,7 +33,7 @@ def rows_of(matrix):
     return tuple(tuple(row) for row in matrix.tolist())
 
 
-@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.parametrize("n", some([1, 2, 5], 1, 5))
 def test_tuples_do_what_vectors_and_matrices_do(n):
     rng = np.random.default_rng(n)
     X, Y, (x, y, weights) = rng.normal(size=(n, n)), rng.normal(size=(n, n)), rng.normal(size=(3, n))

@@ -43,7 +43,7 @@ def pendulum(made: Bearing) -> tuple[float, float]:
 
 
 def test_outcomes_equal_those_at_a_tolerance_100_times_tighter(production, tight):
-    assert (production.outcome == tight.outcome).mean() >= 0.995
+    assert (production.outcome[: len(tight.outcome)] == tight.outcome).mean() >= 0.995
 
 
 def test_failure_without_a_rim_touch_and_numerical_failure_do_not_happen(production, tight):
@@ -394,7 +394,7 @@ def sliding(made: Bearing, pulse: Pulse, end: float) -> tuple[Array, Array]:
         motion,
         (-1.5 * pulse.period, end),
         [0.0, 0.0],
-        method="Radau",
+        method="LSODA",
         rtol=1e-6,
         atol=1e-8,
         max_step=pulse.period / 50.0,

@@ -20,6 +20,7 @@ from activefail.parameter import Parameter
 from activefail.reliability.strata import StratifiedPlan, plan_strata
 from activefail.report.design import render_design
 from activefail.risk.design.design_task import DesignTask, Requirement, read_targets
+from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import least_value, required_chart
 from activefail.risk.design.search import Candidate, Designed, Look, cheapest, find_design
 from activefail.run import Run
@@ -109,18 +110,25 @@ def test_several_free_variables_are_searched_for_the_least_cost(run: Run, folder
         assert needed(0.1, friction) < 1.03 * found.values["capacity"] < 1.15 * needed(0.1, friction)
 
 
-def test_each_outcome_may_have_a_target_and_the_hardest_decides(run: Run, folder: Path) -> None:
-    found = run.design("failure=0.1,damage=0.1", None, folder / "site.toml", {"friction": 1.0}, ["capacity"]).designed
+@pytest.fixture(scope="module")
+def of_two_targets(folder: Path) -> DesignFindings:
+    with open_run(folder / "run", write=True, code=folder) as opened:
+        return opened.design("failure=0.1,damage=0.1", None, folder / "site.toml", {"friction": 1.0}, ["capacity"])
+
+
+def test_each_outcome_may_have_a_target_and_the_hardest_decides(of_two_targets: DesignFindings) -> None:
+    found = of_two_targets.designed
     assert found.status == "verified"
     assert needed(0.1, share=0.6) < found.values["capacity"] < 1.1 * needed(0.1, share=0.6)
     assert [estimate.high <= 0.1 for estimate in found.last.estimates] == [True, True]
     assert found.simulations == (600, 1000)[len(found.looks) - 1]
 
 
-def test_the_page_has_the_classifiers_probability_of_each_outcome_beside_its_target(run: Run, folder: Path) -> None:
-    found = run.design("failure=0.1,damage=0.1", None, folder / "site.toml", {"friction": 1.0}, ["capacity"])
-    page = render_design(found)
-    for share, estimate in zip(found.designed.last.candidate.model, found.designed.last.estimates, strict=True):
+def test_the_page_has_the_classifiers_probability_of_each_outcome_beside_its_target(
+    of_two_targets: DesignFindings,
+) -> None:
+    page, last = render_design(of_two_targets), of_two_targets.designed.last
+    for share, estimate in zip(last.candidate.model, last.estimates, strict=True):
         assert f'<td class="n">{percent(share, 2)}</td><td class="n">{estimate.simulations}</td>' in page
 
 

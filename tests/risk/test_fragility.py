@@ -243,6 +243,7 @@ def test_a_property_bound_of_a_variable_that_the_campaign_lacks_is_refused(ended
     refused(result, "properties.mu_lower: cannot be applied")
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_verified_curve_has_intervals_that_hold_and_are_kept(ended: Path, tmp_path: Path) -> None:
     command = ("fragility", ended / "run", "--code", ended, "--hazard", ended / "uncertain.toml", "--verify", "60")
     result = activefail(*command, "--out", tmp_path / "new" / "out", "--csv", tmp_path / "curves.csv")
@@ -310,6 +311,7 @@ def test_a_curve_against_any_variable_integrates_over_the_others(ended: Path, tm
     assert level == pytest.approx(0.3 * math.exp(-0.8 * ndtri(0.1)) / median, rel=0.05)
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_command_shows_a_curve_against_any_variable(ended: Path, tmp_path: Path) -> None:
     command = ("fragility", ended / "run", "--code", ended, "--against", "r", "--range", "0.5,2")
     result = activefail(*command, "--out", tmp_path)
@@ -448,6 +450,7 @@ def test_a_campaign_without_a_pulse_has_no_fragility_under_a_hazard(tmp_path: Pa
         opened.fragility(read_hazard(ended / "site.toml"))
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_small_campaign_of_the_bearing_has_fragility_curves(tmp_path: Path, ended: Path) -> None:
     shutil.copy(ended / "uncertain.toml", tmp_path)
     (tmp_path / "made.toml").write_text(

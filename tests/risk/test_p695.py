@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from commandline import activefail, refused
 
+from activefail.bearing import Accelerogram
+from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
+from activefail.risk.ida import simulations
 from activefail.risk.ida.p695 import MarginOptions, MarginRequest, shape_factor, total_dispersion
+from activefail.space import Array
 
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
 
@@ -115,7 +119,15 @@ def test_the_options_are_those_stated_and_the_note_says_where_they_come_from() -
     )
 
 
-def test_the_command_computes_shape_factor_and_dispersion(package: SimpleNamespace, tmp_path: Path) -> None:
+def test_the_command_computes_shape_factor_and_dispersion(
+    package: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing_above_half_g(X: Array, records: list[Accelerogram], *_: object) -> SimpleNamespace:
+        fails = np.array([record.peak > 0.5 * GRAVITY for record in records])
+        return SimpleNamespace(outcome=np.where(fails, 2, 0), cause=np.zeros(len(records), dtype=np.int8))
+
+    # The factors follow from the options, whatever the capacities are.
+    monkeypatch.setattr(simulations, "simulate_records", failing_above_half_g)
     (tmp_path / "bearing.toml").write_text(TOML)
     words = ("ida", "--records", "nearfield-no-pulse", "--bearing", tmp_path / "bearing.toml")
     margin = ("--mce", "1.1", "--sdc", "Dmax", "--ductility", "4", "--ratings", "B,B,C")

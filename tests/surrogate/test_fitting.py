@@ -202,7 +202,7 @@ def test_the_variational_posterior_lies_near_that_of_a_long_markov_chain(outputs
     h = hyperparameters(outputscale=outputscale)
     trained = fitting.condition(F, y, "rbf", h, tolerance=1e-8)
     samples = elliptical_slice_sampling(
-        fitting.prior_covariance(F, "rbf", h).numpy(), h.mean, y.numpy(), 1000, 600, np.random.default_rng(0)
+        fitting.prior_covariance(F, "rbf", h).numpy(), h.mean, y.numpy(), 1000, 350, np.random.default_rng(0)
     )[100:]
     mean, sd = samples.mean((0, 1)), samples.std((0, 1))
     # Of the means of independent chains: the error of the reference itself.

@@ -9,6 +9,7 @@ import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import activefail as af
+from activefail.execution.local import ThreadExecutor
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.saved import SavedLatent
@@ -51,6 +52,8 @@ def test_each_method_of_a_run_learns_and_predicts_with_one_thread(
 
         return call
 
+    # What simulates is not what learns: a thread of this process does as well as another process.
+    monkeypatch.setattr("activefail.execution.local.ProcessExecutor", lambda *_: ThreadExecutor(1))
     for latent in (Latent, SavedLatent, MarginLatent):
         monkeypatch.setattr(latent, "moments", counted(latent.moments))
     with af.create_run(tmp_path / "run", tmp_path / "ring.toml", code=tmp_path) as run:
