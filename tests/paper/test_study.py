@@ -64,7 +64,10 @@ def test_a_draw_studied_alone_is_the_draw_of_the_study(study):
     alone = paper.study_draw(
         study.data.X[1], study.data.outcome[1], study.data.X_fresh, study.data.outcome_fresh, 3, 1, ("laplace",), 2
     )
-    assert alone.processes["laplace"].fresh == study.draws[1].processes["laplace"].fresh
+    there = study.draws[1].processes["laplace"]
+    # Accuracies of few designs can agree by chance.
+    assert np.array_equal(alone.processes["laplace"].probability, there.probability)
+    assert alone.processes["laplace"].fresh == there.fresh
     assert np.array_equal(alone.logistic["failure"].p_values, study.draws[1].logistic["failure"].p_values)
     assert np.array_equal(alone.held_out, study.draws[1].held_out[:2])
 
