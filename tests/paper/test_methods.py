@@ -187,7 +187,7 @@ def test_expectation_propagation_has_the_moments_of_a_long_markov_chain(signal_v
     F, y = points(20, seed=4)
     h = hyperparameters(signal_variance=signal_variance)
     K, signs = prior(F, y, h)
-    samples = elliptical_slice_sampling(K, h.mean, signs, 1000, 300, np.random.default_rng(0))[100:]
+    samples = elliptical_slice_sampling(K, h.mean, signs, 1000, 400, np.random.default_rng(0))[100:]
     mean, sd = samples.mean((0, 1)), samples.std((0, 1))
     # Of the means of independent chains: the error of the reference itself.
     error = samples.mean(0).std(0) / math.sqrt(samples.shape[1])
