@@ -146,9 +146,9 @@ def plot_plane(plane: Plane, process: "PaperProcess") -> Figure:
             handles=[
                 Line2D([], [], color=BLUE, marker="o", linestyle="", label="no failure (training point)"),
                 Line2D([], [], color=VERMILION, marker="^", linestyle="", label="failure (training point)"),
-                Line2D([], [], color="black", linestyle=":", label="plane of the lower panels"),
+                Line2D([], [], color="black", linestyle=":", label="where the lower panels are"),
                 Line2D([], [], color="black", label="2 P(failure) − 1"),
-                Patch(color=GREY, alpha=0.25, label="95 % interval of the latent"),
+                Patch(color=GREY, alpha=0.25, label="95 % of the latent"),
             ],
             loc="outside lower center",
             ncols=5,
