@@ -207,7 +207,7 @@ def test_an_output_that_is_a_link_in_a_run_folder_is_refused_and_a_link_of_the_u
     (received / "compare" / "table.csv").unlink()
     for target in (received / "table.csv", other / "table.csv", other / "compare" / "table.csv"):
         result = activefail("export", received, "--csv", target)
-        refused(result, "--csv: ", f"{target} is a symbolic link in a run folder, No such link is followed")
+        refused(result, "--csv: ", f"{target} is a symbolic link in a run folder. No such link is followed")
     assert victim.read_text() == "mine"
     assert activefail("export", received, "--csv", tmp_path / "mine.csv").code == 0
     assert (tmp_path / "mine.csv").is_symlink()
