@@ -40,15 +40,15 @@ check: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Compiles the simulator, which the tests would do before anything else, on one core.
+# Compiles the simulator on one core. Otherwise the tests would wait for it.
 doctor: $(VENV)/.installed
 	$(BIN)/activefail doctor
 
 before-tests: $(VENV)/.installed
 	@$(MAKE) --no-print-directory --jobs 2 check doctor
 
-# A process for each core, but no more than memory of 8 GB allows. Files come in the order of their names: those with most
-# tests first would leave the slow ones, which have few, to the end.
+# A process for each core, at most four. Files come in the order of their names: if those with most tests came first, the
+# slow files, which have few, would come last.
 PYTEST = $(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 test: before-tests

@@ -30,8 +30,8 @@ _LIBRARY_OPTIONS = (
 
 @cache
 def _version(name: str) -> str:
-    """The version of an installed package, read once a process: a run folder records it each time it is opened."""
-    # None if the package's metadata is unreadable.
+    """The version of an installed package. It is kept, because each opening of a run folder asks for it."""
+    # `version` returns None if the package's metadata is unreadable.
     return version(name) or "unknown"
 
 

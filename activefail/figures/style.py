@@ -77,9 +77,9 @@ def margins(width: float, height: float, *, left: float, right: float, bottom: f
 
 
 def lay_out(figure: "Figure") -> None:
-    """Arrange a figure as its layout says, once and for all.
+    """Arrange a figure by its layout, and then remove the layout.
 
-    Saving a figure that has a layout draws all of it twice, the first time only to arrange it.
+    matplotlib draws a figure that has a layout twice when it saves it, the first time only to arrange it.
     """
     layout = figure.get_layout_engine()
     if layout is not None:

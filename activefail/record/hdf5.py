@@ -102,7 +102,7 @@ class Image:
         self._root = root
         self._size = size
         self.names: tuple[str, ...] = tuple(root)
-        # Each is asked for several times, and to open it takes longer than to read it.
+        # What was read before: a reader asks for the same attribute or declaration several times.
         self._attributes: dict[str, str] = {}
         self._declared: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
         # Low-level calls: h5py's high-level ones take longer than reading the rest of a small file.

@@ -8,6 +8,6 @@ from report.pictures import slow_pictures_empty
 
 @pytest.fixture
 def without_pictures(without_pictures: None) -> Iterator[None]:
-    """Write pages without their pictures, of which the slow ones are not made either."""
+    """Write pages without pictures, for a claim about words. The figures that take long are not computed either."""
     with slow_pictures_empty():
         yield
