@@ -35,7 +35,7 @@ from activefail.findings.results import Findings, at_the_boundary
 from activefail.reliability.estimate import Standardised
 from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
 from activefail.surrogate.moments import outcome_probabilities
 from activefail.visible import or_worse, visible
 
@@ -88,7 +88,7 @@ class Answers:
         self.quantities = quantities.variables(findings.campaign)
         # All threads share the classifier and matplotlib's settings; separate locks, as predictions need no drawing.
         self.next_turn, self._learning, self.drawing = threading.Lock(), threading.Lock(), threading.Lock()
-        middle = self.space.from_unit(np.full(self.space.dimension, 0.5)).tolist()
+        middle = middle_of(self.space)
         # Compile and load everything before the first request.
         self.predict(middle)
         if self.simulates:
@@ -126,7 +126,7 @@ class Answers:
         """The data that the page contains from the start."""
         settings, findings = self.campaign.settings, self.findings
         influence = findings.influence
-        presets = [("the middle of the space", self.space.from_unit(np.full(self.space.dimension, 0.5)))]
+        presets = [("the middle of the space", np.array(middle_of(self.space)))]
         if self._failure is not None and self._failure.point is not None:
             presets.append((f"the design point of {findings.beyond}", self._failure.point.X))
         for row, _ in at_the_boundary(findings):
@@ -323,6 +323,11 @@ class Answers:
         if not isinstance(self.campaign.simulator, DfpSimulator):
             raise InputError("This campaign's simulator has no bearing to show.")
         return self.campaign.simulator, self.campaign.simulator.response(np.array(point))
+
+
+def middle_of(space: DesignSpace) -> list[float]:
+    """The middle of a space, without the digits that are the rounding of a sum: 0.07, not 0.06999999999999999."""
+    return [float(f"{value:.12g}") for value in space.from_unit(np.full(space.dimension, 0.5)).tolist()]
 
 
 def _place(upper: "Axes", lower: "Axes") -> dict[str, float]:

@@ -58,6 +58,11 @@ export function sliders(quantities, values, moved) {
     values[i] = Math.min(quantities[i].high, Math.max(quantities[i].low, value));
   }
 
+  // Without the last digits, which are the rounding of a sum: 0.07, not 0.06999999999999999.
+  function setComputed(i, value) {
+    set(i, Number(value.toPrecision(12)));
+  }
+
   function typed(i, text) {
     const v = quantities[i];
     const value = text.trim() === "" ? NaN : Number(text.replace("−", "-"));
@@ -73,13 +78,12 @@ export function sliders(quantities, values, moved) {
 
   quantities.forEach((v, i) => {
     find(`v${i}`).addEventListener("input", (event) => {
-      // Without the last digits, which are the sum's rounding: 0.07, not 0.06999999999999999.
-      set(i, Number((v.low + (Number(event.target.value) / STEPS) * (v.high - v.low)).toPrecision(12)));
+      setComputed(i, v.low + (Number(event.target.value) / STEPS) * (v.high - v.low));
       moved([i]);
     });
     find(`t${i}`).addEventListener("change", (event) => typed(i, event.target.value));
   });
-  return { show, set };
+  return { show, set, setComputed };
 }
 
 // --- requests ------------------------------------------------------------------------------------------------------

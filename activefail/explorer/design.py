@@ -12,7 +12,7 @@ from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard, hazard_of, ha
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question, check_pulse
 from activefail.errors import InputError
 from activefail.execution.local import local_executor
-from activefail.explorer.answers import Answer, Answers, checked_number
+from activefail.explorer.answers import Answer, Answers, checked_number, middle_of
 from activefail.explorer.verification import STEPS, Watch, WatchedExecutor
 from activefail.figures.curves import plot_required_value
 from activefail.figures.marks import outcome_colour
@@ -158,10 +158,11 @@ class DesignAnswers:
     @property
     def _bearing(self) -> tuple[Slider, ...]:
         """The sliders of the other variables, from the middle of the space."""
-        middle = self.space.from_unit(np.full(self.space.dimension, 0.5)).tolist()
         return tuple(
             Slider(p.name, shown.text, shown.unit, shown.meaning, p.low, p.high, value)
-            for p, shown, value in zip(self.space.parameters, self._answers.quantities, middle, strict=True)
+            for p, shown, value in zip(
+                self.space.parameters, self._answers.quantities, middle_of(self.space), strict=True
+            )
             if p.name not in (PERIOD, AMPLITUDE, CAPACITY)
         )
 

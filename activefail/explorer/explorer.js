@@ -25,7 +25,7 @@ function moved(changed) {
   fragility();
 }
 
-const { show, set } = sliders(variables, point, moved);
+const { show, set, setComputed } = sliders(variables, point, moved);
 
 // --- prediction ----------------------------------------------------------------------------------------------------
 
@@ -103,8 +103,8 @@ function clickPlane(event) {
   const up = (axes.bottom - (event.clientY - box.top) / box.height) / (axes.bottom - axes.top);
   if (across < -0.02 || across > 1.02 || up < -0.02 || up > 1.02) return;
   const [x, y] = planeColumns();
-  set(x, variables[x].low + across * (variables[x].high - variables[x].low));
-  set(y, variables[y].low + up * (variables[y].high - variables[y].low));
+  setComputed(x, variables[x].low + across * (variables[x].high - variables[x].low));
+  setComputed(y, variables[y].low + up * (variables[y].high - variables[y].low));
   moved([x, y]);
 }
 
@@ -114,7 +114,7 @@ function keyOnPlane(event) {
   if (!step) return;
   event.preventDefault();
   const [i, sign] = step;
-  set(i, point[i] + sign * (event.shiftKey ? 0.1 : 0.02) * (variables[i].high - variables[i].low));
+  setComputed(i, point[i] + sign * (event.shiftKey ? 0.1 : 0.02) * (variables[i].high - variables[i].low));
   moved([i]);
 }
 

@@ -67,6 +67,12 @@ def test_histories_say_where_in_them_an_instant_is(answers, narrow):
     assert reply["svg"].startswith("<svg")
 
 
+def test_the_middle_of_the_space_has_no_digits_of_rounding(answers):
+    middle = answers.about()["presets"][0]["point"]
+    assert middle == [4.0, 0.07, 0.65, 0.815, 0.125, 45.0, 2.625e9, 2.625, 0.45]
+    assert " --mu 0.07 " in answers.simulate(middle)["command"]
+
+
 def test_the_command_line_of_a_bearing_simulates_that_very_one(tmp_path):
     unusual = "bearing = { slider_density = 5000.0, restitution = 'assembly', loss_of_confinement = false }"
     ran(tmp_path / "run", settings(budget=20, extra=unusual))
