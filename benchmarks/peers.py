@@ -35,7 +35,7 @@ from activefail.bearing.outcome import FAILURE, NUMERICAL_FAILURE
 from activefail.campaign.random_streams import stream
 from activefail.features import FeatureMap, feature_map
 from activefail.sample_mean import Estimate
-from activefail.space import Array
+from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Latent
 from activefail.surrogate.fitting import fit
 from activefail.surrogate.threads import one_thread
@@ -81,16 +81,16 @@ class Peer(Protocol):
     def learn(self, F: Array, answers: Answers, last: bool) -> None:
         """Learn from scaled features, (n, m), and answers; `last` after the last batch."""
 
-    def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
+    def choose(self, space: DesignSpace, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
         """The q designs, (q, d), to simulate next."""
 
     def probability(self, F: Array) -> Array:
         """Of failure at scaled features, (n, m) -> (n,)."""
 
 
-def pool(features: FeatureMap, rng: np.random.Generator) -> tuple[Array, Array]:
+def pool(space: DesignSpace, features: FeatureMap, rng: np.random.Generator) -> tuple[Array, Array]:
     """The candidates, common to all peers, and their features."""
-    X = TABLE_1.sobol(POOL, rng)
+    X = space.sobol(POOL, rng)
     return X, features(X)
 
 
@@ -110,8 +110,8 @@ class Activefail:
         start = None if self.latent is None else self.latent.trained
         self.latent = Latent(fit(torch.from_numpy(F), y, "matern52", start))
 
-    def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
-        return propose(self.latent, features, TABLE_1, criterion(self.criterion), q, rng)
+    def choose(self, space: DesignSpace, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
+        return propose(self.latent, features, space, criterion(self.criterion), q, rng)
 
     def probability(self, F: Array) -> Array:
         return self.latent.moments(F).probability
@@ -164,10 +164,10 @@ class AEPsych:
         else:
             self.model.fit(self._unit(F), y, warmstart_hyperparams=True, max_fit_time=self.fit_seconds)
 
-    def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
+    def choose(self, space: DesignSpace, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
         from aepsych.acquisition import EAVC
 
-        X, F = pool(features, rng)
+        X, F = pool(space, features, rng)
         unit = self._unit(F)
         # The rest of a Sobol' sequence is one too, so no reference is a candidate.
         some, query = unit[: self.candidates], unit[self.candidates : self.candidates + self.references]
@@ -204,10 +204,10 @@ class UncertaintySampling:
         self.seen = F, answers.failed.astype(int)
         self.learned.fit(*self.seen)
 
-    def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
+    def choose(self, space: DesignSpace, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
         from skactiveml.pool import UncertaintySampling as Strategy
 
-        X, F = pool(features, rng)
+        X, F = pool(space, features, rng)
         strategy = Strategy(method="entropy", random_state=self.seed)
         rows = strategy.query(*self.seen, clf=self.learned, fit_clf=False, candidates=F, batch_size=q)
         return X[rows]
@@ -260,10 +260,10 @@ class AdaptiveKriging:
         self.surrogate.fit(F, margin)
         self.margin_sd = float(margin.std())
 
-    def choose(self, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
+    def choose(self, space: DesignSpace, features: FeatureMap, q: int, rng: np.random.Generator) -> Array:
         from UQpy.sampling import UFunction
 
-        X, F = pool(features, rng)
+        X, F = pool(space, features, rng)
         # UQpy returns rows, not their indices, so a last column holds the indices.
         numbered = np.column_stack([F, np.arange(len(F))])
         rows, _, _ = UFunction().evaluate_function(None, q, self, numbered)
@@ -363,7 +363,14 @@ class Sizes:
     batch: int
 
 
-def campaign(entry: Entry, features: FeatureMap, seed: int, sizes: Sizes) -> tuple[Peer, float]:
+def campaign(
+    entry: Entry,
+    space: DesignSpace,
+    features: FeatureMap,
+    simulated: Callable[[Array], Answers],
+    seed: int,
+    sizes: Sizes,
+) -> tuple[Peer, float]:
     """A peer that has spent its budget, and the seconds that it took itself."""
     torch.manual_seed(seed)  # AEPsych draws from torch's generator
     peer, clock = entry.make(seed), Clock()
@@ -372,7 +379,7 @@ def campaign(entry: Entry, features: FeatureMap, seed: int, sizes: Sizes) -> tup
         with clock:
             peer.learn(features(answers.X), answers, True)
         return peer, clock.seconds
-    answers = simulated(TABLE_1.latin_hypercube(sizes.initial, stream(seed, "initial")))
+    answers = simulated(space.latin_hypercube(sizes.initial, stream(seed, "initial")))
     done, iteration = sizes.initial, 0
     while True:
         with clock:
@@ -381,7 +388,7 @@ def campaign(entry: Entry, features: FeatureMap, seed: int, sizes: Sizes) -> tup
             return peer, clock.seconds
         q, iteration = min(sizes.batch, sizes.budget - done), iteration + 1
         with clock:
-            X = peer.choose(features, q, stream(seed, "propose", iteration))
+            X = peer.choose(space, features, q, stream(seed, "propose", iteration))
         answers, done = joined(answers, simulated(X)), done + q
 
 
@@ -496,7 +503,7 @@ def run(
                     continue
                 with one_thread(), warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # warnings of the peers' optimisers; only their results count
-                    peer, seconds = campaign(named[name], maps[features], seed, sizes)
+                    peer, seconds = campaign(named[name], TABLE_1, maps[features], simulated, seed, sizes)
                     verdict = judged(peer, F[features], fresh.failed)
                 line = {"peer": name, "features": features, "seed": seed, **setting, **verdict, "seconds": seconds}
                 with arguments.results.open("a") as file:
