@@ -4,8 +4,8 @@
     python benchmarks/criteria.py --problems shell-3d --seeds 3          a quick look
     python benchmarks/criteria.py --table --write docs/which.md          the table of the finished campaigns
 
-A method is `static` (a Latin hypercube of the whole budget), a criterion, a criterion with `exploration` (`entropy+0.3`),
-or a peer of benchmarks/peers.py. All but `static` start from the same Latin hypercube of half the budget. Campaigns run
+A method is `static` (a Latin hypercube of the whole budget), a criterion, or a peer of benchmarks/peers.py. With
+`-continued` (`entropy-continued`) hyperparameters are only learned from those of the previous iteration. All but `static` start from the same Latin hypercube of half the budget. Campaigns run
 the loop in memory, with the default classifier unless a problem says otherwise. Finished campaigns are lines of --out
 and are not run again.
 
@@ -21,7 +21,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -35,9 +35,10 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
 from activefail.campaign.settings import CampaignSettings, read_settings
 from activefail.execution.local import ThreadExecutor
+from activefail.loop import learning
 from activefail.loop.batches import run
 from activefail.loop.history import History
-from activefail.loop.learning import accuracy, current, learn_from
+from activefail.loop.learning import STARTED_AFRESH, accuracy, current, learn_from
 from activefail.record.memory import MemoryStore
 from activefail.sample_mean import Estimate
 from activefail.simulators.interface import NUMERICAL_FAILURE
@@ -73,14 +74,16 @@ def lobe(X: Array) -> Array:
 
 def branches(Z: Array) -> Array:
     """Four half-spaces in pairs of eight normal variables."""
-    return np.min([1.3 + sign * (Z[:, i] + Z[:, i + 1]) / 2**0.5 for i, sign in ((0, 1), (2, -1), (4, 1), (6, -1))], axis=0)
+    return np.min(
+        [1.3 + sign * (Z[:, i] + Z[:, i + 1]) / 2**0.5 for i, sign in ((0, 1), (2, -1), (4, 1), (6, -1))], axis=0
+    )
 
 
 LIMITS: dict[str, tuple[int, int, int, Callable[[Array], Array]]] = {
     "wave-2d": (2, 80, 5, lambda X: X[:, 1] - 0.5 - 0.3 * np.sin(4.0 * math.pi * X[:, 0])),
     "islands-2d": (2, 80, 5, islands((0.2, 0.25, 0.13), (0.75, 0.7, 0.15), (0.25, 0.8, 0.1))),
     "checks-2d": (2, 100, 5, lambda X: np.sin(3.0 * math.pi * X).prod(axis=1)),
-    "shell-3d": (3, 150, 10, lambda X: np.abs(distance(X, 0.5, 0.5, 0.5) - 0.38) - 0.05),
+    "shell-3d": (3, 200, 10, lambda X: np.abs(distance(X, 0.5, 0.5, 0.5) - 0.38) - 0.06),
     "bands-3d": (3, 150, 10, lambda X: np.cos(3.0 * math.pi * (X @ [1.0, 0.6, -0.4])) - 0.3),
     "islands-3d": (3, 120, 10, islands((0.25, 0.3, 0.3, 0.22), (0.7, 0.75, 0.35, 0.24), (0.6, 0.3, 0.8, 0.2))),
     "band-4d": (4, 120, 10, lambda X: np.abs(X @ [1.0, 0.8, -0.7, 0.4] - 0.8) - 0.12),
@@ -88,7 +91,12 @@ LIMITS: dict[str, tuple[int, int, int, Callable[[Array], Array]]] = {
     "lobe-6d": (6, 150, 10, lobe),
     "branches-8d": (8, 150, 10, branches),
     "ball-10d": (10, 150, 10, lambda X: ((X - 0.4) ** 2) @ np.linspace(2.0, 0.4, 10) - 1.0),
-    "sparse-12d": (12, 150, 10, lambda X: X[:, 1] - 0.5 - 0.3 * np.sin(2.0 * math.pi * X[:, 0]) + 0.3 * (X[:, 2] - 0.5)),
+    "sparse-12d": (
+        12,
+        150,
+        10,
+        lambda X: X[:, 1] - 0.5 - 0.3 * np.sin(2.0 * math.pi * X[:, 0]) + 0.3 * (X[:, 2] - 0.5),
+    ),
 }
 """Variables, budget, batch, limit state."""
 
@@ -120,10 +128,10 @@ def task(name: str) -> Task:
             {"sampling.initial": 60, "sampling.budget": 120, "acquisition.boundary": "failure", "validation.size": 0}
             | {"classifier.learns": "outcomes"}
         )
-        return Task(settings, None, 2_000, BUILDING.parent)
+        return Task(settings, None, 1_500, BUILDING.parent)
     if name.startswith("bearing"):
         sizes = {"sampling.initial": 100, "sampling.budget": 200}
-        return Task(CampaignSettings().changed(sizes | {"classifier.features": name.split("-")[1]}), None, 8_000)
+        return Task(CampaignSettings().changed(sizes | {"classifier.features": name.split("-")[1]}), None, 4_000)
     d, budget, batch, limit = LIMITS[name]
     variable = ("normal", 0.0, 1.0) if name.startswith("branches") else ("uniform", 0.0, 1.0)
     problem = Problem((variable,) * d, limit, math.nan, labels=True)
@@ -148,9 +156,9 @@ def learned_by(name: str, method: str, seed: int) -> Callable[[Array, NDArray[np
     """Accuracy on designs, (n, d), and their outcomes, of a campaign with this method."""
     if method in PEERS:
         return learned_by_peer(name, method, seed)
-    criterion, _, exploration = method.partition("+")
-    changes = {} if method == "static" else {"acquisition__criterion": criterion}
-    campaign = task(name).campaign(seed=seed, acquisition__exploration=float(exploration or 0.0), **changes)
+    criterion, _, continued = method.partition("-")
+    learning.STARTED_AFRESH = 0 if continued else STARTED_AFRESH
+    campaign = task(name).campaign(seed=seed, **{} if method == "static" else {"acquisition__criterion": criterion})
     sampling, severity = campaign.settings.sampling, len(campaign.simulator.outcomes) - 1
     if method == "static":
         X = campaign.space.latin_hypercube(sampling.budget, stream(seed, "static", sampling.budget))
@@ -174,7 +182,7 @@ def learned_by_peer(name: str, method: str, seed: int) -> Callable[[Array, NDArr
         return peers.Answers(X[kept], outcome[kept] >= severity, np.full(int(kept.sum()), math.nan))
 
     sizes = peers.Sizes(sampling.initial, sampling.budget, sampling.batch)
-    entry = peers.entries(2.0)[method]
+    entry = peers.entries(1.0)[method]
     peer, _ = peers.campaign(entry, campaign.space, campaign.features, simulated, seed, sizes)
     return lambda X, outcome: peers.judged(peer, campaign.features(X), outcome >= severity)["accuracy"]
 

@@ -1,7 +1,8 @@
 """Train a campaign's classifier from its record, and restore it from saved states."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -14,7 +15,9 @@ from activefail.loop.probability_rule import Looks, check_looks, looked, looks_f
 from activefail.record.batch import Batch
 from activefail.record.store import Store
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, LearnableMargins, train
+from activefail.surrogate.classifier import Classifier, Latent, LearnableMargins, train
+from activefail.surrogate.fitting import objective
+from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.saved import SavedClassifier
 from activefail.surrogate.state import classifier_from_state, classifier_state, saved_classifier
 
@@ -24,6 +27,16 @@ def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier
     return learn_from(campaign, history.through(iteration), warm)
 
 
+STARTED_AFRESH = 250
+"""Most simulations for which hyperparameters are also learned from their default start.
+
+Learned from the initial design, they may be at a poor local optimum: a boundary that is finer than the design then looks
+like noise, and a start from the previous iteration stays there. A second start takes a tenth of a second at most."""
+
+_BETTER = 1.0
+"""By how much the objective of the default start must be larger [nats]; starts that end together differ by less."""
+
+
 def learn_from(campaign: Campaign, history: History, warm: Classifier | None = None) -> Classifier:
     """A classifier of all simulations of a history, as the campaign's own settings train it.
 
@@ -31,15 +44,28 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
         InputError: if none of them has an outcome.
     """
     known = history.training
-    return train(
+    train_on = partial(
+        train,
         known.designs,
         known.outcome,
         campaign.simulator.outcomes,
         campaign.features,
         campaign.settings.classifier.kernel,
-        warm,
-        margins_of(campaign, known),
     )
+    classifier = train_on(warm, margins_of(campaign, known))
+    n = len(known)
+    learned = any(isinstance(one, Latent) and one.trained.learned_on == n for one in classifier.latents)
+    if warm is None or n > STARTED_AFRESH or not learned:
+        return classifier
+    pairs = zip(classifier.latents, train_on().latents, strict=True)
+    return replace(classifier, latents=tuple(_better(one, fresh) for one, fresh in pairs))
+
+
+def _better(one: Latent | MarginLatent, fresh: Latent | MarginLatent) -> Latent | MarginLatent:
+    """Of two latents that were learned from the same outcomes, the fresh one only if it explains them clearly better."""
+    if isinstance(one, MarginLatent) or isinstance(fresh, MarginLatent):
+        return one
+    return fresh if objective(fresh.trained) > objective(one.trained) + _BETTER else one
 
 
 def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
