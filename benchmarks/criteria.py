@@ -1,18 +1,19 @@
-"""Which criterion by default: the accuracy of campaigns from outcomes alone, against static designs and other libraries.
+"""Which criterion by default: accuracy of campaigns from outcomes alone, against static designs and other libraries.
 
     python benchmarks/criteria.py                                        all problems and methods, ten seeds
     python benchmarks/criteria.py --problems shell-3d --seeds 3          a quick look
     python benchmarks/criteria.py --table --write docs/which.md          the table of the finished campaigns
 
 A method is `static` (a Latin hypercube of the whole budget), a criterion, or a peer of benchmarks/peers.py. With
-`-continued` (`entropy-continued`) hyperparameters are only learned from those of the previous iteration. All but `static` start from the same Latin hypercube of half the budget. Campaigns run
-the loop in memory, with the default classifier unless a problem says otherwise. Finished campaigns are lines of --out
-and are not run again.
+`-continued` (`entropy-continued`), hyperparameters are learned from one start only, that of the previous iteration. All
+but `static` start from the same Latin hypercube of half the budget. Campaigns run the loop in memory, with the default
+classifier unless a problem says otherwise. Finished campaigns are lines of --out and are not run again.
 
 Problems are in the unit cube, or in standard normal variables, and fail where their limit state is at most 0. The same
-fresh designs score all methods of a problem: the share that the classifier puts on the right side of the boundary.
-The table gives the median over the seeds (least .. greatest) [%]; the mean difference to the static design of
-the same seed with its 95 % interval [points]; processor seconds of a campaign, and of a proposal with learning.
+fresh designs score all methods of a problem: the share that the classifier puts on the right side of the boundary. A
+cell of the table has the median over the seeds (least .. greatest) [%]; the mean difference to the static design of the
+same seed with its 95 % interval [points]; the number of seeds. The last rows have the worst mean difference of a
+problem and the worst difference of a seed, and the processor seconds of a campaign, as a median.
 """
 
 import argparse
@@ -46,8 +47,9 @@ from activefail.space import Array
 from activefail.surrogate.threads import one_thread
 
 FIRST_SEED = 3000
-METHODS = ("static", "entropy", "eavc")
+METHODS = ("static", "entropy", "eavc", "static-continued", "entropy-continued")
 PEERS = ("gpc", "aepsych")
+BEGIN, END = "<!-- table of benchmarks/criteria.py -->", "<!-- end of the table -->"
 BUILDING = Path(__file__).resolve().parent.parent / "campaigns" / "building.toml"
 
 
@@ -74,9 +76,12 @@ def lobe(X: Array) -> Array:
 
 def branches(Z: Array) -> Array:
     """Four half-spaces in pairs of eight normal variables."""
-    return np.min(
-        [1.3 + sign * (Z[:, i] + Z[:, i + 1]) / 2**0.5 for i, sign in ((0, 1), (2, -1), (4, 1), (6, -1))], axis=0
-    )
+    return np.min(1.3 + (Z[:, ::2] + Z[:, 1::2]) / 2**0.5 * [1.0, -1.0, 1.0, -1.0], axis=1)
+
+
+def sparse(X: Array) -> Array:
+    """A wave in three of the variables."""
+    return X[:, 1] - 0.5 - 0.3 * np.sin(2.0 * math.pi * X[:, 0]) + 0.3 * (X[:, 2] - 0.5)
 
 
 LIMITS: dict[str, tuple[int, int, int, Callable[[Array], Array]]] = {
@@ -91,12 +96,7 @@ LIMITS: dict[str, tuple[int, int, int, Callable[[Array], Array]]] = {
     "lobe-6d": (6, 150, 10, lobe),
     "branches-8d": (8, 150, 10, branches),
     "ball-10d": (10, 150, 10, lambda X: ((X - 0.4) ** 2) @ np.linspace(2.0, 0.4, 10) - 1.0),
-    "sparse-12d": (
-        12,
-        150,
-        10,
-        lambda X: X[:, 1] - 0.5 - 0.3 * np.sin(2.0 * math.pi * X[:, 0]) + 0.3 * (X[:, 2] - 0.5),
-    ),
+    "sparse-12d": (12, 150, 10, sparse),
 }
 """Variables, budget, batch, limit state."""
 
@@ -106,8 +106,9 @@ class Task:
     """A problem at a size.
 
     Attributes:
-        campaign: with some settings changed.
-        fresh: designs that score.
+        simulator: replaces that of the settings.
+        fresh: number of designs that score.
+        code: folder of the simulator's code.
     """
 
     settings: CampaignSettings
@@ -116,6 +117,7 @@ class Task:
     code: Path | None = None
 
     def campaign(self, **changes: Any) -> Campaign:
+        """The campaign with other settings."""
         changed = self.settings.changed({key.replace("__", "."): value for key, value in changes.items()})
         return Campaign.of(changed, self.code, simulator=self.simulator)
 
@@ -128,7 +130,7 @@ def task(name: str) -> Task:
             {"sampling.initial": 60, "sampling.budget": 120, "acquisition.boundary": "failure", "validation.size": 0}
             | {"classifier.learns": "outcomes"}
         )
-        return Task(settings, None, 1_500, BUILDING.parent)
+        return Task(settings, None, 1_000, BUILDING.parent)
     if name.startswith("bearing"):
         sizes = {"sampling.initial": 100, "sampling.budget": 200}
         return Task(CampaignSettings().changed(sizes | {"classifier.features": name.split("-")[1]}), None, 4_000)
@@ -158,9 +160,9 @@ def learned_by(name: str, method: str, seed: int) -> Callable[[Array, NDArray[np
         return learned_by_peer(name, method, seed)
     criterion, _, continued = method.partition("-")
     learning.STARTED_AFRESH = 0 if continued else STARTED_AFRESH
-    campaign = task(name).campaign(seed=seed, **{} if method == "static" else {"acquisition__criterion": criterion})
+    campaign = task(name).campaign(seed=seed, **{} if criterion == "static" else {"acquisition__criterion": criterion})
     sampling, severity = campaign.settings.sampling, len(campaign.simulator.outcomes) - 1
-    if method == "static":
+    if criterion == "static":
         X = campaign.space.latin_hypercube(sampling.budget, stream(seed, "static", sampling.budget))
         classifier = learn_from(campaign, History.of_sample(X, campaign.simulator.run(X)))
     else:
@@ -208,35 +210,40 @@ def finished(out: Path) -> list[dict[str, Any]]:
 
 
 def table(lines: list[dict[str, Any]]) -> str:
-    """A row for each problem and method in Markdown; the static design of each problem first."""
+    """A row for each problem and a column for each method, in Markdown."""
     by: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
     for line in lines:
         by.setdefault((line["problem"], line["method"]), {})[line["seed"]] = line
-    methods = sorted({method for _, method in by}, key=lambda m: (m != "static", m in PEERS, m))
-    rows = [
-        "| problem | simulations | method | seeds | accuracy [%] | ahead of static by [points] | time [s] | a proposal [s] |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name in (name for name in PROBLEMS if (name, "static") in by):
-        static = by[name, "static"]
-        sampling = task(name).settings.sampling
-        batches = -(-(sampling.budget - sampling.initial) // sampling.batch)
-        for method in (method for method in methods if (name, method) in by):
-            own = by[name, method]
+    methods = [method for method in (*METHODS, *PEERS) if any(method == other for _, other in by)]
+    problems = [name for name in PROBLEMS if (name, "static") in by]
+    rows = ["| problem | simulations | " + " | ".join(methods) + " |", "|---|---|" + "---|" * len(methods)]
+    means: dict[str, list[float]] = {method: [] for method in methods}
+    least: dict[str, list[float]] = {method: [] for method in methods}
+    for name in problems:
+        cells = []
+        for method in methods:
+            own = by.get((name, method), {})
+            if not own:
+                cells.append("")
+                continue
             percent = 100.0 * np.array([line["accuracy"] for line in own.values()])
-            seconds = float(np.median([line["seconds"] for line in own.values()]))
-            pairs = [100.0 * (own[seed]["accuracy"] - static[seed]["accuracy"]) for seed in own if seed in static]
-            ahead, each = "", ""
-            if method != "static":
-                each = f"{seconds / batches:.2f}"
-                if len(pairs) > 1:
-                    difference = Estimate.over(np.array(pairs))
-                    low, high = difference.of_mean
-                    ahead = f"{difference.mean:+.2f} ({low:+.2f} .. {high:+.2f})"
-            rows.append(
-                f"| {name} | {sampling.budget} | {method} | {len(own)} | {np.median(percent):.2f} "
-                f"({percent.min():.2f} .. {percent.max():.2f}) | {ahead} | {seconds:.1f} | {each} |"
-            )
+            text = f"{np.median(percent):.1f} ({percent.min():.1f} .. {percent.max():.1f})"
+            static = by[name, "static"]
+            ahead = 100.0 * np.array([own[i]["accuracy"] - static[i]["accuracy"] for i in own if i in static])
+            if method != "static" and len(ahead) > 1:
+                low, high = Estimate.over(ahead).of_mean
+                text += f"; {ahead.mean():+.1f} ({low:+.1f} .. {high:+.1f})"
+                means[method].append(ahead.mean())
+                least[method].append(ahead.min())
+            cells.append(f"{text}; {len(own)}")
+        rows.append(f"| {name} | {task(name).settings.sampling.budget} | " + " | ".join(cells) + " |")
+    worst = (f"{min(means[m]):+.1f}, {min(least[m]):+.1f}" if means[m] else "" for m in methods)
+    rows.append("| worst problem, worst seed | | " + " | ".join(worst) + " |")
+    seconds = (
+        f"{np.median([line['seconds'] for (_, method), own in by.items() if method == m for line in own.values()]):.1f}"
+        for m in methods
+    )
+    rows.append("| seconds of a campaign | | " + " | ".join(seconds) + " |")
     return "\n".join(rows)
 
 
@@ -248,6 +255,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--out", type=Path, default=Path("criteria.jsonl"), help="file of finished campaigns")
     parser.add_argument("--table", action="store_true", help="only the table of the finished campaigns")
+    parser.add_argument("--write", type=Path, help="page in which the table replaces what is between the marks")
     arguments = parser.parse_args()
     names, methods = arguments.problems.split(","), arguments.methods.split(",")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
@@ -260,8 +268,12 @@ def main() -> None:
         with arguments.out.open("a") as file:
             file.write(json.dumps(line) + "\n")
         print("{problem:18} {method:14} seed {seed}  {accuracy:.4f}  {seconds:.1f} s".format(**line), flush=True)
-    lines = [line for line in finished(arguments.out) if (line["problem"], line["method"], line["seed"]) in set(wanted)]
-    print(table(lines))
+    text = table([line for line in finished(arguments.out) if line["problem"] in names and line["method"] in methods])
+    print(text)
+    if arguments.write is not None:
+        before, _, rest = arguments.write.read_text(encoding="utf-8").partition(BEGIN)
+        _, _, after = rest.partition(END)
+        arguments.write.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Train a campaign's classifier from its record, and restore it from saved states."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -16,8 +16,8 @@ from activefail.record.batch import Batch
 from activefail.record.store import Store
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier, Latent, LearnableMargins, train
-from activefail.surrogate.fitting import objective
-from activefail.surrogate.margin import MarginLatent
+from activefail.surrogate.covariance import Hyperparameters
+from activefail.surrogate.fitting import condition, fit, objective
 from activefail.surrogate.saved import SavedClassifier
 from activefail.surrogate.state import classifier_from_state, classifier_state, saved_classifier
 
@@ -28,13 +28,13 @@ def learn(campaign: Campaign, history: History, iteration: int, warm: Classifier
 
 
 STARTED_AFRESH = 250
-"""Most simulations for which hyperparameters are also learned from their default start.
+"""Most simulations for which hyperparameters are learned from several starts: 0.1 to 0.5 s for each further one.
 
-Learned from the initial design, they may be at a poor local optimum: a boundary that is finer than the design then looks
-like noise, and a start from the previous iteration stays there. A second start takes a tenth of a second at most."""
+The objective has local optima at which a boundary finer than the design looks like noise. A start from the previous
+iteration stays at such an optimum whatever is simulated afterwards."""
 
 _BETTER = 1.0
-"""By how much the objective of the default start must be larger [nats]; starts that end together differ by less."""
+"""By how much the objective must be larger from another start [nats]; starts that end together differ by less."""
 
 
 def learn_from(campaign: Campaign, history: History, warm: Classifier | None = None) -> Classifier:
@@ -44,28 +44,34 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
         InputError: if none of them has an outcome.
     """
     known = history.training
-    train_on = partial(
-        train,
+    classifier = train(
         known.designs,
         known.outcome,
         campaign.simulator.outcomes,
         campaign.features,
         campaign.settings.classifier.kernel,
+        warm,
+        margins_of(campaign, known),
     )
-    classifier = train_on(warm, margins_of(campaign, known))
-    n = len(known)
-    learned = any(isinstance(one, Latent) and one.trained.learned_on == n for one in classifier.latents)
-    if warm is None or n > STARTED_AFRESH or not learned:
+    if len(known) > STARTED_AFRESH:
         return classifier
-    pairs = zip(classifier.latents, train_on().latents, strict=True)
-    return replace(classifier, latents=tuple(_better(one, fresh) for one, fresh in pairs))
+    latents = (_from_other_starts(one) if isinstance(one, Latent) else one for one in classifier.latents)
+    return replace(classifier, latents=tuple(latents))
 
 
-def _better(one: Latent | MarginLatent, fresh: Latent | MarginLatent) -> Latent | MarginLatent:
-    """Of two latents that were learned from the same outcomes, the fresh one only if it explains them clearly better."""
-    if isinstance(one, MarginLatent) or isinstance(fresh, MarginLatent):
-        return one
-    return fresh if objective(fresh.trained) > objective(one.trained) + _BETTER else one
+def _from_other_starts(latent: Latent) -> Latent:
+    """The latent, or one whose hyperparameters, learned from another start, explain the same outcomes clearly better.
+
+    The starts are the default one, and length scales half as long.
+    """
+    trained = latent.trained
+    n, m = trained.features.shape
+    if trained.learned_on < n:  # its hyperparameters were kept
+        return latent
+    data = trained.features, trained.labels, trained.kernel
+    fine = Hyperparameters(trained.hyperparameters.mean, math.log(10.0), np.full(m, math.log(0.5 * math.sqrt(m))))
+    best = max(fit(*data), fit(*data, condition(*data, fine)), key=objective)
+    return Latent(best) if objective(best) > objective(trained) + _BETTER else latent
 
 
 def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
