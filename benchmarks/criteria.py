@@ -230,7 +230,7 @@ def table(lines: list[dict[str, Any]]) -> str:
             text = f"{np.median(percent):.1f} ({percent.min():.1f} .. {percent.max():.1f})"
             static = by[name, "static"]
             ahead = 100.0 * np.array([own[i]["accuracy"] - static[i]["accuracy"] for i in own if i in static])
-            if method != "static" and len(ahead) > 1:
+            if method != "static" and len(ahead) > 2:
                 low, high = Estimate.over(ahead).of_mean
                 text += f"; {ahead.mean():+.1f} ({low:+.1f} .. {high:+.1f})"
                 means[method].append(ahead.mean())
