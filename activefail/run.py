@@ -752,9 +752,9 @@ class Run:
         _, resolved = site_and_question(self.campaign, hazard, question, fixed)
         with self._estimator(executor) as estimator:
             estimate = estimator.sample(outcome, simulations, resolved, checks=True).estimate(confidence)
-        findings = ProbabilityFindings.of(
-            self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
-        )
+            findings = ProbabilityFindings.of(
+                self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
+            )
         if self._write and question is None and fixed is None and hazard is None:
             self._save_estimate(outcome, findings.as_json())
         return findings

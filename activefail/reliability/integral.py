@@ -114,7 +114,8 @@ def integrate(
         found = _by_populations(boundaries, int(column), space, contains, accuracy)
         for known, value in zip(integral, found, strict=True):
             known[column] = value
-    return integral
+    # Populations have their own errors, by which boundaries must not cross.
+    return integral._replace(probability=np.minimum.accumulate(np.minimum(integral.probability, 1.0)))
 
 
 def _of_rows(boundaries: Boundaries, rows: WeightedRows, contains: Contains | None) -> Integral:
