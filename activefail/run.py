@@ -889,7 +889,7 @@ class Run:
                 file is invalid, or variables of the question are correlated.
         """
         from activefail.paper.p_values import variable_p_values
-        from activefail.reliability.integral import boundaries_of
+        from activefail.reliability.integral import BoundariesOf
         from activefail.risk.sensitivity.findings import (
             hazard_sensitivity,
             length_scales,
@@ -903,7 +903,7 @@ class Run:
         check_confidence(confidence)
         site, resolved = site_and_question(self.campaign, hazard, question, fixed, self.space.names)
         latent = self.classifier.latent(outcome)
-        boundaries = boundaries_of(self.classifier, self.features)
+        boundaries = BoundariesOf(self.classifier, self.features)
         with one_thread():
             if site is None:
                 result = question_sensitivity(self.campaign, boundaries, outcome, resolved, samples, confidence, begin)

@@ -6,6 +6,7 @@ deviation of the probability beyond the boundary [BectEtAl2012].
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,7 @@ def propose_by_margin(
     *,
     pending: Array | None = None,
     failed: Array | None = None,
+    answers: Callable[[Array], Array] | None = None,
 ) -> Array:
     """q designs, (q, d), whose margins reduce the doubt about the boundary most.
 
@@ -90,16 +92,20 @@ def propose_by_margin(
         rng: generator of the draws.
         pending: (k, d) designs in flight; their margins are taken as known.
         failed: (k, d) designs whose simulation was a numerical failure; nothing is to be learned near them.
+        answers: probability of a result at scaled features; all are certain if None.
     """
     for known in (pending, failed):
         if known is not None and len(known):
             latent = latent.with_pending(features(known))
     drawn, F, standardised = doubtful_population(latent, features, space, SIZE, rng)
-    return np.asarray(drawn.X[_best_rows(latent, F, drawn.weight * doubt(standardised), q, rng)])
+    parts, certain = drawn.weight * doubt(standardised), None if answers is None else answers(F)
+    return np.asarray(drawn.X[_best_rows(latent, F, parts, q, rng, certain)])
 
 
-def _best_rows(latent: MarginLatent, F: Array, parts: Array, q: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Rows of q designs of a population with features F, (n, m), and parts of the doubt, (n,)."""
+def _best_rows(
+    latent: MarginLatent, F: Array, parts: Array, q: int, rng: np.random.Generator, answers: Array | None
+) -> NDArray[np.intp]:
+    """Rows of q designs of a population with features F, (n, m), parts of the doubt, (n,), and chances of a result."""
     share = (parts + LEAST) / (parts + LEAST).sum()
     references = rng.choice(len(F), REFERENCES, p=share)
     candidates = np.unique(rng.choice(len(F), _CANDIDATES + _MORE * q, p=share))
@@ -115,6 +121,8 @@ def _best_rows(latent: MarginLatent, F: Array, parts: Array, q: int, rng: np.ran
         variance = np.maximum(covariance.diagonal(), 1e-12)
         after = expected_doubt(mean[n:], np.sqrt(variance[n:]), variance[:n], covariance[:n, n:])
         left = (after / before).mean(axis=1)
+        if answers is not None:
+            left = (left - 1.0) * answers[candidates]
         left[chosen] = math.inf
         best = int(np.argmin(left))
         chosen.append(best)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from activefail.bearing.design import LARGEST
 from activefail.campaign.hazard_sections import LARGEST_MEDIAN
@@ -129,12 +128,8 @@ class Question:
         """
         from activefail.reliability.integral import integrate
 
-        def contains(X: Array) -> NDArray[np.bool_]:
-            return space.contains(self.designs(X))
-
-        return integrate(
-            lambda X: boundaries(self.designs(X)), self.space, None if self.is_own else contains, resolution
-        )
+        contains = None if self.is_own else space.contains
+        return integrate(boundaries, self.space, resolution, designs=self.designs, contains=contains)
 
     def share_outside(self, space: DesignSpace) -> float:
         """The share of the question outside a campaign's design space, where its classifier extrapolates.

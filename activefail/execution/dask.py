@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Self
 
 from activefail.errors import ActivefailError, InputError, SimulationError
-from activefail.execution.answering import answer, with_shown_faults
+from activefail.execution.answering import answer, finished
 from activefail.execution.processes import Guards
 from activefail.simulators.interface import WORKER_DIED, Results, Simulator, unanswered
 from activefail.space import Array
@@ -167,7 +167,7 @@ class DaskExecutor:
         match answer:
             case KilledWorker():
                 fault = f"design {x.tolist()}: its workers were lost: {answer}"
-                return with_shown_faults(unanswered(simulator, 1, WORKER_DIED, fault))
+                return finished(simulator, unanswered(simulator, 1, WORKER_DIED, fault))
             case ActivefailError():
                 raise answer
             case OSError() | CancelledError() if future.status != "error":
@@ -181,7 +181,7 @@ class DaskExecutor:
                     "The workers need this machine's versions of activefail, Python and Dask."
                 ) from answer
             case _:
-                return with_shown_faults(answer)
+                return finished(simulator, answer)
 
     def __enter__(self) -> Self:
         return self

@@ -9,7 +9,7 @@ from activefail.campaign.question import Question
 from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
-from activefail.reliability.integral import OfBoundary, boundaries_of
+from activefail.reliability.integral import BoundariesOf, OfBoundary
 from activefail.shares import percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
@@ -138,7 +138,7 @@ class ProbabilityFindings:
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
         latent = classifier.latent(outcome)
-        integral = question.integral(boundaries_of(classifier, campaign.features), campaign.space)
+        integral = question.integral(BoundariesOf(classifier, campaign.features), campaign.space)
         return cls(
             outcome=outcome,
             estimate=estimate,

@@ -1,7 +1,7 @@
 """Train a campaign's classifier from its record, and restore it from saved states."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -13,8 +13,9 @@ from activefail.loop.history import History
 from activefail.loop.probability_rule import Looks, check_looks, looked, looks_from_state, looks_state
 from activefail.record.batch import Batch
 from activefail.record.store import Store
+from activefail.simulators.interface import is_impossible
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, LearnableMargins, train
+from activefail.surrogate.classifier import Classifier, Latent, LearnableMargins, lost_latent, train
 from activefail.surrogate.saved import SavedClassifier
 from activefail.surrogate.state import classifier_from_state, classifier_state, saved_classifier
 
@@ -31,7 +32,7 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
         InputError: if none of them has an outcome.
     """
     known = history.training
-    return train(
+    classifier = train(
         known.designs,
         known.outcome,
         campaign.simulator.outcomes,
@@ -40,6 +41,27 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
         warm,
         margins_of(campaign, known),
     )
+    return with_lost(campaign, classifier, history)
+
+
+def with_lost(campaign: Campaign, classifier: Classifier, history: History) -> Classifier:
+    """A classifier with what the simulations say about where there is no result.
+
+    It is learned anew each time, so that no saved state needs it.
+    """
+    # Failures before the first outcome came from a simulator that has been fixed since.
+    history = history[history.leading_failures :]
+    if history.answered.all():
+        return classifier
+    impossible = is_impossible(campaign.simulator, history.outcome, history.cause)
+
+    def latent(lost: NDArray[np.bool_]) -> Latent | None:
+        if not lost.any():
+            return None
+        kernel = campaign.settings.classifier.kernel
+        return lost_latent(campaign.features(history.designs), lost, kernel)
+
+    return replace(classifier, unknown=latent(~history.answered & ~impossible), impossible=latent(impossible))
 
 
 def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
@@ -84,11 +106,14 @@ def _restored(
     kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
     while (saved := store.latest_state()) is not None and saved[0] <= through:
         iteration, state = saved
-        known = History.of(store.batches).through(iteration).training
+        history = History.of(store.batches).through(iteration)
+        known = history.training
         try:
             check(iteration, state)
             margins = margins_of(campaign, known)
             classifier = build(state, known.designs, known.outcome, outcomes, campaign.features, kernel, margins)
+            if isinstance(classifier, Classifier):
+                classifier = with_lost(campaign, classifier, history)
             return iteration, state, classifier
         except KeyError:  # an older version saved fewer arrays: retrain from the record
             break

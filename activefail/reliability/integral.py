@@ -6,11 +6,12 @@ around parents that an earlier one has found [CappeEtAl2004].
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr, ndtri_exp
 
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import around, finite, first_parents, next_parents
@@ -42,7 +43,7 @@ _POPULATION, _PARENTS, _ROUNDS = 8192, 100, 40
 
 
 Contains = Callable[[Array], NDArray[np.bool_]]
-"""Values of a distribution's variables, (n, k) -> whether the campaign's space contains the designs, (n,)."""
+"""Designs, (n, d), or values of variables -> whether the campaign's space contains the designs, (n,)."""
 
 
 class OfBoundary(NamedTuple):
@@ -71,33 +72,99 @@ class Integral(NamedTuple):
         return OfBoundary(*(float(numbers[column]) for numbers in self))
 
 
-def boundaries_of(classifier: Classifier, features: FeatureMap) -> Boundaries:
-    """All boundaries of a classifier as one function of designs; the features are computed once."""
-    return lambda X: classifier.predicted(finite(features, X)).boundaries
+Lost = Literal["learned", "none", "all"]
+"""Which of the designs that probably give no result count as beyond a boundary: as the boundary was learned, or so."""
 
 
-def boundary_of(classifier: Classifier, features: FeatureMap, outcome: str) -> Standardised:
+@dataclass(frozen=True)
+class BoundariesOf:
+    """All boundaries of a classifier as one function of designs; the features are computed once.
+
+    Designs that do not exist are beyond no boundary; `exists` says which do.
+
+    Attributes:
+        classifier: the classifier.
+        features: map from designs to its inputs.
+        lost: what a run without a known result counts as.
+    """
+
+    classifier: Classifier
+    features: FeatureMap
+    lost: Lost = "learned"
+
+    def __call__(self, X: Array) -> Array:
+        """The probits of P(at least as severe) of designs, (n, d) -> (n, b)."""
+        F = finite(self.features, X)
+        z = self.classifier.predicted(F).boundaries
+        if self.classifier.unknown is not None and self.lost != "learned":
+            unknown = self.classifier.unknown.moments(F).side[:, None]
+            z = _both(z, -unknown) if self.lost == "none" else -_both(-z, -unknown)
+        if self.classifier.impossible is not None:
+            impossible = self.classifier.impossible.moments(F).side[:, None]
+            z = _both(z, -impossible)
+        return z
+
+    @property
+    def exists(self) -> Boundaries | None:
+        """Where designs exist, as a boundary of its own; None if all do."""
+        impossible = self.classifier.impossible
+        if impossible is None:
+            return None
+        return lambda X: -impossible.moments(finite(self.features, X)).side[:, None]
+
+
+def _both(a: Array, b: Array) -> Array:
+    """The probits of Φ(a) Φ(b)."""
+    return np.asarray(ndtri_exp(log_ndtr(a) + log_ndtr(b)))
+
+
+def boundary_of(classifier: Classifier, features: FeatureMap, outcome: str, lost: Lost = "learned") -> Standardised:
     """The boundary of an outcome as a function of designs."""
-    column = classifier.outcomes.index(outcome) - 1
-    return lambda X: classifier.predicted(finite(features, X)).boundaries[:, column]
+    column, boundaries = classifier.outcomes.index(outcome) - 1, BoundariesOf(classifier, features, lost)
+    return lambda X: boundaries(X)[:, column]
 
 
 def integrate(
     boundaries: Boundaries,
     space: DesignSpace | WeightedRows,
-    contains: Contains | None = None,
     resolution: float = 0.0,
     accuracy: float = ACCURACY,
+    designs: Callable[[Array], Array] = lambda X: X,
+    contains: Contains | None = None,
 ) -> Integral:
-    """The share of a distribution that a classifier puts beyond each boundary: the mean of Φ(z).
+    """The share of a distribution that a classifier puts beyond each boundary: the mean of Φ(z), of designs that exist.
 
     Args:
-        boundaries: of the distribution's variables.
+        boundaries: of designs.
         space: the distribution.
-        contains: whether the campaign's space contains the designs; all if None.
         resolution: standard error that is small enough, whatever the probability.
         accuracy: relative standard error that is small enough.
+        designs: the designs of values of the distribution's variables.
+        contains: whether the campaign's space contains designs; all if None.
     """
+    integral = _integrated(
+        lambda X: boundaries(designs(X)),
+        space,
+        resolution,
+        accuracy,
+        None if contains is None else lambda X: contains(designs(X)),
+    )
+    if not isinstance(boundaries, BoundariesOf) or boundaries.exists is None:
+        return integral
+    exists = boundaries.exists
+    share = _integrated(lambda X: exists(designs(X)), space, 0.0, accuracy, None)
+    return integral._replace(
+        probability=np.minimum(integral.probability / share.probability, 1.0), error=integral.error / share.probability
+    )
+
+
+def _integrated(
+    boundaries: Boundaries,
+    space: DesignSpace | WeightedRows,
+    resolution: float,
+    accuracy: float,
+    contains: Contains | None,
+) -> Integral:
     if isinstance(space, WeightedRows):
         return _of_rows(boundaries, space.thinned(_MOST_ROWS), contains)
     for length in _LENGTHS:
