@@ -156,7 +156,7 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
     where = np.array([[-2.4, 2.2]])
     hidden = campaign_on(FourBranch(hidden=(-2.4, 2.2)))
     results = hidden.simulator.run(where)
-    batch = History(where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins)
+    batch = History(where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins, results.cause)
     assert contradicted(hidden, known.classifier, batch).tolist() == [True]
     # On the right side, but with a margin that the classifier considered impossible.
     odd = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=np.array([[50.0]]))
@@ -195,7 +195,7 @@ def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended, at_c
     last = whole.last_iteration
     before = History.of(store.batches[: n - 1])
     earlier = current(campaign, copied(campaign, at_check), write=False)
-    for rows, failed, known in ((8, 0, True), (8, 2, True), (8, 3, False), (3, 0, False)):
+    for rows, failed, known in ((8, 0, True), (8, 2, False), (3, 0, False)):
         outcome = store.batches[-1].results.outcome.copy()
         outcome[:failed] = -1
         batch = store.batches[-1]
@@ -205,11 +205,12 @@ def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended, at_c
             np.full(rows, last),
             batch.origin[:rows],
             batch.results.margins[:rows],
+            batch.results.cause[:rows],
         )
         history = History(
             *(
                 np.concatenate([getattr(one, name) for one in (before, checked)])
-                for name in ("designs", "outcome", "iteration", "origin", "margins")
+                for name in ("designs", "outcome", "iteration", "origin", "margins", "cause")
             )
         )
         learned = Learned.after(campaign, history, last, earlier)
@@ -304,7 +305,7 @@ def test_asked_for_one_design_at_a_time_it_ends_with_the_bits_of_the_loop(ended)
         told(campaign, store, proposed.designs)
     assert proposed.reason == "the stop rule is met"
     one, other = History.of(store.batches), History.of(whole.batches)
-    for name in ("designs", "outcome", "iteration", "origin", "margins"):
+    for name in ("designs", "outcome", "iteration", "origin", "margins", "cause"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes(), name
     assert len(ask(campaign, store, 1, 120, ignore_stop=True).designs) == 1
 
