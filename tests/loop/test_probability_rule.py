@@ -156,7 +156,9 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
     where = np.array([[-2.4, 2.2]])
     hidden = campaign_on(FourBranch(hidden=(-2.4, 2.2)))
     results = hidden.simulator.run(where)
-    batch = History(where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins, results.cause)
+    batch = History(
+        where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins, results.cause
+    )
     assert contradicted(hidden, known.classifier, batch).tolist() == [True]
     # On the right side, but with a margin that the classifier considered impossible.
     odd = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=np.array([[50.0]]))
