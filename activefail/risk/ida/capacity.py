@@ -30,7 +30,7 @@ class Answers(NamedTuple):
     """What n simulations showed."""
 
     outcome: NDArray[np.int8]  # (n,) severity, or NUMERICAL_FAILURE
-    lifted: NDArray[np.bool_]  # (n,) whether a plate lifted off by more than the rim's height before any rim touch
+    lifted: NDArray[np.bool_]  # (n,) whether the bearing failed without a rim touch: a plate lifted off
 
 
 Simulate = Callable[[Runs], Answers]
@@ -45,7 +45,7 @@ class Capacities:
         capacity: (n,) lowest level with the outcome; infinite if none has it.
         resurrections: (n,) levels above the capacity that were survived.
         numerical_failures: (n,) levels without an outcome.
-        lifted: (n,) levels at which a plate lifted off the slider by more than the rim's height before any rim touch.
+        lifted: (n,) levels at which a plate lifted off and the bearing failed before any rim touch.
         levels, outcomes: for each record its levels, rising, and their outcomes.
     """
 

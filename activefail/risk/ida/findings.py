@@ -180,8 +180,8 @@ class IdaFindings:
             )
         if lifted := int(capacities.lifted.sum()):
             notes.append(
-                f"In {lifted} of the simulations the slider rocks so far that a plate rises above the rim before "
-                "the slider touches a rim. They count as failures."
+                f"In {lifted} of the simulations a plate rises above its rim and the bearing fails before the slider "
+                "touches a rim. They count as failures."
             )
         if failures := int(capacities.numerical_failures.sum()):
             notes.append(
