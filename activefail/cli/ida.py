@@ -66,7 +66,8 @@ def ida(
     outcome: Annotated[
         str | None,
         typer.Option(
-            help="Outcome that is sought: failure or impact, or one of the campaign's. Default: the most severe.",
+            help="Outcome that is sought, or a worse one: failure, impact, or one of the campaign's. Default: the "
+            "most severe.",
             show_default=False,
         ),
     ] = None,

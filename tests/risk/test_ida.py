@@ -59,6 +59,16 @@ def test_the_spectral_acceleration_is_that_of_an_integrated_oscillator(period: f
     assert spectral_acceleration(motion, period) == pytest.approx(omega**2 * np.abs(found.y[0]).max(), rel=1e-3)
 
 
+@pytest.mark.parametrize("period", [0.03, 0.05, 0.1, 0.4])
+def test_a_peak_of_a_short_oscillator_between_two_samples_is_seen(period: float) -> None:
+    rng, dt = np.random.default_rng(5), 0.01
+    coarse = Accelerogram(rng.standard_normal(400), dt)
+    parts = math.ceil(1000 * dt / period)
+    t = np.arange(399 * parts + 1) * (dt / parts)
+    fine = Accelerogram(np.interp(t, np.arange(400) * dt, coarse.acceleration), dt / parts)
+    assert spectral_acceleration(coarse, period) == pytest.approx(spectral_acceleration(fine, period), rel=6e-4)
+
+
 def test_a_stiff_oscillator_moves_with_the_ground() -> None:
     motion = pulse(2.0, dt=0.002)
     assert spectral_acceleration(motion, 0.05) == pytest.approx(motion.peak, rel=0.02)

@@ -105,11 +105,12 @@ class IdaFindings:
         """Titles and texts for a terminal."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
         count, records = len(self.capacities.capacity), self.records
+        worse = "" if self.outcome == self.outcomes[-1] else ", or a worse outcome"
         vertical = "with vertical components, " if records.has_vertical else ""
         lines = [
             ("records", f"{count} from {records.events} events, {vertical}scaled to {self.intensity.name}"),
             ("runs", f"{self.capacities.runs} simulations up to {self.highest:.3g}{unit}"),
-            (self.outcome, f"{self.failed} of {count} records reach it"),
+            (self.outcome, f"{self.failed} of {count} records reach it{worse}"),
         ]
         if self.simulator:
             lines.insert(0, ("simulator", f"of {self.simulator}"))

