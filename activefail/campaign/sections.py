@@ -153,8 +153,11 @@ class BearingSettings(Section):
 
     Attributes:
         slider_diameter: D_sl [m], which Table 1 does not contain.
-        restitution_coefficient: coefficient of restitution of the contacts, dish and rim.
-        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate.
+        restitution_coefficient: coefficient of restitution of the contacts, dish and rim, for two bodies of the mass in
+            the damper; of the plate that hits a rim see `restitution`.
+        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate. A plate hits a
+            rim through the light slider: if "pairwise", it rebounds nearly elastically, with 0.89 of its speed in the
+            median and up to 0.97, and if "assembly" with 0.57, up to 0.71 (`python experiments/restitution.py`).
         slider_density: density of the slider [kg/m³].
         friction_velocity: velocity over which Coulomb friction is regularised [m/s].
         loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.
@@ -479,8 +482,8 @@ class AcquisitionSettings(Section):
 
     Attributes:
         criterion: what ranks the candidates.
-        boundary: outcome of the target boundary, or weights by outcome. With a custom simulator the most severe outcome
-            by default.
+        boundary: outcome of the target boundary, which is that of this outcome or a worse one, or weights by outcome.
+            With a custom simulator the most severe outcome by default.
         exploration: share of the proposed designs that are drawn from the whole space instead.
     """
 

@@ -29,7 +29,8 @@ def design(
         str,
         typer.Option(
             help="Largest acceptable probability of failure, such as 0.10 or 10%; a risk category, II, III or IV; a "
-            "risk such as '1% in 50 years'; or one for each outcome, such as failure=0.05,impact=0.3.",
+            "risk such as '1% in 50 years'; or one for each outcome, such as failure=0.05,impact=0.3, where "
+            "impact means impact or worse.",
             show_default=False,
         ),
     ],

@@ -26,6 +26,7 @@ from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import least_value
 from activefail.risk.design.search import find_design
 from activefail.shares import percent
+from activefail.simulators.bearing import terms_of
 from activefail.space import Array
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import visible
@@ -247,7 +248,7 @@ class DesignAnswers:
             "median_period": hazard.median_period,
             "outside": outside,
             "outside_text": percent(outside),
-            "notes": self._notes(hazard),
+            "notes": [*self._terms(request, at), *self._notes(hazard)],
             "svg": self._drawn(grid, P, request.target, value),
         }
 
@@ -360,6 +361,10 @@ class DesignAnswers:
 
     def _quantity_text(self, number: str) -> str:
         return f"{number} {self._quantity.unit}".strip()
+
+    def _terms(self, request: Asked, at: float) -> list[str]:
+        terms = terms_of(self.campaign.simulator, {**dict(request.bearing), CAPACITY: at})
+        return [] if terms is None else [f"{CAPACITY} = {self._with_unit(at)}: {terms.text}."]
 
     def _notes(self, hazard: Hazard) -> list[str]:
         return [

@@ -43,7 +43,7 @@ from activefail.report.evidence import Evidence
 from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
 from activefail.report.picture import picture
-from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
 from activefail.visible import quoted, visible
@@ -227,6 +227,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
         prediction = predict(findings.campaign, findings.classifier, findings.X[row : row + 1])
         probabilities = [_probability(float(p)) for p in prediction.probabilities[0]]
         alternative = f"Plates and slider of simulation {findings.ids[row]} at four instants"
+        terms = terms_of(simulator, dict(zip(findings.campaign.space.names, findings.X[row].tolist(), strict=True)))
         shown.append(
             {
                 "picture": picture(plot_snapshots(response), f"bearing{number}", alternative),
@@ -240,6 +241,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
                     else f"iteration {findings.iteration[row]}"
                 ),
                 "result": describe_outcome(response),
+                "terms": "" if terms is None else terms.text,
                 "probabilities": dict(zip(simulator.outcomes, probabilities, strict=True)),
             }
         )

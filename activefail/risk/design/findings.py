@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from activefail.bearing.design import GRAVITY
+from activefail.bearing.terms import Terms
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
 from activefail.reliability.estimate import ProbabilityEstimate
@@ -12,7 +13,7 @@ from activefail.risk.design.design_task import LOOKS, Rate
 from activefail.risk.design.required_chart import RequiredChart
 from activefail.risk.design.search import Designed
 from activefail.shares import bounds_percent, percent
-from activefail.simulators.bearing import limits_of
+from activefail.simulators.bearing import limits_of, terms_of
 from activefail.visible import or_worse, visible
 
 BEARING_PERIOD = "T_b"
@@ -61,14 +62,29 @@ class DesignFindings:
         μ + D_tot (2π/T_b)²/g, the force of two equal dishes before a rim is touched. None if the campaign's design is
         not a bearing.
         """
-        known = {**self.campaign.space.fixed, **self.bearing}
+        known = self._at_upper_friction
         if not {BEARING_PERIOD, FRICTION, CAPACITY} <= known.keys():
             return None
-        factor = 1.0
-        if self.hazard is not None:
-            factor = self.hazard.at_bound("upper").factors.get(FRICTION, 1.0)
         stiffness = (2.0 * math.pi / known[BEARING_PERIOD]) ** 2 / GRAVITY
-        return known[FRICTION] * factor + known[CAPACITY] * stiffness
+        return known[FRICTION] + known[CAPACITY] * stiffness
+
+    @property
+    def terms(self) -> Terms | None:
+        """The bearing in the designer's terms, at the upper bound of friction; None if a value is uncertain."""
+        return terms_of(self.campaign.simulator, self._at_upper_friction)
+
+    @property
+    def friction(self) -> str:
+        """The friction of `lateral_force` and `terms`, in words."""
+        upper = self.hazard is not None and FRICTION in self.hazard.at_bound("upper").factors
+        return "at the upper bound of friction" if upper else "at the given friction (the hazard has no upper bound)"
+
+    @property
+    def _at_upper_friction(self) -> dict[str, float]:
+        known = {**self.campaign.space.fixed, **self.bearing}
+        if self.hazard is not None and FRICTION in known:
+            known[FRICTION] *= self.hazard.at_bound("upper").factors.get(FRICTION, 1.0)
+        return known
 
     @property
     def assumptions(self) -> list[str]:
@@ -204,6 +220,7 @@ class DesignFindings:
                 f"{confidence:g}": None if math.isnan(value) else value for confidence, value in designed.costs.items()
             },
             "lateral_force_over_weight": self.lateral_force,
+            "terms": None if (terms := self.terms) is None else terms.as_json(),
             "classifier_probability_at_upper_bounds": list(self.at_upper) or None,
             "classifier_probability_at_least_velocity": list(self.at_least) or None,
             "uncertain": self.uncertain,
@@ -267,10 +284,11 @@ class DesignFindings:
             lines.append(
                 ("confidence", f"{first} that one look would need at another confidence (approximate): {shown}")
             )
-        if (force := self.lateral_force) is not None:
-            upper = self.hazard is not None and FRICTION in self.hazard.at_bound("upper").factors
-            at = "at the upper bound of friction" if upper else "at the given friction (the hazard has no upper bound)"
-            lines.append(("force", f"lateral force at D_tot over weight: {force:.3g}, {at} (formula, no interval)"))
+        if (terms := self.terms) is not None:
+            lines += terms.lines(f", {self.friction}")
+        elif (force := self.lateral_force) is not None:
+            text = f"lateral force at D_tot over weight: {force:.3g}, {self.friction} (formula, no interval)"
+            lines.append(("force", text))
         for one, share in zip(task.requirements, self.at_upper, strict=False):
             lines.append(
                 (

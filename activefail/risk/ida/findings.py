@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.terms import Terms
 from activefail.risk.ida.capacity import LOWEST, Capacities
 from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility
 from activefail.risk.ida.equivalent_pulse import PulseComparison
@@ -57,6 +58,11 @@ class IdaFindings:
     fault: str = ""
 
     @property
+    def terms(self) -> Terms | None:
+        """The bearing in the designer's terms; None for a campaign's simulator."""
+        return None if self.model is None else Terms.of(self.values, self.model.slider_diameter)
+
+    @property
     def failed(self) -> int:
         """Number of records with a capacity."""
         return int(np.isfinite(self.capacities.capacity).sum())
@@ -99,14 +105,17 @@ class IdaFindings:
         """Titles and texts for a terminal."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
         count, records = len(self.capacities.capacity), self.records
+        worse = "" if self.outcome == self.outcomes[-1] else ", or a worse outcome"
         vertical = "with vertical components, " if records.has_vertical else ""
         lines = [
             ("records", f"{count} from {records.events} events, {vertical}scaled to {self.intensity.name}"),
             ("runs", f"{self.capacities.runs} simulations up to {self.highest:.3g}{unit}"),
-            (self.outcome, f"{self.failed} of {count} records reach it"),
+            (self.outcome, f"{self.failed} of {count} records reach it{worse}"),
         ]
         if self.simulator:
             lines.insert(0, ("simulator", f"of {self.simulator}"))
+        if (terms := self.terms) is not None:
+            lines[:0] = terms.lines()
         if self.fragility is not None:
             fit, m, d = self.fragility.fit, self.fragility.median, self.fragility.dispersion
             lines += [
@@ -180,8 +189,8 @@ class IdaFindings:
             )
         if lifted := int(capacities.lifted.sum()):
             notes.append(
-                f"In {lifted} of the simulations the slider rocks so far that a plate rises above the rim before "
-                "the slider touches a rim. They count as failures."
+                f"In {lifted} of the simulations a plate rises above its rim and the bearing fails before the slider "
+                "touches a rim. They count as failures."
             )
         if failures := int(capacities.numerical_failures.sum()):
             notes.append(
@@ -217,6 +226,7 @@ class IdaFindings:
         rows = zip(self.records.records, capacities.below, capacities.capacity, strict=True)
         return {
             "bearing": dict(self.values),
+            "terms": None if (terms := self.terms) is None else terms.as_json(),
             "simulator": self.simulator or None,
             "model": None if self.model is None else asdict(self.model),
             "tolerance": None if self.tolerance is None else self.tolerance.relative,
