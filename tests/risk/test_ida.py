@@ -145,6 +145,13 @@ def test_a_numerical_failure_is_neither_survived_nor_failed() -> None:
     assert (one.below[0], one.capacity[0], one.numerical_failures[0]) == (1.75, 2.5, 1)
 
 
+def test_a_program_that_gives_up_beyond_collapse_has_its_capacities_if_lost_levels_fail() -> None:
+    one, _ = found(lambda x: -1 if x >= 1.7 else 0)
+    assert one.capacity[0] == math.inf
+    below, capacity = one.if_lost_fail(2)
+    assert below[0] < 1.7 <= capacity[0] < math.inf
+
+
 def test_a_plate_that_lifts_above_its_rim_before_a_touch_is_a_failure_and_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

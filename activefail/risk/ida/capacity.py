@@ -60,6 +60,13 @@ class Capacities:
     levels: tuple[Array, ...]
     outcomes: tuple[NDArray[np.int8], ...]
 
+    def if_lost_fail(self, severity: int) -> tuple[Array, Array]:
+        """The ends of the capacities, (n,) each, if the levels without an outcome have this one or a worse one."""
+        worst = [np.where(one == NUMERICAL_FAILURE, severity, one).astype(np.int8) for one in self.outcomes]
+        brackets = [_bracket(*one, severity) for one in zip(self.levels, worst, strict=True)]
+        below, capacity = np.array(brackets).T
+        return below, capacity
+
     @property
     def runs(self) -> int:
         """Number of simulations."""
