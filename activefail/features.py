@@ -194,8 +194,8 @@ def feature_map(
 
     Args:
         features: "paper"; "design", the variables; "decorrelated", each variable without what correlated ones before
-            it say; "sliding", the variables and the sliding block's features; "collision", these and the features of the
-            reduced collision model; or custom features. Log-uniform and lognormal variables enter as logarithms.
+            it say; "sliding", the variables and the sliding block's features; "collision", these and the features of
+            the reduced collision model; or custom features. Log-uniform and lognormal variables enter as logarithms.
         space: the design space.
         model: settings of the bearing model that the sliding block and the reduced model share.
         check: whether to compute, and so to check, the scaling now; at its first use otherwise.

@@ -39,7 +39,6 @@ from activefail.files import check_dots
 from activefail.space import DesignSpace, radius
 from activefail.visible import visible
 
-
 _STRONG = 0.9
 """Correlation of two variables from which the variables themselves are poor features, in magnitude."""
 
@@ -112,8 +111,8 @@ class CampaignSettings(Section):
     def _with_defaults_of_any_simulator(cls, values: Any) -> Any:
         """Set the defaults of a custom simulator.
 
-        Features are the variables, decorrelated if two depend strongly on each other, and the target boundary is that of
-        the most severe outcome; `space` has no default.
+        Features are the variables, decorrelated if two are strongly correlated, and the target boundary is that of the
+        most severe outcome; `space` has no default.
         """
         if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
             return values
