@@ -58,9 +58,12 @@ _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 _ALWAYS, _GROWTH = 30, 0.05
 """Number of points up to which hyperparameters are always relearned, and the growth that triggers it beyond."""
 
-LEARNED_ON = 500
+LEARNED_ON = 1000
 """Most points for learning hyperparameters: a step of the search costs the cube of their number. They are evenly spread
 over the sorted margins; a surplus of points near the boundary would make the regression too sure of itself."""
+
+COARSE = 500
+"""Most points for choosing a warping; with more, the hyperparameters learned there are the starting point."""
 
 EXACT = 2000
 """Most points in a posterior: a prediction costs the square of their number."""
@@ -425,13 +428,22 @@ def fit_margin(
     if warm is not None and truncated == warm.truncated and _ALWAYS < len(margin) < (1.0 + _GROWTH) * warm.learned_on:
         return _solved_at(features, margin, warm)
     n = len(margin)
-    if n <= LEARNED_ON:
-        rows = np.arange(n)
-    else:
-        rows = np.sort(np.argsort(margin, kind="stable")[np.linspace(0, n - 1, LEARNED_ON).astype(int)])
-    fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm) for name in WARPINGS]
-    best = max(fits, key=lambda fitted: fitted.log_likelihood)
-    return best if len(rows) == n else _solved_at(features, margin, replace(best, learned_on=n))
+    best = warm if warm is not None and truncated == warm.truncated and warm.learned_on > COARSE else None
+    if best is None:
+        rows = _spread(margin, COARSE)
+        fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm) for name in WARPINGS]
+        best = max(fits, key=lambda fitted: fitted.log_likelihood)
+    if n > COARSE:
+        rows = _spread(margin, LEARNED_ON)
+        best = _fit_warped(features[rows], margin[rows], truncated, best.warping, best)
+    return best if len(best.margin) == n else _solved_at(features, margin, replace(best, learned_on=n))
+
+
+def _spread(margin: Array, most: int) -> NDArray[np.intp]:
+    """Rows of at most `most` points, in order, evenly spread over the sorted margins, (n,)."""
+    if len(margin) <= most:
+        return np.arange(len(margin))
+    return np.sort(np.argsort(margin, kind="stable")[np.linspace(0, len(margin) - 1, most).astype(int)])
 
 
 def _solved_at(features: Array, margin: Array, warm: MarginFit) -> MarginFit:

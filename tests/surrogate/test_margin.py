@@ -184,6 +184,7 @@ def test_of_many_margins_a_support_is_kept_that_is_half_nearest_the_boundary(
     truncated: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(m, "LEARNED_ON", 60)
+    monkeypatch.setattr(m, "COARSE", 40)
     monkeypatch.setattr(m, "EXACT", 100)
     X = np.random.default_rng(9).standard_normal((400, 2)) * 1.6
     g = np.maximum(four_branch(X), 0.0) if truncated else four_branch(X)

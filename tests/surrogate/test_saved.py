@@ -69,6 +69,7 @@ def test_the_moments_are_those_of_the_classifier(learned):
 @pytest.mark.parametrize("truncated", [False, True])
 def test_a_state_gives_the_bits_of_a_classifier_with_a_support(truncated, monkeypatch):
     monkeypatch.setattr(margin, "LEARNED_ON", 50)
+    monkeypatch.setattr(margin, "COARSE", 40)
     monkeypatch.setattr(margin, "EXACT", 80)
     classifier, given = trained("rbf", truncated)
     state = classifier_state(classifier)
