@@ -95,11 +95,8 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
     for severity, (choice, latent) in enumerate(zip(classifier.choices, classifier.latents, strict=False), start=1):
         outcome = campaign.simulator.outcomes[severity]
         margin = "" if choice.margin == OUTCOMES else names[choice.margin]
-        clipped, support = (
-            (latent.trained.is_clipped, latent.trained.size_of_support)
-            if isinstance(latent, MarginLatent)
-            else (False, 0)
-        )
+        trained = latent.trained if isinstance(latent, MarginLatent) else None
+        clipped, support = (trained.is_clipped, trained.size_of_support) if trained else (False, 0)
         text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped, support)
         candidate = candidate_of(names, learns)
         if not text and candidate:

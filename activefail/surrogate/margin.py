@@ -428,8 +428,8 @@ def fit_margin(
     if warm is not None and truncated == warm.truncated and _ALWAYS < len(margin) < (1.0 + _GROWTH) * warm.learned_on:
         return _solved_at(features, margin, warm)
     n = len(margin)
-    best = warm if warm is not None and truncated == warm.truncated and warm.learned_on > COARSE else None
-    if best is None:
+    best = warm
+    if best is None or truncated != best.truncated or min(n, best.learned_on) <= COARSE:
         rows = _spread(margin, COARSE)
         fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm) for name in WARPINGS]
         best = max(fits, key=lambda fitted: fitted.log_likelihood)
