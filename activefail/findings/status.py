@@ -100,7 +100,7 @@ class Status:
             return {}
 
     @cached_property
-    def _choices(self) -> list[tuple[str, str, float, float, bool]]:
+    def _choices(self) -> list[tuple[str, str, float, float, bool, int]]:
         """For each boundary the arguments of `sentence`."""
         rows = []
         for outcome in self.summary.outcomes[1:]:
@@ -108,7 +108,8 @@ class Status:
                 margin, _, from_margin, from_outcomes, _ = self._state[f"{outcome}/choice"].tolist()
                 name = "" if margin < 0 else self.summary.margins[int(margin)]
                 is_clipped = f"{outcome}/clipped" in self._state
-                rows.append((outcome, name, float(from_margin), float(from_outcomes), is_clipped))
+                support = int(self._state.get(f"{outcome}/support", 0))
+                rows.append((outcome, name, float(from_margin), float(from_outcomes), is_clipped, support))
             except (LookupError, ValueError, TypeError, OverflowError):
                 return []
         return rows

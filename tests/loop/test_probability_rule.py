@@ -24,6 +24,7 @@ from activefail.record.batch import ACTIVE, CHECK, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
+from activefail.surrogate import margin
 from activefail.surrogate.threads import one_thread
 
 PROBABILITY = 2.2225e-3
@@ -243,6 +244,14 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
     store = taken(campaign)
     assert len(History.of(store.batches)) == 20
     assert not current(campaign, store, write=False).looks.is_known
+
+
+def test_predictions_from_a_part_of_the_simulations_are_announced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(margin, "EXACT", 16)
+    campaign = campaign_on(FourBranch(), sampling__budget=20)
+    store = taken(campaign)
+    (text,) = choices_in_words(campaign, History.of(store.batches), current(campaign, store, write=False).classifier)
+    assert "; predictions rest on 16 simulations, half of them those with the smallest margins" in text
 
 
 @pytest.mark.parametrize("asynchronous", [False, True])
