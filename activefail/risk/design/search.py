@@ -40,9 +40,6 @@ _IMAGINED = len(LOOKS) + 1
 _LEAST = 1e-12
 """Least probability whose logarithm is taken."""
 
-_SAFETY = 1.5
-"""Distance of the aim from the target, in expected half widths of the interval."""
-
 _LEAST_AIM = 0.2
 """Least aim over its target."""
 
@@ -96,10 +93,6 @@ class Look:
         """Fresh simulations that contradict the classifier where it was sure, by four standard deviations."""
         return sum(estimate.surprising for estimate in self.estimates)
 
-    def verifies(self, task: DesignTask) -> bool:
-        """Whether the look verifies its design for a task."""
-        return verifies(self.estimates, task.targets.tolist())
-
 
 def verifies(estimates: Sequence[ProbabilityEstimate], targets: Sequence[float]) -> bool:
     """Whether a look verifies a design: the rule of "verified".
@@ -124,6 +117,7 @@ class Designed:
     Attributes:
         task: what was asked.
         looks: at candidates, in the order in which they were proposed.
+        number: of the look at the result, from 1 on: the cheapest verified design, or else the last look.
         status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
             classifier where it was sure; "out of reach" if simulations show that the nearest design under the
             classifier exceeds a target.
@@ -132,18 +126,9 @@ class Designed:
 
     task: DesignTask
     looks: tuple[Look, ...]
+    number: int
     status: Status
     costs: Mapping[float, float]
-
-    @cached_property
-    def number(self) -> int:
-        """The number of the look at the result, from 1 on: the cheapest verified design, or else the last look."""
-        verified = [number for number, look in enumerate(self.looks, 1) if look.verifies(self.task)]
-        return min(
-            verified,
-            key=lambda number: self.task.cost(self.looks[number - 1].candidate.values),
-            default=len(self.looks),
-        )
 
     @property
     def result(self) -> Look:
@@ -244,13 +229,12 @@ def find_design(
         return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
 
     looks: list[Look] = []
-    verified: list[float] = []
-    status: Status = "not verified"
-    for number in range(len(LOOKS)):
+    verified: list[tuple[float, int]] = []
+    for number, plan in enumerate(LOOKS):
         stage(f"searching for the design of look {number + 1}")
-        aims = np.maximum(task.targets - _SAFETY * half_widths(), _LEAST_AIM * task.targets)
+        aims = np.maximum(task.targets - plan.safety * half_widths(), _LEAST_AIM * task.targets)
         candidate = cheapest(task, model, _goals(looks, aims))
-        if verified and not _is_worth(candidate, task, min(verified)):
+        if verified and not _is_worth(candidate, task, min(verified)[0]):
             break
         simulations = task.simulations_of(number)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
@@ -258,9 +242,8 @@ def find_design(
         sampled = tuple(estimator.sample(one.outcome, simulations, question) for one in task.requirements)
         look = Look(candidate, sampled, task.of_bound(number))
         looks.append(look)
-        if look.verifies(task):
-            verified.append(task.cost(candidate.values))
-            status = "verified"
+        if verifies(look.estimates, task.targets.tolist()):
+            verified.append((task.cost(candidate.values), number + 1))
         # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
         if look.surprising:
             break
@@ -268,8 +251,9 @@ def find_design(
         if not candidate.is_feasible and any(
             estimate.low > target for estimate, target in zip(look.estimates, task.targets, strict=True)
         ):
-            return Designed(task, tuple(looks), "out of reach", {})
-    designed = Designed(task, tuple(looks), status, {})
+            return Designed(task, tuple(looks), number + 1, "out of reach", {})
+    status: Status = "verified" if verified else "not verified"
+    designed = Designed(task, tuple(looks), min(verified)[1] if verified else len(looks), status, {})
     if not with_costs:
         return designed
     stage(f"computing {task.free[0]} at other confidences")
