@@ -752,9 +752,9 @@ class Run:
         _, resolved = site_and_question(self.campaign, hazard, question, fixed)
         with self._estimator(executor) as estimator:
             estimate = estimator.sample(outcome, simulations, resolved, checks=True).estimate(confidence)
-        findings = ProbabilityFindings.of(
-            self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
-        )
+            findings = ProbabilityFindings.of(
+                self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
+            )
         if self._write and question is None and fixed is None and hazard is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
@@ -889,7 +889,7 @@ class Run:
                 file is invalid, or variables of the question are correlated.
         """
         from activefail.paper.p_values import variable_p_values
-        from activefail.reliability.estimate import standardised_latent
+        from activefail.reliability.integral import boundaries_of
         from activefail.risk.sensitivity.findings import (
             hazard_sensitivity,
             length_scales,
@@ -903,16 +903,14 @@ class Run:
         check_confidence(confidence)
         site, resolved = site_and_question(self.campaign, hazard, question, fixed, self.space.names)
         latent = self.classifier.latent(outcome)
-        standardised = standardised_latent(latent, self.features)
+        boundaries = boundaries_of(self.classifier, self.features)
         with one_thread():
             if site is None:
-                result = question_sensitivity(
-                    self.campaign, standardised, outcome, resolved, samples, confidence, begin
-                )
+                result = question_sensitivity(self.campaign, boundaries, outcome, resolved, samples, confidence, begin)
             else:
                 values = self.fixed_values(fixed)
                 result = hazard_sensitivity(
-                    self.campaign, standardised, outcome, site, values, samples, confidence, begin
+                    self.campaign, boundaries, outcome, site, values, samples, confidence, begin
                 )
             severity = self.campaign.simulator.outcomes.index(outcome)
             p_values = variable_p_values(self.space, self.history, severity)

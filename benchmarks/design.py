@@ -39,7 +39,7 @@ from scipy.stats import t as student
 from activefail import create_run, open_run, simulate
 from activefail.bearing.pulse import amplitude_of
 from activefail.campaign.hazard import hazard_of, hazard_question
-from activefail.reliability.estimate import standardised_latent
+from activefail.reliability.integral import boundary_of
 from activefail.reliability.strata import plan_strata
 from activefail.surrogate.threads import one_thread
 from activefail.weighted import WeightedRows
@@ -65,7 +65,7 @@ class Study:
         if self.run.history.asked_for < self.run.settings.sampling.budget:
             self.run.take()
         self.hazard = hazard_of(HAZARD, Path("hazard.toml"))
-        self.standardised = standardised_latent(self.run.classifier.latent("failure"), self.run.campaign.features)
+        self.standardised = boundary_of(self.run.classifier, self.run.campaign.features, "failure")
         self.rng = np.random.default_rng(seed)
 
     def question(self, bearing):

@@ -23,7 +23,8 @@ from activefail import open_run, simulate
 from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.parameter import Parameter
 from activefail.reliability import estimate as reliability
-from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import baseline, plan_estimate
+from activefail.reliability.integral import boundary_of
 from activefail.reliability.strata import plan_strata, plan_wide_strata
 from activefail.space import DesignSpace
 from activefail.weighted import WeightedRows
@@ -36,7 +37,7 @@ FINE = (0.0005, 0.02, 0.15)
 def pools(folder, count, rng):
     """For each target, bearings with the latent's mean/sd and the failures of their pulses."""
     run = open_run(folder)
-    standardised = standardised_latent(run.classifier.latent("failure"), run.campaign.features)
+    standardised = boundary_of(run.classifier, run.campaign.features, "failure")
     hazard = hazard_of({"magnitude": {"M": 7.0}, "pgv": {"median_m_s": 1.0, "dispersion": 0.25}}, Path("hazard.toml"))
     names, low, high, grid = run.space.names[:7], run.space.low[:7], run.space.high[:7], np.linspace(0.45, 0.85, 9)
     found = {target: [] for target in TARGETS}
@@ -66,7 +67,7 @@ def by_importance(weight, wider):
         def of_rows(numbers):
             return z[numbers[:, 0].astype(int)]
 
-        plan = plan_estimate(of_rows, rows, integrated(of_rows, rows, rng), SIMULATIONS, rng)
+        plan = plan_estimate(of_rows, rows, baseline(of_rows, rows), SIMULATIONS, rng)
         chosen = plan.designs[:, 0].astype(int)
         found = plan.estimate(failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
         return found.low, found.high
@@ -221,7 +222,7 @@ def overconfident(target, sd, isolated, by_importance, repeats=200):
         rng = np.random.default_rng(seed)
         plan = None if by_importance else plan_strata(latent, space, 300, rng)
         if plan is None:
-            integral = integrated(latent, space, rng)
+            integral = baseline(latent, space)
             of = plan_estimate if by_importance else plan_wide_strata
             plan = of(latent, space, integral, 300, rng)
         found = plan.estimate(fails(plan.designs), np.ones(300, dtype=bool), 0.92)

@@ -148,18 +148,36 @@ def population(
     """
     if isinstance(space, WeightedRows):
         return Population(np.full_like(space.X, np.nan), space.X, space.weight)
-    d = space.dimension
-    parents = None
-    if importance is not None:
-        others = _radial(n // 2, d, rng)
-        values = importance(space.from_normal(others)) / _radial_ratio(others)
-        if values.sum() > 0.0:
-            count = min(_PARENTS, max(1, n // _PER_PARENT))
-            parents = others[rng.choice(len(others), count, p=values / values.sum())]
+    count = min(_PARENTS, max(1, n // _PER_PARENT))
+    parents = None if importance is None else first_parents(space, n, count, importance, rng)
+    return around(space, n, parents, rng)
+
+
+def first_parents(
+    space: DesignSpace, n: int, count: int, importance: Importance, rng: np.random.Generator
+) -> Array | None:
+    """So many parents of a population of n designs, (count, d), from a radial sample; None if no design matters."""
+    Z = _radial(n // 2, space.dimension, rng)
+    return _parents(Z, importance(space.from_normal(Z)) / _radial_ratio(Z), count, rng)
+
+
+def next_parents(drawn: Population, count: int, importance: Array, rng: np.random.Generator) -> Array | None:
+    """Parents of another population, (count, d), from this one, whose designs matter so much, (n,)."""
+    return _parents(drawn.Z, drawn.weight * importance, count, rng)
+
+
+def _parents(Z: Array, values: Array, count: int, rng: np.random.Generator) -> Array | None:
+    if not values.sum() > 0.0:
+        return None
+    return np.asarray(Z[rng.choice(len(Z), count, p=values / values.sum())])
+
+
+def around(space: DesignSpace, n: int, parents: Array | None, rng: np.random.Generator) -> Population:
+    """A population of n designs around parents, (k, d), that are independent of it; radial without parents."""
     if parents is None:
-        Z = _radial(n, d, rng)
+        Z = _radial(n, space.dimension, rng)
         return Population(Z, space.from_normal(Z), 1.0 / _radial_ratio(Z))
-    Z = np.concatenate([_radial(n // 2, d, rng), _local(parents, n - n // 2, rng)])
+    Z = np.concatenate([_radial(n // 2, space.dimension, rng), _local(parents, n - n // 2, rng)])
     share = (n // 2) / n
     ratio = share * _radial_ratio(Z) + (1.0 - share) * _local_ratio(Z, parents)
     return Population(Z, space.from_normal(Z), 1.0 / ratio)

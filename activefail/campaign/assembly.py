@@ -167,12 +167,19 @@ class Campaign:
         if isinstance(custom, str):
             return margins
         names = self.simulator.margins
-        levels = [custom.levels[name][severity - 1] if name in custom.levels else 0.0 for name in names]
-        related = np.asarray(margins - np.array(levels))
+        related = np.asarray(margins - self.levels[severity - 1])
         ended = outcome == len(self.simulator.outcomes) - 1
         for name in custom.truncated:
             related[ended, names.index(name)] = np.nan
         return related
+
+    @property
+    def levels(self) -> Array:
+        """The value at or below which each margin is beyond each boundary, (boundaries, k)."""
+        boundaries, names = range(len(self.simulator.outcomes) - 1), self.simulator.margins
+        custom = self.settings.simulator
+        known = {} if isinstance(custom, str) else custom.levels
+        return np.array([[known[name][i] if name in known else 0.0 for name in names] for i in boundaries])
 
     @property
     def severity(self) -> int:

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.bearing.design import LARGEST
 from activefail.campaign.hazard_sections import LARGEST_MEDIAN
@@ -20,6 +21,9 @@ from activefail.shares import percent
 from activefail.space import Array, DesignSpace, radius
 from activefail.visible import visible
 from activefail.weighted import WeightedRows, weighted_quantiles
+
+if TYPE_CHECKING:
+    from activefail.reliability.integral import Boundaries, Integral
 
 _SHARE = 2**14
 """Points that estimate which share of a question lies outside the design space."""
@@ -119,6 +123,23 @@ class Question:
     def drawn(self, draw: int) -> "Question":
         """The same question with another independent sample of fresh simulations."""
         return replace(self, draw=draw)
+
+    def integral(self, boundaries: "Boundaries", space: DesignSpace, resolution: float = 0.0) -> "Integral":
+        """The share of the question that a campaign's classifier puts beyond each boundary.
+
+        Args:
+            boundaries: of the campaign's designs.
+            space: of the campaign.
+            resolution: standard error of the integration that is small enough, whatever the probability.
+        """
+        from activefail.reliability.integral import integrate
+
+        def contains(X: Array) -> NDArray[np.bool_]:
+            return space.contains(self.designs(X))
+
+        return integrate(
+            lambda X: boundaries(self.designs(X)), self.space, None if self.is_own else contains, resolution
+        )
 
     def share_outside(self, space: DesignSpace) -> float:
         """The share of the question outside a campaign's design space (see `outside`)."""

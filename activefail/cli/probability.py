@@ -72,7 +72,7 @@ def probability(
         f"{estimate.simulations} fresh simulations ({estimate.beyond} ended in {name}{failed})"
     )
     print(
-        f"classifier {estimate.model:.3g}, learned from {learned}, without an interval; "
+        f"classifier {findings.model.probability:.3g}, learned from {learned}, without an interval; "
         f"contradictions by fresh simulations: {estimate.wrong}"
     )
     if check := estimate.check:

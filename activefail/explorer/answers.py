@@ -32,11 +32,10 @@ from activefail.findings.failure import FailureFindings
 from activefail.findings.prediction import Prediction, interval, predict
 from activefail.findings.quantities import plain, words
 from activefail.findings.results import Findings, at_the_boundary
-from activefail.reliability.estimate import Standardised
+from activefail.reliability.integral import Standardised
 from activefail.report.failure import failure_section
 from activefail.simulators.bearing import DfpSimulator
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.moments import outcome_probabilities
 from activefail.visible import or_worse, visible
 
 if TYPE_CHECKING:
@@ -199,16 +198,15 @@ class Answers:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
         classifier = self.findings.classifier
         with self.turn():
-            F = self.campaign.features(np.array([point]))
-            moments = [latent.moments(F) for latent in classifier.latents]
-            probabilities = outcome_probabilities(moments)[0]
+            predicted = classifier.predicted(self.campaign.features(np.array([point])))
+        probabilities = predicted.probabilities[0]
         boundaries = []
-        for name, latent_moments in zip(self.outcomes[1:], moments, strict=True):
-            low, high = (float(end[0]) for end in interval(latent_moments))
+        for severity, name in enumerate(self.outcomes[1:], start=1):
+            low, high = (float(end[0]) for end in interval(predicted, severity))
             boundaries.append(
                 {
                     "text": or_worse(name, self.outcomes),
-                    "probability": float(latent_moments.probability[0]),
+                    "probability": float(predicted.beyond(severity)[0]),
                     "low": low,
                     "high": high,
                 }

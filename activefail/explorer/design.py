@@ -19,7 +19,7 @@ from activefail.figures.marks import outcome_colour
 from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain, significant
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import Standardised, standardised_latent
+from activefail.reliability.integral import Standardised, boundary_of
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, SIMULATIONS, Requirement, design_task
 from activefail.risk.design.findings import DesignFindings
@@ -102,8 +102,8 @@ class _InTurns(Estimator):
     watch: Watch
 
     def standardised(self, outcome: str) -> Standardised:
-        """The latent of an outcome's boundary as a function of designs."""
-        of_designs = standardised_latent(self.classifier.latent(outcome), self.campaign.features)
+        """An outcome's boundary as a function of designs."""
+        of_designs = boundary_of(self.classifier, self.campaign.features, outcome)
 
         def watched(X: Array) -> Array:
             self.watch.predicted(len(X))
@@ -123,8 +123,8 @@ class DesignAnswers:
         self._answers, self.campaign, self.space = answers, answers.campaign, answers.space
         self._boundary = answers.findings.boundary
         self.missing = self._missing()
-        latent = answers.findings.classifier.latent(self._boundary)
-        self._standardised = answers.in_turns(standardised_latent(latent, self.campaign.features))
+        boundary = boundary_of(answers.findings.classifier, self.campaign.features, self._boundary)
+        self._standardised = answers.in_turns(boundary)
         # What visitors ask for is close to what they asked for before, and a target alone changes no curve.
         self._question = lru_cache(64)(self._question_of)
         self._outside = lru_cache(64)(self._outside_of)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activefail.acquisition.by_margin import SIZE
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.findings.probability import ProbabilityFindings, bound_without_model
@@ -14,7 +15,8 @@ from activefail.loop.initial import initial_sets
 from activefail.loop.learning import Learned, learn_from
 from activefail.record.store import Store
 from activefail.reliability.design_point import DesignPoint, design_point
-from activefail.reliability.estimate import ProbabilityEstimate, integrated, standardised_latent
+from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.reliability.integral import boundaries_of, boundary_of, integrate
 from activefail.reliability.model_probability import model_probability
 from activefail.shares import lognormal_interval
 from activefail.space import REACH, Array
@@ -27,9 +29,6 @@ RARE = 0.05
 
 _POINTS = 12
 """Most points of a curve of the probability."""
-
-_SIZE = 12_000
-"""Designs of the populations that integrate a curve's probabilities."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,8 @@ def failure_findings(
         fitted = classifier if n == len(history) else learn_from(campaign, history[:n], fitted)
         rows.append((n, *_probability(campaign, fitted, outcome), _seen(campaign, history[:n])))
     stage("searching for the most probable failure")
-    point = design_point(standardised_latent(latent, campaign.features), campaign.space, np.random.default_rng(0))
+    boundary = boundary_of(classifier, campaign.features, outcome)
+    point = design_point(boundary, campaign.space, np.random.default_rng(0))
     simulations, probability, low, high, seen = np.array(rows, dtype=np.float64).T
     return FailureFindings(
         simulations=simulations,
@@ -129,10 +129,10 @@ def _probability(campaign: Campaign, classifier: Classifier, outcome: str) -> tu
     """The classifier's probability with its 95 % interval."""
     latent, rng = classifier.latent(outcome), np.random.default_rng(0)
     if isinstance(latent, MarginLatent):
-        known = model_probability(latent, campaign.features, campaign.space, _SIZE, rng)
+        known = model_probability(classifier, campaign.features, campaign.space, outcome, SIZE, rng)
         return known.mean, *lognormal_interval(known.mean, float(np.hypot(known.sd, known.error)), REACH)
-    integral = integrated(standardised_latent(latent, campaign.features), campaign.space, rng)
-    return integral.probability, np.nan, np.nan
+    integral = integrate(boundaries_of(classifier, campaign.features), campaign.space)
+    return float(integral.probability[classifier.outcomes.index(outcome) - 1]), np.nan, np.nan
 
 
 def _seen(campaign: Campaign, history: History) -> int:

@@ -3,18 +3,20 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
+from activefail.acquisition.criteria import binary_entropy
 from activefail.campaign.assembly import Campaign
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Moments
-from activefail.surrogate.moments import MarginMoments, outcome_probabilities
+from activefail.surrogate.classifier import Classifier, Predicted
 from activefail.surrogate.saved import SavedClassifier
 
 CONFIDENCE = 0.95
 """Confidence of the intervals of probabilities in the report and the explorer."""
 
 _Z = 1.959964
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(20)
+_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 
 
 @dataclass(frozen=True)
@@ -36,29 +38,31 @@ class Prediction:
     sd: Array
 
 
-def interval(moments: Moments) -> tuple[Array, Array]:
-    """95 % interval of the probability Φ(f) from the uncertainty of the latent f, (n,) each.
+def interval(predicted: Predicted, severity: int) -> tuple[Array, Array]:
+    """95 % interval of P(at least as severe) from the uncertainty of its boundary's latent f, (n,) each.
 
-    It is widened to contain the reported probability, the mean of Φ(f), which can fall outside near 0 and 1. Where the
+    It is widened to contain the reported probability, the mean over f, which can fall outside near 0 and 1. Where the
     boundary is learned from a margin, the outcome is certain but for the side: the interval is 0, 1 or both.
     """
-    if isinstance(moments, MarginMoments):
-        ends = (moments.mean + sign * _Z * moments.sd > 0.0 for sign in (-1.0, 1.0))
-        low, high = (end.astype(np.float64) for end in ends)
-        return np.minimum(low, moments.probability), np.maximum(high, moments.probability)
-    low, high = (np.asarray(ndtr(moments.mean + sign * _Z * moments.sd)) for sign in (-1.0, 1.0))
-    return np.minimum(low, moments.probability), np.maximum(high, moments.probability)
+    low, high = (predicted.beyond(severity, sign * _Z) for sign in (-1.0, 1.0))
+    probability = predicted.beyond(severity)
+    return np.minimum(low, probability), np.maximum(high, probability)
+
+
+def information(predicted: Predicted, severity: int) -> Array:
+    """What one simulation tells of P(at least as severe), (n,) [bit]: its entropy less that with a known latent."""
+    p = np.array([predicted.beyond(severity, float(node)) for node in _NODES])
+    return np.asarray(binary_entropy(_WEIGHTS @ p) - _WEIGHTS @ binary_entropy(p))
 
 
 def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
     """Predict the outcomes of designs, (n, d)."""
-    F = campaign.features(X)
-    latents = [latent.moments(F) for latent in classifier.latents]
-    moments = latents[campaign.severity - 1]
+    predicted = classifier.predicted(campaign.features(X))
+    moments = predicted.moments[campaign.severity - 1]
     return Prediction(
-        outcome_probabilities(latents),
-        *interval(moments),
-        moments.probability,
+        predicted.probabilities,
+        *interval(predicted, campaign.severity),
+        predicted.beyond(campaign.severity),
         moments.mean,
         moments.sd,
     )
@@ -66,7 +70,6 @@ def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
 
 def predicted_values(campaign: Campaign, classifier: SavedClassifier, X: Array) -> Array:
     """The values of `predicted_columns` for designs, (n, d) -> (n, number of outcomes + 2)."""
-    F = classifier.features(X)
-    latents = [latent.moments(F) for latent in classifier.latents]
-    moments = latents[campaign.severity - 1]
-    return np.column_stack([outcome_probabilities(latents), moments.mean, moments.sd])
+    predicted = classifier.predicted(classifier.features(X))
+    moments = predicted.moments[campaign.severity - 1]
+    return np.column_stack([predicted.probabilities, moments.mean, moments.sd])

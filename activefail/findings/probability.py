@@ -9,6 +9,7 @@ from activefail.campaign.question import Question
 from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
+from activefail.reliability.integral import OfBoundary, boundaries_of
 from activefail.shares import percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
@@ -102,6 +103,7 @@ class ProbabilityFindings:
         outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
         question: title of the distribution; empty for the campaign's design measure.
         extrapolated: share of the distribution outside the campaign's design space.
+        model: the probability by the classifier alone.
         of_question: what the question and the simulator assume, as sentences.
     """
 
@@ -114,6 +116,7 @@ class ProbabilityFindings:
     outside: float
     question: str
     extrapolated: float
+    model: OfBoundary
     of_question: tuple[str, ...] = ()
     is_clipped: bool = False
 
@@ -135,6 +138,7 @@ class ProbabilityFindings:
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
         latent = classifier.latent(outcome)
+        integral = question.integral(boundaries_of(classifier, campaign.features), campaign.space)
         return cls(
             outcome=outcome,
             estimate=estimate,
@@ -145,6 +149,7 @@ class ProbabilityFindings:
             outside=question.space.outside,
             question=question.title if question.digest else "",
             extrapolated=question.share_outside(campaign.space) if question.digest else 0.0,
+            model=integral.of(severity - 1),
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
@@ -204,8 +209,8 @@ class ProbabilityFindings:
         if self.extrapolated > 0.0:
             sentences.append(
                 f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design "
-                "space, where the classifier extrapolates. That part may hold a larger share of the failures. Fresh "
-                "simulations are drawn there too."
+                f"space, where the classifier extrapolates, and {percent(self.model.outside)} of its probability of "
+                f"{name} comes from there. Fresh simulations are drawn there too."
             )
         sentences.append(
             f"The outermost designs, with a total probability of {REACH:g}, are never simulated; the upper end of the "
@@ -266,7 +271,9 @@ class ProbabilityFindings:
             "method": estimate.method,
             "learned_from": self.learned_from or "outcomes",
             "campaign_simulations": self.learned,
-            "classifier_probability": estimate.model,
+            "classifier_probability": self.model.probability,
+            "classifier_standard_error": self.model.error,
+            "classifier_from_outside": self.model.outside,
             "bound_without_model": {
                 "high": self.bound.high,
                 "confidence": BOUND_CONFIDENCE,

@@ -50,7 +50,7 @@ def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
     columns = tuple(range(len(names))) if learns == "auto" else (names.index(learns),)
     boundaries = range(1, len(campaign.simulator.outcomes))
     values = np.stack([campaign.margins_at(severity, known.outcome, known.margins) for severity in boundaries])
-    return LearnableMargins(values, columns, learns != "auto")
+    return LearnableMargins(values, campaign.levels, columns, learns != "auto")
 
 
 AnyClassifier = TypeVar("AnyClassifier", Classifier, SavedClassifier)

@@ -111,7 +111,8 @@ def look(campaign: Campaign, known: History, iteration: int, classifier: Classif
         # The looks of a classifier of outcomes are too sure of themselves to end a campaign.
         return np.empty((0, 4))
     rng = stream(campaign.settings.seed, "probability", iteration)
-    return np.array([[len(known), *model_probability(latent, campaign.features, campaign.space, SIZE, rng)]])
+    known_now = model_probability(classifier, campaign.features, campaign.space, rule.probability, SIZE, rng)
+    return np.array([[len(known), *known_now]])
 
 
 def has_clipped_margin(campaign: Campaign, classifier: Classifier) -> bool:

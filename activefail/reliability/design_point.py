@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import population
-from activefail.reliability.estimate import Standardised
+from activefail.reliability.integral import Standardised
 from activefail.space import Array, DesignSpace
 
 _SIZE = 20_000

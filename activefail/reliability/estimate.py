@@ -22,8 +22,8 @@ from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import finite, population
 from activefail.features import FeatureMap
 from activefail.reliability.hidden import ModeCheck
+from activefail.reliability.integral import Standardised, integrate
 from activefail.space import REACH, Array, DesignSpace
-from activefail.surrogate.classifier import Latent
 from activefail.surrogate.margin import MarginLatent
 from activefail.weighted import WeightedRows
 
@@ -49,16 +49,17 @@ _FARTHEST = 1e6
 _PRIOR_WEIGHT = 16.0
 """Weight of the classifier's own doubt in the variance of the corrections, in simulations."""
 
-_INTEGRATION, _ROUNDS, _ACCURACY = 50_000, 20, 0.01
-"""Designs of a population that integrates the classifier's probability, most populations, and relative standard error
-that ends the integration."""
+_ACCURACY = 0.01
+"""Relative standard error of the baseline of a plan."""
 
 _IMAGINED = 32
 """Imagined sets of outcomes that predict the width of an interval."""
 
 
-class Integral(NamedTuple):
-    """The share of the design measure that a classifier puts beyond a boundary.
+class Baseline(NamedTuple):
+    """The share of a distribution for which a classifier predicts an outcome, which fresh simulations correct.
+
+    It counts predictions. `integral.integrate` gives the classifier's probability, the mean of its probabilities.
 
     Attributes:
         probability: the share.
@@ -90,7 +91,7 @@ class Plan:
         ratio: (m,) density of the design measure over that of the draws.
         predicted: (m,) bool, whether the classifier puts each design beyond the boundary.
         standardised: (m,) the latent's mean/sd.
-        probability: the classifier's own.
+        probability: the baseline, the share of predictions beyond.
         standard_error: of its integration.
         missed, false: of the designs that the classifier puts short of the boundary, and beyond it.
         doubts: both if the latent's standard deviations are larger by a factor; None if no doubt is left.
@@ -147,7 +148,6 @@ class Plan:
             # No design is drawn farther out; all of them may fail.
             high=min(1.0, max(0.0, high) + REACH),
             confidence=confidence,
-            model=min(1.0, self.probability),
             simulations=len(beyond),
             unanswered=int((~answered).sum()),
             beyond=int((beyond & answered).sum()),
@@ -177,7 +177,6 @@ class ProbabilityEstimate:
         low, high: two-sided interval, with equal tails; `high` includes the probability `space.REACH` that no design
             reaches.
         confidence: of the interval.
-        model: the classifier's own probability, without an interval.
         simulations: fresh simulations, including numerical failures.
         unanswered: numerical failures among them. The interval covers both outcomes that they may have had.
         beyond: how many of the fresh simulations ended beyond the boundary.
@@ -194,7 +193,6 @@ class ProbabilityEstimate:
     low: float
     high: float
     confidence: float
-    model: float
     simulations: int
     unanswered: int
     beyond: int
@@ -205,20 +203,6 @@ class ProbabilityEstimate:
     method: str = "importance sampling of the classifier's mistakes"
     deviation: float = 1.0
     check: ModeCheck | None = None
-
-
-Standardised = Callable[[Array], Array]
-"""Designs, (n, d) -> mean/sd of a boundary's latent, (n,); positive beyond the boundary."""
-
-
-def standardised_latent(latent: Latent | MarginLatent, features: FeatureMap) -> Standardised:
-    """A latent as a function of designs."""
-
-    def standardised(X: Array) -> Array:
-        moments = latent.moments(finite(features, X))
-        return np.asarray(moments.mean / moments.sd)
-
-    return standardised
 
 
 def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Array, margin: Array) -> float:
@@ -237,37 +221,31 @@ def deviation_of_margins(latent: MarginLatent, features: FeatureMap, designs: Ar
     return max(1.0, float(np.sqrt(np.mean(known**2)))) if len(known) else 1.0
 
 
-def integrated(standardised: Standardised, space: DesignSpace | WeightedRows, rng: np.random.Generator) -> Integral:
-    """The share of the design measure that a classifier puts beyond a boundary, by weighted populations."""
-    if isinstance(space, WeightedRows):
-        return Integral(float((space.weight * (standardised(space.X) > 0.0)).mean()), 0.0)
+def baseline(standardised: Standardised, space: DesignSpace | WeightedRows) -> Baseline:
+    """The share of a distribution for which a boundary is predicted to be crossed."""
 
-    def importance(X: Array) -> Array:
-        z = standardised(X)
-        return np.asarray(ndtr(z) + doubt(z))
+    def predicted(X: Array) -> Array:
+        return np.asarray(np.where(standardised(X) > 0.0, np.inf, -np.inf)[:, None])
 
-    means, variances = [], []
-    for _ in range(_ROUNDS):
-        drawn = population(space, _INTEGRATION, importance, rng)
-        parts = drawn.weight * (standardised(drawn.X) > 0.0)
-        means.append(float(parts.mean()))
-        variances.append(float(parts.var()) / len(parts))
-        mean, error = float(np.mean(means)), float(np.sqrt(np.sum(variances)) / len(means))
-        if error <= _ACCURACY * mean:
-            break
-    return Integral(mean, error)
+    integral = integrate(predicted, space, accuracy=_ACCURACY)
+    return Baseline(float(integral.probability[0]), float(integral.error[0]))
 
 
 def plan_estimate(
-    standardised: Standardised, space: DesignSpace | WeightedRows, integral: Integral, m: int, rng: np.random.Generator
+    standardised: Standardised,
+    space: DesignSpace | WeightedRows,
+    of_classifier: Baseline,
+    m: int,
+    rng: np.random.Generator,
 ) -> Plan:
-    """Plan m fresh simulations that correct a classifier's failure probability, `integral`."""
+    """Plan m fresh simulations that correct the baseline of a classifier."""
     drawn = population(space, RADIAL, None, rng)
-    return _planned(drawn.X, drawn.weight, standardised(drawn.X), integral, m, rng, isinstance(space, WeightedRows))
+    z = standardised(drawn.X)
+    return _planned(drawn.X, drawn.weight, z, of_classifier, m, rng, isinstance(space, WeightedRows))
 
 
 def _planned(
-    X: Array, weight: Array, z: Array, integral: Integral, m: int, rng: np.random.Generator, is_exact: bool
+    X: Array, weight: Array, z: Array, of_classifier: Baseline, m: int, rng: np.random.Generator, is_exact: bool
 ) -> Plan:
     """The plan with m designs of a weighted sample, or of an exact distribution.
 
@@ -275,7 +253,7 @@ def _planned(
         X: (n, k) the sample.
         weight: (n,) density of the design measure over that of the sample.
         z: (n,) the latent's mean/sd.
-        integral: the classifier's probability.
+        of_classifier: its share of predictions.
         m: number of simulations.
         rng: draws them.
         is_exact: whether the rows are the distribution itself, by their weights.
@@ -306,8 +284,8 @@ def _planned(
         ratio=ratio[rows],
         predicted=z[rows] > 0.0,
         standardised=z[rows],
-        probability=integral.probability,
-        standard_error=integral.standard_error,
+        probability=of_classifier.probability,
+        standard_error=of_classifier.standard_error,
         missed=missed,
         false=false,
         doubts=doubts,

@@ -7,7 +7,9 @@ from scipy.special import ndtr
 
 from activefail.acquisition.by_margin import LEAST, REFERENCES, doubt, doubtful_population
 from activefail.features import FeatureMap
+from activefail.reliability.integral import boundaries_of, integrate
 from activefail.space import Array, DesignSpace
+from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 
 _PATHS = 200
@@ -29,21 +31,24 @@ class ModelProbability(NamedTuple):
 
 
 def model_probability(
-    latent: MarginLatent, features: FeatureMap, space: DesignSpace, n: int, rng: np.random.Generator
+    classifier: Classifier, features: FeatureMap, space: DesignSpace, outcome: str, n: int, rng: np.random.Generator
 ) -> ModelProbability:
-    """The probability beyond a boundary under a latent, integrated by a population.
+    """The probability beyond a boundary that is learned from a margin, under the posterior of its latent.
 
     Args:
-        latent: of the boundary.
-        features: map from designs to the latent's inputs.
+        classifier: of the boundary.
+        features: map from designs to the latents' inputs.
         space: the design space.
-        n: designs of the population that integrates.
+        outcome: of the boundary.
+        n: designs of the population where the posterior is sampled.
         rng: generator of the population and the paths.
     """
+    latent, column = classifier.latent(outcome), classifier.outcomes.index(outcome) - 1
+    assert isinstance(latent, MarginLatent)
+    integral = integrate(boundaries_of(classifier, features), space)
     drawn, F, standardised = doubtful_population(latent, features, space, n, rng)
-    parts = drawn.weight * ndtr(standardised)
-    error = float(parts.std()) / np.sqrt(n)
-    return ModelProbability(float(parts.mean()), posterior_sd(latent, F, standardised, drawn.weight, rng), float(error))
+    sd = posterior_sd(latent, F, standardised, drawn.weight, rng)
+    return ModelProbability(float(integral.probability[column]), sd, float(integral.error[column]))
 
 
 def posterior_sd(latent: MarginLatent, F: Array, standardised: Array, weight: Array, rng: np.random.Generator) -> float:

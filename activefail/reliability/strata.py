@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from activefail.acquisition.population import population
-from activefail.reliability.estimate import RADIAL, SURE, Integral, ProbabilityEstimate, Standardised
+from activefail.reliability.estimate import RADIAL, SURE, Baseline, ProbabilityEstimate
+from activefail.reliability.integral import Standardised
 from activefail.space import REACH, Array, DesignSpace
 from activefail.weighted import WeightedRows
 
@@ -114,7 +115,6 @@ class StratifiedPlan:
             low=max(0.0, min(float(low), middle)),
             high=min(1.0, max(float(high), middle) + REACH),
             confidence=confidence,
-            model=self.probability,
             simulations=len(beyond),
             unanswered=int((~answered).sum()),
             beyond=int((beyond & answered).sum()),
@@ -210,7 +210,11 @@ def plan_strata(
 
 
 def plan_wide_strata(
-    standardised: Standardised, space: DesignSpace | WeightedRows, integral: Integral, m: int, rng: np.random.Generator
+    standardised: Standardised,
+    space: DesignSpace | WeightedRows,
+    of_classifier: Baseline,
+    m: int,
+    rng: np.random.Generator,
 ) -> StratifiedPlan | None:
     """Plan m fresh simulations of a rare outcome in strata of the classifier's doubt; None if it is too rare.
 
@@ -219,23 +223,23 @@ def plan_wide_strata(
     Args:
         standardised: mean/sd of the latent.
         space: the distribution.
-        integral: the classifier's probability.
+        of_classifier: its share of predictions.
         m: number of simulations.
         rng: draws them.
     """
-    if integral.probability < _LEAST:
+    if of_classifier.probability < _LEAST:
         return None
     drawn = population(space, RADIAL, None, rng)
-    z, error = standardised(drawn.X), integral.standard_error
+    z, error = standardised(drawn.X), of_classifier.standard_error
     if not isinstance(space, WeightedRows):
         # The simulations are drawn from a population, which itself is a sample.
         error = float(np.sqrt(error**2 + np.sum(drawn.weight**2 * ndtr(-np.abs(z))) / len(z) ** 2))
-    plan = _planned(drawn.X, drawn.weight, z, m, rng, error, True, min(1.0, integral.probability / _RARE))
+    plan = _planned(drawn.X, drawn.weight, z, m, rng, error, True, min(1.0, of_classifier.probability / _RARE))
     if not 0.0 < plan.probability < 1.0:
         return None
     # The population says how each side is divided, the integral how large it is.
-    beyond = integral.probability / plan.probability
-    short = (1.0 - integral.probability) / (1.0 - plan.probability)
+    beyond = of_classifier.probability / plan.probability
+    short = (1.0 - of_classifier.probability) / (1.0 - plan.probability)
     return replace(plan, volume=plan.volume * np.where(plan.is_beyond, beyond, short))
 
 

@@ -11,7 +11,7 @@ from activefail.findings.failure import FailureFindings
 from activefail.findings.probability import ProbabilityFindings, rounded_up
 from activefail.findings.quantities import significant
 from activefail.findings.results import Findings
-from activefail.reliability.estimate import standardised_latent
+from activefail.reliability.integral import boundary_of
 from activefail.report.picture import picture
 from activefail.shares import percent
 from activefail.visible import visible
@@ -93,7 +93,7 @@ def _point(findings: Findings, failure: FailureFindings) -> dict[str, Any] | Non
             figure = plot_failure_domain(
                 point,
                 space,
-                standardised_latent(findings.classifier.latent(findings.boundary), campaign.features),
+                boundary_of(findings.classifier, campaign.features, findings.boundary),
                 findings.X[rows],
                 findings.outcome[rows],
                 campaign.simulator.outcomes,

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from activefail import __version__
-from activefail.acquisition.criteria import bald
 from activefail.bearing.motion import Motion, describe_outcome
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import continue_command
@@ -30,7 +29,7 @@ from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.files import replacing, target_of
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
-from activefail.findings.prediction import predict
+from activefail.findings.prediction import information, predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
 from activefail.findings.summary import SettingsInBrief, Summary
@@ -200,15 +199,15 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def _uncertain(findings: Findings) -> list[dict[str, Any]]:
-    prediction = findings.pool_prediction
-    information = bald(prediction.mean, prediction.sd)
-    rows = np.argsort(-information, kind="stable")[:LISTED]
+    prediction, campaign = findings.pool_prediction, findings.campaign
+    bits = information(findings.classifier.predicted(campaign.features(findings.pool)), campaign.severity)
+    rows = np.argsort(-bits, kind="stable")[:LISTED]
     return [
         {
             "design": [significant(float(value)) for value in findings.pool[row]],
             "probabilities": [_probability(float(p)) for p in prediction.probabilities[row]],
             "interval": f"{_probability(prediction.low[row])} to {_probability(prediction.high[row])}",
-            "information": f"{information[row]:.2f}",
+            "information": f"{bits[row]:.2f}",
         }
         for row in rows.tolist()
     ]

@@ -1,10 +1,10 @@
-"""Probabilities under questions as the classifier gives them, without simulations and without intervals."""
+"""A quick probability under a question by the classifier, for searches and charts; `Question.integral` is exact."""
 
 from scipy.special import ndtr
 
 from activefail.acquisition.population import integration_points
 from activefail.campaign.question import Question
-from activefail.reliability.estimate import Standardised
+from activefail.reliability.integral import Standardised
 from activefail.weighted import WeightedRows
 
 POINTS = 1024

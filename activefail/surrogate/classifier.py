@@ -18,10 +18,10 @@ from activefail.errors import InputError
 from activefail.features import FeatureMap
 from activefail.space import Array
 from activefail.surrogate.fitting import Fit, Readout, fit, leave_one_out, predict, predict_jointly, readout
-from activefail.surrogate.margin import LARGEST_FEATURE, ROWS_AT_ONCE, MarginLatent
+from activefail.surrogate.margin import LARGEST_FEATURE, ROWS_AT_ONCE, MarginFit, MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES, Choice, choose, fit_defined, is_due, usable
 from activefail.surrogate.moments import Moments as Moments
-from activefail.surrogate.moments import outcome_probabilities
+from activefail.surrogate.moments import nested_probits, outcome_probabilities
 
 if TYPE_CHECKING:
     import torch
@@ -89,6 +89,54 @@ class Latent:
         return Moments(*leave_one_out(self.trained))
 
 
+def is_nested(latents: Sequence[object]) -> bool:
+    """Whether all boundaries are levels of one margin's regression."""
+    regressions = [latent.trained for latent in latents if isinstance(latent, MarginLatent)]
+    return len(regressions) == len(latents) and all(trained is regressions[0] for trained in regressions)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What a classifier says of n designs: the one source of every probability of an outcome.
+
+    Attributes:
+        moments: of each boundary's latent.
+        is_nested: whether the boundaries are levels of one latent (see `outcome_probabilities`).
+    """
+
+    moments: tuple[Moments, ...]
+    is_nested: bool
+
+    @property
+    def probabilities(self) -> Array:
+        """Of each outcome of one simulation, (n, outcomes); rows sum to 1.
+
+        The outcomes that a boundary is learned from count as noisy, which allows for structure too fine to learn: the
+        probit is mean/√(1 + sd²). That of a margin's boundary is mean/sd.
+        """
+        return outcome_probabilities(np.column_stack([one.standardised for one in self.moments]), self.is_nested)
+
+    @property
+    def boundaries(self) -> Array:
+        """The probits of P(at least as severe), without noise, (n, b): what is integrated over many designs.
+
+        The simulator is deterministic, and the noise of labels would put a floor under a small probability.
+        """
+        return nested_probits(np.column_stack([one.side for one in self.moments]), self.is_nested)
+
+    def beyond(self, severity: int, shift: float | None = None) -> Array:
+        """P(at least as severe as outcome `severity`) of one simulation, (n,).
+
+        Args:
+            severity: number of the outcome.
+            shift: of the boundary's latent from its mean, in standard deviations, if it were known.
+        """
+        z = np.column_stack([one.standardised for one in self.moments])
+        if shift is not None:
+            z[:, severity - 1] = self.moments[severity - 1].known(shift)
+        return np.asarray(outcome_probabilities(z, self.is_nested)[:, severity:].sum(axis=1))
+
+
 @dataclass(frozen=True)
 class Classifier:
     """Probabilities of outcomes in order of severity, from one latent per boundary.
@@ -109,10 +157,13 @@ class Classifier:
         """The latent of the boundary below the named outcome."""
         return self.latents[self.outcomes.index(outcome) - 1]
 
+    def predicted(self, F: Array) -> "Predicted":
+        """Probabilities at scaled features, (n, m)."""
+        return Predicted(tuple(latent.moments(F) for latent in self.latents), is_nested(self.latents))
+
     def probabilities(self, X: Array) -> Array:
         """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1."""
-        F = self.features(X)
-        return outcome_probabilities([latent.moments(F) for latent in self.latents])
+        return self.predicted(self.features(X)).probabilities
 
 
 def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> "Tensor":
@@ -125,11 +176,13 @@ class LearnableMargins:
 
     Attributes:
         values: (b, n, k) float64, for each boundary one column for each of the simulator's margins, at most 0 beyond.
+        levels: (b, k) at or below which a margin of the simulator is beyond each boundary.
         columns: those that may be chosen.
         required: whether the one column must be used, without a comparison.
     """
 
     values: Array
+    levels: Array
     columns: tuple[int, ...]
     required: bool = False
 
@@ -160,22 +213,49 @@ def train(
         raise InputError("None of the simulations gave an outcome, so there is nothing to learn from.")
     F = features(X)
 
-    def train_boundary(severity: int) -> tuple[Latent | MarginLatent, Choice | None]:
-        before = None if warm is None else warm.latents[severity - 1]
-        choice = None
-        if margins is not None:
-            previous = warm.choices[severity - 1] if warm is not None and warm.choices else None
-            choice = _choice(F, outcome, severity, margins, kernel, previous)
-            if choice.margin != OUTCOMES:
-                start = before.trained if isinstance(before, MarginLatent) else None
-                return MarginLatent(fit_defined(F, margins.values[severity - 1][:, choice.margin], start)), choice
-        fitted = before.trained if isinstance(before, Latent) else None
-        return Latent(fit(torch.from_numpy(F), _boundary_labels(outcome, severity), kernel, fitted)), choice
+    severities = range(1, len(outcomes))
+
+    def chosen(severity: int) -> Choice:
+        assert margins is not None
+        previous = warm.choices[severity - 1] if warm is not None and warm.choices else None
+        return _choice(F, outcome, severity, margins, kernel, previous)
+
+    def learned(severity: int) -> Fit | MarginFit:
+        before = None if warm is None else warm.latents[severity - 1].trained
+        if margins is None or choices[severity - 1].margin == OUTCOMES:
+            start = before if isinstance(before, Fit) else None
+            return fit(torch.from_numpy(F), _boundary_labels(outcome, severity), kernel, start)
+        margin = margins.values[severity - 1][:, choices[severity - 1].margin]
+        return fit_defined(F, margin, before if isinstance(before, MarginFit) else None)
 
     # torch and LAPACK release the interpreter's lock, so boundaries train in parallel.
-    with ThreadPoolExecutor(len(outcomes) - 1) as pool:
-        latents, choices = zip(*pool.map(train_boundary, range(1, len(outcomes))), strict=True)
-    return Classifier(tuple(outcomes), features, latents, () if margins is None else choices)
+    with ThreadPoolExecutor(len(severities)) as pool:
+        choices = () if margins is None else tuple(pool.map(chosen, severities))
+        own = [severity for severity in severities if learned_with(choices, severity) == severity]
+        trained = dict(zip(own, pool.map(learned, own), strict=True))
+    latents = []
+    for severity in severities:
+        of_boundary = trained[learned_with(choices, severity)]
+        latents.append(
+            Latent(of_boundary)
+            if isinstance(of_boundary, Fit)
+            else MarginLatent(of_boundary, level_of(margins, choices, severity))
+        )
+    return Classifier(tuple(outcomes), features, tuple(latents), choices)
+
+
+def learned_with(choices: Sequence[Choice], severity: int) -> int:
+    """The boundary whose latent a boundary shares: the most severe one that is learned from the same margin."""
+    if not choices or (margin := choices[severity - 1].margin) == OUTCOMES:
+        return severity
+    return max(other for other, choice in enumerate(choices, start=1) if choice.margin == margin)
+
+
+def level_of(margins: "LearnableMargins | None", choices: Sequence[Choice], severity: int) -> float:
+    """The level of a boundary's margin, in relation to the boundary whose latent it shares."""
+    assert margins is not None
+    levels = margins.levels[:, choices[severity - 1].margin]
+    return float(levels[severity - 1] - levels[learned_with(choices, severity) - 1])
 
 
 def _choice(

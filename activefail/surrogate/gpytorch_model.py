@@ -118,7 +118,7 @@ def botorch_model(trained: Fit) -> ApproximateGPyTorchModel:
 
 
 class MarginModel(gpytorch.models.ExactGP, GPyTorchModel):
-    """The posterior of a margin's regression: minus the warped margin, so positive beyond the boundary.
+    """The posterior of a margin's regression: a threshold minus the warped margin, so positive beyond the boundary.
 
     It has no training data of its own: its mean and covariance are those of the posterior, in closed form
     [RasmussenWilliams2006, eqs. 2.25, 2.26 and 2.42], with the variance of the estimated constant mean.
@@ -126,13 +126,13 @@ class MarginModel(gpytorch.models.ExactGP, GPyTorchModel):
 
     _num_outputs = 1
 
-    def __init__(self, trained: MarginFit) -> None:
+    def __init__(self, trained: MarginFit, threshold: float = 0.0) -> None:
         # BoTorch adds a likelihood's noise only on request; a margin has no more than its nugget.
         likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.Positive()).double()
         super().__init__(None, None, likelihood)
         self.covar_module = covariance_module(MARGIN_KERNEL, trained.features.shape[1])
         set_hyperparameters(self.covar_module, trained.hyperparameters)
-        self.mean = trained.hyperparameters.mean
+        self.mean = trained.hyperparameters.mean - threshold
         self.nugget = NUGGET * math.exp(trained.hyperparameters.log_outputscale)
         likelihood.noise = self.nugget
         solved = trained.solved

@@ -421,12 +421,20 @@ class MarginLatent:
 
     Attributes:
         trained: the regression.
+        level: of the margin at or below which a design is beyond the boundary: several boundaries of one margin share a
+            regression.
         pending: (k, m) scaled features of designs whose margins are being computed. They do not change the means, and
             shrink the variances as if their margins were known.
     """
 
     trained: MarginFit
+    level: float = 0.0
     pending: Array | None = None
+
+    @property
+    def threshold(self) -> float:
+        """The level in the units of the warped margin."""
+        return float(self.trained.warped(np.array(self.level)))
 
     @property
     def features(self) -> Array:
@@ -444,7 +452,7 @@ class MarginLatent:
         """The posterior, without pending designs, as a BoTorch model over the scaled features, (..., q, m)."""
         from activefail.surrogate.gpytorch_model import MarginModel
 
-        return MarginModel(self.trained)
+        return MarginModel(self.trained, self.threshold)
 
     @cached_property
     def _pending_factor(self) -> Array:
@@ -462,7 +470,7 @@ class MarginLatent:
         rows = range(0, max(1, len(F)), ROWS_AT_ONCE)
         parts = [self._moments(F[first : first + ROWS_AT_ONCE]) for first in rows]
         mean, sd = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        return MarginMoments(-mean, sd)
+        return MarginMoments(self.threshold - mean, sd)
 
     def _moments(self, F: Array) -> tuple[Array, Array]:
         mean, sd = self.trained.moments(F)
@@ -478,22 +486,27 @@ class MarginLatent:
         if self.pending is not None:
             explained = self._explained(F)
             covariance = covariance - explained.T @ explained
-        return -mean, covariance
+        return self.threshold - mean, covariance
 
     def deviations(self, F: Array, margin: Array) -> Array:
         """How far margins, (n,), lie beyond their means at scaled features, (n, m), in standard deviations.
 
-        NaN where a margin is not finite, or at most 0 where such margins are censored.
+        NaN where a margin is not finite, or censored.
+
+        Args:
+            F: the features.
+            margin: in relation to the boundary, at most 0 beyond it.
         """
-        exact = np.isfinite(margin) & ~(self.trained.truncated & (margin <= 0.0))
+        own = margin + self.level
+        exact = np.isfinite(own) & ~(self.trained.truncated & (own <= 0.0))
         moments = self.moments(F)
-        warped = self.trained.warped(np.where(exact, margin, 0.0))
-        return np.where(exact, (-warped - moments.mean) / moments.sd, np.nan)
+        warped = self.trained.warped(np.where(exact, own, 0.0))
+        return np.where(exact, (self.threshold - warped - moments.mean) / moments.sd, np.nan)
 
     def left_out(self) -> MarginMoments:
         """Moments at each training point without its own margin, with hyperparameters unchanged, (n,)."""
         mean, sd = self.trained.left_out()
-        return MarginMoments(-mean, sd)
+        return MarginMoments(self.threshold - mean, sd)
 
     def with_pending(self, F: Array) -> "MarginLatent":
         """The latent while the margins at scaled features F, (k, m), are being computed."""

@@ -13,9 +13,9 @@ from scipy.linalg import cho_solve, cholesky, eigh, solve_triangular
 
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Latent
+from activefail.surrogate.classifier import Classifier, Latent, Predicted, is_nested
 from activefail.surrogate.covariance import JITTER, SavedHyperparameters, covariance_array
-from activefail.surrogate.margin import LARGEST_FEATURE, ROWS_AT_ONCE, MarginLatent
+from activefail.surrogate.margin import LARGEST_FEATURE, ROWS_AT_ONCE, MarginFit, MarginLatent
 from activefail.surrogate.moments import Moments
 
 
@@ -113,11 +113,18 @@ class SavedClassifier:
     @classmethod
     def of(cls, classifier: Classifier) -> "SavedClassifier":
         """The same classifier, for predictions alone."""
-        return cls(classifier.outcomes, classifier.features, tuple(_saved(latent) for latent in classifier.latents))
+        regressions = {id(of.trained): _regression(of) for of in classifier.latents if isinstance(of, MarginLatent)}
+        latents = (
+            SavedLatent.of(of) if isinstance(of, Latent) else replace(of, trained=regressions[id(of.trained)])
+            for of in classifier.latents
+        )
+        return cls(classifier.outcomes, classifier.features, tuple(latents))
+
+    def predicted(self, F: Array) -> Predicted:
+        """As for `Classifier`."""
+        return Predicted(tuple(latent.moments(F) for latent in self.latents), is_nested(self.latents))
 
 
-def _saved(latent: Latent | MarginLatent) -> SavedLatent | MarginLatent:
-    if isinstance(latent, Latent):
-        return SavedLatent.of(latent)
-    trained = replace(latent.trained, hyperparameters=SavedHyperparameters(*latent.trained.hyperparameters))
-    return MarginLatent(trained)
+def _regression(latent: MarginLatent) -> MarginFit:
+    trained = latent.trained
+    return replace(trained, hyperparameters=SavedHyperparameters(*trained.hyperparameters))

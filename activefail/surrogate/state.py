@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from activefail.errors import DamagedError
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Kernel, Latent, LearnableMargins
+from activefail.surrogate.classifier import Classifier, Kernel, Latent, LearnableMargins, learned_with, level_of
 from activefail.surrogate.covariance import Hyperparameters, SavedHyperparameters
 from activefail.surrogate.fitting import EXACT, Fit
 from activefail.surrogate.inducing import MOST
@@ -202,18 +202,25 @@ def _restored(
     """The latents and what they are learned from; `of_outcomes` and `of_prior` build them."""
     F = features(X)
     latents: list[OutcomeLatent | MarginLatent] = []
-    choices = []
+    choices = (
+        ()
+        if margins is None
+        else tuple(
+            _choice(state[f"{name}/choice"], values, margins.columns, outcome >= severity)
+            for severity, (name, values) in enumerate(zip(outcomes[1:], margins.values, strict=True), start=1)
+        )
+    )
+    regressions: dict[int, MarginFit] = {}
     for severity, name in enumerate(outcomes[1:], start=1):
-        beyond = outcome >= severity
-        if margins is not None:
-            values = margins.values[severity - 1]
-            choice = _choice(state[f"{name}/choice"], values, margins.columns, beyond)
-            choices.append(choice)
-            if choice.margin != OUTCOMES:
-                latents.append(_checked(_margin_latent(state, name, F, values[:, choice.margin], of_prior)))
-                continue
-        latents.append(_checked(of_outcomes(state, name, F, beyond, kernel)))
-    return tuple(latents), tuple(choices)
+        if margins is None or choices[severity - 1].margin == OUTCOMES:
+            latents.append(_checked(of_outcomes(state, name, F, outcome >= severity, kernel)))
+            continue
+        shared = learned_with(choices, severity)
+        if shared not in regressions:
+            margin = margins.values[shared - 1][:, choices[severity - 1].margin]
+            regressions[shared] = _margin_fit(state, outcomes[shared], F, margin, of_prior)
+        latents.append(_checked(MarginLatent(regressions[shared], level_of(margins, choices, severity))))
+    return tuple(latents), choices
 
 
 def _choice(array: NDArray[Any], margins: Array, columns: Collection[int], beyond: NDArray[np.bool_]) -> Choice:
@@ -274,7 +281,7 @@ def _latent(state: State, name: str, F: Array, beyond: NDArray[np.bool_], kernel
     )
 
 
-def _margin_latent(state: State, name: str, F: Array, margin: Array, of_prior: type[Hyperparameters]) -> MarginLatent:
+def _margin_fit(state: State, name: str, F: Array, margin: Array, of_prior: type[Hyperparameters]) -> MarginFit:
     values, has_undefined = defined(margin)
     number, reals = ("<f8", ()), "<f8"
     for key in ("truncated", "warping", "learned_on"):
@@ -295,18 +302,16 @@ def _margin_latent(state: State, name: str, F: Array, margin: Array, of_prior: t
     possible = truncated in (0, 1) and 0 <= warping < len(WARPINGS) and 1 <= learned_on <= len(F)
     if not possible or (has_undefined and not truncated) or not state[f"{name}/unit"] > 0.0:
         raise DamagedError("holds a regression of a margin that training cannot produce")
-    return MarginLatent(
-        MarginFit(
-            features=F,
-            margin=values,
-            truncated=bool(truncated),
-            warping=list(WARPINGS)[warping],
-            unit=float(state[f"{name}/unit"]),
-            hyperparameters=_hyperparameters(state, name, of_prior),
-            sites=CensoredSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"]),
-            log_likelihood=math.nan,
-            learned_on=learned_on,
-        )
+    return MarginFit(
+        features=F,
+        margin=values,
+        truncated=bool(truncated),
+        warping=list(WARPINGS)[warping],
+        unit=float(state[f"{name}/unit"]),
+        hyperparameters=_hyperparameters(state, name, of_prior),
+        sites=CensoredSites(state[f"{name}/site_linear"], state[f"{name}/site_precision"]),
+        log_likelihood=math.nan,
+        learned_on=learned_on,
     )
 
 

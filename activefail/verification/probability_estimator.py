@@ -20,17 +20,16 @@ from activefail.reliability.estimate import (
     Doubt,
     Plan,
     ProbabilityEstimate,
-    Standardised,
+    baseline,
     deviation_of_margins,
-    integrated,
     plan_estimate,
-    standardised_latent,
 )
 from activefail.reliability.hidden import ModeCheck
+from activefail.reliability.integral import Boundaries, Standardised, boundaries_of, boundary_of
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Latent
+from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 from activefail.verification.mode_check import check_of, is_checked, margin_of, places_of_check
 from activefail.verification.stored_sets import (
@@ -131,7 +130,6 @@ class Sampled:
             low=low,
             high=high,
             confidence=confidence,
-            model=self.plan.probability,
             simulations=0,
             unanswered=0,
             beyond=0,
@@ -209,14 +207,19 @@ class Estimator:
     classifier: Classifier
     iteration: int
 
+    @property
+    def boundaries(self) -> Boundaries:
+        """All boundaries as a function of designs."""
+        return boundaries_of(self.classifier, self.campaign.features)
+
     def standardised(self, outcome: str) -> Standardised:
-        """The latent of an outcome's boundary as a function of designs."""
-        return standardised_latent(self.classifier.latent(outcome), self.campaign.features)
+        """An outcome's boundary as a function of designs."""
+        return boundary_of(self.classifier, self.campaign.features, outcome)
 
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan | StratifiedPlan:
         """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
-        latent = self.classifier.latent(outcome)
-        return _planned(self.campaign, latent, self.iteration, simulations, _thinned(question, simulations))
+        common = (self.campaign, self.classifier, outcome, self.iteration, simulations)
+        return _planned(*common, _thinned(question, simulations))
 
     def sample(self, outcome: str, simulations: int, question: Question, checks: bool = False) -> Sampled:
         """Simulate fresh designs for the probability of an outcome or a more severe one.
@@ -234,7 +237,7 @@ class Estimator:
         assert self.executor is not None
         severity = self.campaign.simulator.outcomes.index(outcome)
         latent, question = self.classifier.latent(outcome), _thinned(question, simulations)
-        fresh = _fresh(self.campaign, latent, self.iteration, severity, simulations, question)
+        fresh = _fresh(self.campaign, self.classifier, outcome, self.iteration, simulations, question)
         results = simulated_results(self.campaign, self.store, self.executor, fresh.name, fresh.designs)
         assert results is not None  # no stop was requested
         sampled = fresh.sampled(self.campaign, self.classifier, results, severity)
@@ -293,7 +296,7 @@ def stored_estimate(
     if (thinned := _thinned(question, 0)) is not question:
         sizes += estimate_sizes(store, severity, iteration, thinned.digest)
     for simulations in sizes:
-        fresh = _fresh(campaign, latent, iteration, severity, simulations, _thinned(question, simulations))
+        fresh = _fresh(campaign, classifier, outcome, iteration, simulations, _thinned(question, simulations))
         results = stored_results(store, fresh.name, fresh.designs)
         if results is None:
             continue
@@ -315,15 +318,10 @@ def _thinned(question: Question, simulations: int) -> Question:
 
 
 def _fresh(
-    campaign: Campaign,
-    latent: Latent | MarginLatent,
-    iteration: int,
-    severity: int,
-    simulations: int,
-    question: Question,
+    campaign: Campaign, classifier: Classifier, outcome: str, iteration: int, simulations: int, question: Question
 ) -> _Fresh:
     rows = question.space
-    of_designs = standardised_latent(latent, campaign.features)
+    of_designs = boundary_of(classifier, campaign.features, outcome)
     is_complete = isinstance(rows, WeightedRows) and not rows.is_sample and simulations >= len(rows.X)
     error = 0.0
     if isinstance(rows, WeightedRows) and is_complete:
@@ -333,9 +331,9 @@ def _fresh(
         model, none = float((rows.weight * (z > 0.0)).mean()), Doubt(0.0, 0.0)
         plan: Plan | StratifiedPlan = Plan(rows.X, rows.weight, z > 0.0, z, model, 0.0, none, none)
     else:
-        plan = _planned(campaign, latent, iteration, simulations, question)
+        plan = _planned(campaign, classifier, outcome, iteration, simulations, question)
         error = error_of_rows(of_designs, question)
-    kept = (severity, iteration, simulations, question.digest)
+    kept = (classifier.outcomes.index(outcome), iteration, simulations, question.digest)
     designs, first, place = question.designs(plan.designs), None, None
     if isinstance(rows, WeightedRows):
         designs, first, place = np.unique(designs, axis=0, return_index=True, return_inverse=True)
@@ -351,14 +349,14 @@ def error_of_rows(standardised: Standardised, question: Question) -> float:
 
 
 def _planned(
-    campaign: Campaign, latent: Latent | MarginLatent, iteration: int, simulations: int, question: Question
+    campaign: Campaign, classifier: Classifier, outcome: str, iteration: int, simulations: int, question: Question
 ) -> Plan | StratifiedPlan:
     """The fresh simulations that estimate a probability under a question.
 
     They are drawn by importance under the campaign's own distribution, where the outcome is very rare, and where the
     boundary is learned from a margin: unlike outcomes, margins show how far from it a design is.
     """
-    of_designs = standardised_latent(latent, campaign.features)
+    latent, of_designs = classifier.latent(outcome), boundary_of(classifier, campaign.features, outcome)
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
         rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
@@ -369,7 +367,7 @@ def _planned(
     in_strata = not (question.is_own or isinstance(latent, MarginLatent))
     if in_strata and (plan := plan_strata(standardised, question.space, simulations, rng)) is not None:
         return plan
-    integral = integrated(standardised, question.space, rng)
-    if in_strata and (plan := plan_wide_strata(standardised, question.space, integral, simulations, rng)) is not None:
+    share = baseline(standardised, question.space)
+    if in_strata and (plan := plan_wide_strata(standardised, question.space, share, simulations, rng)) is not None:
         return plan
-    return plan_estimate(standardised, question.space, integral, simulations, rng)
+    return plan_estimate(standardised, question.space, share, simulations, rng)

@@ -34,7 +34,8 @@ def trained(kernel, truncated=None):
     if truncated is not None:
         values = np.stack([(limit - level(X))[:, None] for limit in (0.6, 1.4)])
         # A simulation that ends at failure reports 0.
-        margins = LearnableMargins(np.where(truncated & (values < 0.0), 0.0, values), (0,), required=True)
+        values = np.where(truncated & (values < 0.0), 0.0, values)
+        margins = LearnableMargins(values, np.array([[-0.6], [-1.4]]), (0,), required=True)
     given = (X, outcome, OUTCOMES, FEATURES, kernel)
     return train(*given, None, margins), (*given, margins)
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import FRICTION, Hazard, hazard_question
-from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, DesignTask
 from activefail.risk.design.findings import BEARING_PERIOD, DesignFindings
 from activefail.risk.design.required_chart import RequiredChart, required_chart
@@ -70,9 +69,9 @@ def _probabilities(
     campaign = estimator.campaign
     values = {name: value for name, value in designed.question.fixed.items() if name in campaign.space.names}
     question = hazard_question(hazard, campaign.settings, campaign.space, values, pgv)
-    return tuple(
-        classifier_probability(estimator.standardised(one.outcome), question) for one in designed.task.requirements
-    )
+    integral = question.integral(estimator.boundaries, campaign.space)
+    outcomes = campaign.simulator.outcomes
+    return tuple(float(integral.probability[outcomes.index(one.outcome) - 1]) for one in designed.task.requirements)
 
 
 def chart_of(

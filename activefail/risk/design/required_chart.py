@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activefail.reliability.estimate import Standardised
+from activefail.reliability.integral import Standardised
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import DesignTask
 from activefail.space import Array

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 
 from activefail.campaign.question import Question
-from activefail.reliability.estimate import ProbabilityEstimate, Standardised
+from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.reliability.integral import Standardised
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import LOOKS, DesignTask
 from activefail.space import Array

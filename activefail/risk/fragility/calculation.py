@@ -10,6 +10,7 @@ from activefail.campaign.hazard import Hazard, hazard_question
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
 from activefail.reliability.estimate import ProbabilityEstimate
+from activefail.reliability.integral import Boundaries
 from activefail.risk.fragility.band import (
     LEAST,
     VerifiedLevel,
@@ -20,15 +21,13 @@ from activefail.risk.fragility.curve import Curve, Ladder
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.fragility.findings import Bound, BoundaryFragility, FragilityFindings
 from activefail.risk.fragility.levels import (
-    Boundaries,
+    RESOLUTION,
     Intensity,
-    answer,
     check_asked,
     curves_on,
     intensity_ladder,
     median_intensity,
     question_at,
-    standardised_boundaries,
     variable_ladder,
 )
 from activefail.risk.fragility.rates import risk_of
@@ -124,7 +123,7 @@ def fragility(
         return estimator.stored(outcome, at_level, confidence)
 
     verification = Verification(outcome, simulations or 0, confidence, estimate, read if simulations is None else None)
-    boundaries = standardised_boundaries(estimator.classifier, campaign.features)
+    boundaries = estimator.boundaries
     if hazard is not None:
         values = {name: value for name, value in question.fixed.items() if name in campaign.space.names}
         return bearing_fragility(campaign, boundaries, hazard, values, intensity, verification, stage)
@@ -145,7 +144,7 @@ def bearing_fragility(
 
     Args:
         campaign: the campaign.
-        boundaries: mean/sd of each boundary's latent as a function of designs.
+        boundaries: of the campaign's designs.
         hazard: at one of its property bounds.
         fixed: values of the bearing's variables.
         intensity: "pgv" or "a_p".
@@ -172,10 +171,16 @@ def bearing_fragility(
     has_bounds = hazard.settings.properties is not None
     names: tuple[Bound, ...] = ("lower", "nominal", "upper") if has_bounds else ("nominal",)
     at_bounds = {
-        name: answer(boundaries, question_of(hazard.at_bound(name), median), space).probability for name in names
+        name: question_of(hazard.at_bound(name), median).integral(boundaries, space, RESOLUTION).probability
+        for name in names
     }
     stage("finding the pulses that contribute")
-    parts = deaggregated(boundaries, lambda of: hazard_question(of, settings, space, fixed), hazard)
+    parts = deaggregated(
+        boundaries,
+        lambda of: hazard_question(of, settings, space, fixed),
+        hazard,
+        whole.integral(boundaries, space).probability,
+    )
     rates, why = hazard.settings.curve, ""
     if rates is None:
         why = "the hazard has no curve of annual rates"
@@ -202,6 +207,7 @@ def bearing_fragility(
         curves.curves[0].ladder,
         tuple(of_boundaries),
         curves.outside,
+        curves.from_outside,
         fixed,
         verification.confidence,
         median,
@@ -256,6 +262,7 @@ def general_fragility(
         curves.curves[0].ladder,
         of_boundaries,
         curves.outside,
+        curves.from_outside,
         question.fixed,
         verification.confidence,
         None,

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from activefail.acquisition.population import integration_points
 from activefail.campaign.hazard import Hazard, deviates
 from activefail.campaign.question import PERIOD, PGV, Question
-from activefail.risk.fragility.levels import Boundaries
+from activefail.reliability.integral import Boundaries
 from activefail.space import Array
 from activefail.weighted import WeightedRows, weighted_quantiles
 
@@ -82,14 +82,15 @@ class Deaggregation:
 
 
 def deaggregated(
-    boundaries: Boundaries, question_of: Callable[[Hazard], Question], hazard: Hazard
+    boundaries: Boundaries, question_of: Callable[[Hazard], Question], hazard: Hazard, probability: Array
 ) -> list[Deaggregation]:
     """The failures beyond each boundary by the pulses of a hazard.
 
     Args:
-        boundaries: mean/sd of each boundary's latent as a function of designs.
+        boundaries: of the campaign's designs.
         question_of: the question that a hazard asks.
         hazard: the hazard.
+        probability: (boundaries,) under the whole hazard.
     """
     question = question_of(hazard.without_uncertainty())
     names, added = question.space.names, hazard.added_dispersion
@@ -105,10 +106,10 @@ def deaggregated(
     felt[:, names.index(PGV)] *= np.exp(added * z.ravel() - hazard.bias)
     beyond = ndtr(boundaries(question.designs(felt)))
     parts = weight[:, None] * beyond.reshape(*z.shape, -1).mean(axis=1)
-    return [_of_boundary(period, velocity, weight, part) for part in parts.T]
+    return [_of_boundary(period, velocity, weight, *of) for of in zip(parts.T, probability.tolist(), strict=True)]
 
 
-def _of_boundary(period: Array, velocity: Array, weight: Array, part: Array) -> Deaggregation:
+def _of_boundary(period: Array, velocity: Array, weight: Array, part: Array, probability: float) -> Deaggregation:
     edges = [_edges(values, weight) for values in (period, velocity)]
 
     def binned(weights: Array) -> Array:
@@ -119,8 +120,7 @@ def _of_boundary(period: Array, velocity: Array, weight: Array, part: Array) -> 
         counts = np.bincount(rows[0] * _BINS + rows[1], weights=weights, minlength=_BINS * _BINS)
         return np.asarray(counts / weights.sum()).reshape(_BINS, _BINS)
 
-    probability = float(part.mean())
-    rare = probability < _RAREST
+    rare = probability < _RAREST or not part.any()
     return Deaggregation(
         probability=probability,
         period=edges[0],

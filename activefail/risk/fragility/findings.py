@@ -69,6 +69,7 @@ class FragilityFindings:
         ladder: the variable's levels.
         boundaries: the least severe outcome first.
         outside: (n,) share of the question outside the campaign's design space at each level.
+        from_outside: (n, boundaries) share of each probability that comes from there.
         fixed: values of variables.
         confidence: of the intervals.
         median: the hazard's median of the intensity; None without a hazard.
@@ -81,6 +82,7 @@ class FragilityFindings:
     ladder: Ladder
     boundaries: tuple[BoundaryFragility, ...]
     outside: Array
+    from_outside: Array
     fixed: Mapping[str, float]
     confidence: float
     median: float | None
@@ -111,13 +113,15 @@ class FragilityFindings:
                 "they have less. They assume a limit state that is smooth between simulations."
             )
         curves = np.array([one.curve.probability for one in self.boundaries])
-        outside = self.outside[((curves >= 0.01) & (curves <= 0.9)).any(axis=0)]
+        between = (curves >= 0.01) & (curves <= 0.9)
+        outside = self.outside[between.any(axis=0)]
         if len(outside) and outside.max() > 0.0:
             least, most = percent(float(outside.min())), percent(float(outside.max()))
             share = most if least == most else f"{least} to {most}"
             sentences.append(
                 f"Where the curves are between 1 and 90 %, {share} of the distribution lies outside the campaign's "
-                "design space. The classifier extrapolates there."
+                f"design space, and up to {percent(float(self.from_outside[between.T].max()))} of a probability comes "
+                "from there. The classifier extrapolates there."
             )
         if self.outside_hazard:
             sentences.append(
@@ -169,7 +173,7 @@ class FragilityFindings:
                 "interval_reason": "it describes the curve, which is the result",
             },
             "lognormal_reason": why_not_fitted(one.curve) or None,
-            "verified": [_of_level(level) for level in one.verified],
+            "verified": [_of_level(level, one.curve) for level in one.verified],
             "at_hazard_median": None
             if one.at_median is None
             else {"probability": dict(one.at_median), "interval": None, "interval_reason": WITHOUT_INTERVAL},
@@ -220,7 +224,7 @@ class FragilityFindings:
         return None if level is None or self.median is None else level / self.median
 
 
-def _of_level(verified: VerifiedLevel) -> dict[str, Any]:
+def _of_level(verified: VerifiedLevel, curve: Curve) -> dict[str, Any]:
     estimate = verified.estimate
     return {
         "level": verified.level,
@@ -232,5 +236,5 @@ def _of_level(verified: VerifiedLevel) -> dict[str, Any]:
         "numerical_failures": estimate.unanswered,
         "contradictions": estimate.wrong,
         "contradictions_where_sure": estimate.surprising,
-        "classifier_probability": estimate.model,
+        "classifier_probability": float(curve.at(verified.level)),
     }

@@ -2,25 +2,19 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
-from scipy.special import ndtr
 
-from activefail.acquisition.population import finite, integration_points
 from activefail.campaign.hazard import Hazard, hazard_question
 from activefail.campaign.question import AMPLITUDE, PERIOD, PGV, Question
 from activefail.campaign.settings import CampaignSettings
 from activefail.errors import InputError
-from activefail.features import FeatureMap
+from activefail.reliability.integral import Boundaries, Integral
 from activefail.risk.fragility.curve import Curve, Ladder
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Classifier
 from activefail.visible import visible
 from activefail.weighted import WeightedRows, weighted_quantiles
-
-Boundaries = Callable[[Array], Array]
-"""Designs, (n, d) -> mean/sd of each boundary's latent, (n, boundaries); positive beyond it."""
 
 Intensity = Literal["pgv", "a_p"]
 
@@ -36,14 +30,8 @@ _RANGES = {"pgv": (0.1, 4.0), "a_p": (0.02, 2.0)}
 _STEPS = 40
 """Steps of the ladder of another variable."""
 
-_POINTS = {1: 512, 2: 1024}
-_MORE_POINTS = 2048
-"""Points that integrate over one, two, or more variables."""
-
-_MOST_ROWS = 4096
-"""Most weighted rows that are integrated at a level; of more, a systematic sample is taken."""
-
-_LEAST_RESOLUTION = 0.001
+RESOLUTION = 0.001
+"""Standard error of the integration at a level that is small enough for a curve."""
 
 _STEEP, _HALVINGS = 0.05, 2
 """Change of a probability for which a step of a ladder is halved, and how often."""
@@ -181,53 +169,6 @@ def median_intensity(hazard: Hazard, intensity: Intensity) -> float:
     return float(weighted_quantiles(values, rows.weight, (0.5,))[0])
 
 
-def standardised_boundaries(classifier: Classifier, features: FeatureMap) -> Boundaries:
-    """All boundaries' latents as one function of designs; the features are computed once."""
-
-    def standardised(X: Array) -> Array:
-        F = finite(features, X)
-        moments = [latent.moments(F) for latent in classifier.latents]
-        return np.column_stack([np.asarray(one.mean / one.sd) for one in moments])
-
-    return standardised
-
-
-class Answer(NamedTuple):
-    """The classifier's answer to a question.
-
-    Attributes:
-        probability: (boundaries,) mean of Φ(m/s).
-        error: (boundaries,) estimated error of the integration.
-        outside: share of the question outside the campaign's design space.
-    """
-
-    probability: Array
-    error: Array
-    outside: float
-
-
-def answer(boundaries: Boundaries, question: Question, space: DesignSpace) -> Answer:
-    """The probabilities beyond all boundaries under a question, without intervals.
-
-    The simulator is deterministic. So Φ(m/s) is integrated, the probability of the side under the latent (see
-    `classifier_probability`). The points are the same at every level of a ladder, so that curves are smooth.
-    """
-    distribution = question.space
-    if isinstance(distribution, WeightedRows):
-        distribution = distribution.thinned(_MOST_ROWS)
-    X, weight = integration_points(distribution, _POINTS.get(distribution.dimension, _MORE_POINTS))
-    designs = question.designs(X)
-    beyond = ndtr(boundaries(designs))
-    parts = weight[:, None] * beyond
-    outside = float(1.0 - (weight * space.contains(designs)).mean())
-    if isinstance(distribution, WeightedRows):
-        return Answer(parts.mean(axis=0), distribution.standard_error(beyond), outside)
-    # Each half of a Sobol' sequence is one too.
-    half = len(X) // 2
-    error = 0.5 * np.abs(parts[:half].mean(axis=0) - parts[half:].mean(axis=0))
-    return Answer(parts.mean(axis=0), error, outside)
-
-
 @dataclass(frozen=True, eq=False)
 class Curves:
     """The curves of all boundaries on one ladder.
@@ -235,10 +176,12 @@ class Curves:
     Attributes:
         curves: one for each boundary.
         outside: (n,) share of the question outside the design space at each level.
+        from_outside: (n, boundaries) share of each probability that comes from there.
     """
 
     curves: tuple[Curve, ...]
     outside: Array
+    from_outside: Array
 
 
 def curves_on(
@@ -248,21 +191,26 @@ def curves_on(
 
     Steps of the ladder in which a curve moves by more than 0.05 are halved, at most twice.
     """
-    answers = {float(level): answer(boundaries, question_at_level(float(level)), space) for level in ladder.levels}
+
+    def integral(level: float) -> Integral:
+        return question_at_level(level).integral(boundaries, space, RESOLUTION)
+
+    integrals = {float(level): integral(float(level)) for level in ladder.levels}
     for _ in range(_HALVINGS):
-        levels = sorted(answers)
-        probability = np.array([answers[level].probability for level in levels])
+        levels = sorted(integrals)
+        probability = np.array([integrals[level].probability for level in levels])
         coordinates = ladder.coordinate(np.array(levels))
         steep = np.flatnonzero(np.abs(np.diff(probability, axis=0)).max(axis=1) > _STEEP)
         for step in steep:
             level = ladder.level(0.5 * (coordinates[step] + coordinates[step + 1]))
-            answers[level] = answer(boundaries, question_at_level(level), space)
-    levels = sorted(answers)
+            integrals[level] = integral(level)
+    levels = sorted(integrals)
     ladder = replace(ladder, levels=np.array(levels))
-    probability = np.array([answers[level].probability for level in levels])
-    errors = np.array([one.error for one in answers.values()]).max(axis=0)
+    probability = np.array([integrals[level].probability for level in levels])
+    errors = np.array([one.error for one in integrals.values()]).max(axis=0)
     curves = tuple(
-        Curve(ladder, probability[:, column], max(_LEAST_RESOLUTION, float(errors[column])))
+        Curve(ladder, probability[:, column], max(RESOLUTION, float(errors[column])))
         for column in range(probability.shape[1])
     )
-    return Curves(curves, np.array([answers[level].outside for level in levels]))
+    outside = np.array([question_at_level(level).share_outside(space) for level in levels])
+    return Curves(curves, outside, np.array([integrals[level].outside for level in levels]))

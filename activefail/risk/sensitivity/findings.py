@@ -16,8 +16,8 @@ from activefail.campaign.hazard import Hazard, hazard_question
 from activefail.campaign.question import AMPLITUDE, PERIOD, Question
 from activefail.errors import InputError
 from activefail.features import FeatureMap
-from activefail.reliability.estimate import Standardised
-from activefail.risk.classifier_probability import POINTS
+from activefail.reliability.integral import Boundaries, Standardised
+from activefail.risk.fragility.levels import RESOLUTION
 from activefail.risk.sensitivity.sobol import Decomposition, Index, check_samples, decomposed, require_salib
 from activefail.simulators.bearing import limits_of
 from activefail.space import Array, DesignSpace
@@ -127,7 +127,7 @@ def default_samples(variables: int, points: int = 1) -> int:
 
 def question_sensitivity(
     campaign: Campaign,
-    standardised: Standardised,
+    boundaries: Boundaries,
     outcome: str,
     question: Question,
     samples: int | None = None,
@@ -138,7 +138,7 @@ def question_sensitivity(
 
     Args:
         campaign: of the classifier.
-        standardised: mean/sd of the boundary's latent as a function of the campaign's designs.
+        boundaries: of the campaign's designs.
         outcome: of the boundary.
         question: the distribution of the variables.
         samples: points of the sample; a power of two. By default as many as two minutes allow.
@@ -166,7 +166,8 @@ def question_sensitivity(
     samples = default_samples(space.dimension) if samples is None else samples
     check_samples(samples)
     evaluations = samples * (space.dimension + 2)
-    probability = _probability(standardised, begin(evaluations))
+    column = campaign.simulator.outcomes.index(outcome) - 1
+    probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
     decomposition = decomposed(
         lambda U: probability(question.designs(space.from_unit(U))), space.names, samples, confidence
     )
@@ -193,7 +194,7 @@ def question_sensitivity(
 
 def hazard_sensitivity(
     campaign: Campaign,
-    standardised: Standardised,
+    boundaries: Boundaries,
     outcome: str,
     hazard: Hazard,
     fixed: Mapping[str, float],
@@ -205,7 +206,7 @@ def hazard_sensitivity(
 
     Args:
         campaign: of the classifier.
-        standardised: mean/sd of the boundary's latent as a function of the campaign's designs.
+        boundaries: of the campaign's designs.
         outcome: of the boundary.
         hazard: whose pulses are integrated out.
         fixed: values of variables of the bearing, which then have no indices. They are moved one at a time like the
@@ -230,12 +231,13 @@ def hazard_sensitivity(
         check_samples(samples)
     else:
         samples = 0
-    many, many_weight = _pulses(question.space, POINTS)
-    evaluations = samples * (len(free) + 2) * pulses + (1 + 2 * len(design)) * len(many)
-    probability = _probability(standardised, begin(evaluations))
+    evaluations = samples * (len(free) + 2) * pulses
+    column = campaign.simulator.outcomes.index(outcome) - 1
+    probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
 
     def moved(name: str, value: float) -> float:
-        return float(_mean_over_pulses(probability, question, (name,), np.array([[value]]), many, many_weight)[0])
+        integral = question.at({name: value}).integral(boundaries, campaign.space, RESOLUTION)
+        return float(integral.probability[column])
 
     at_base = moved(design[0].name, base[design[0].name])
     moves = []
