@@ -227,7 +227,9 @@ class DesignFindings:
             "uncertain": self.uncertain,
             "question": designed.question.title,
             "outside_design_space": self.outside.share,
-            "ranges_to_widen_to": {name: list(ends) for name, ends in self.outside.ranges.items()},
+            "ranges_to_widen_to": [
+                {"name": name, "low": low, "high": high} for name, (low, high) in self.outside.ranges.items()
+            ],
             "assumptions": self.assumptions,
             "chart": None if self.chart is None else _chart_json(self.chart),
         }

@@ -235,8 +235,10 @@ def find_design(
         stage(f"searching for the design of look {number + 1}")
         aims = np.maximum(task.targets - plan.safety * half_widths(), _LEAST_AIM * task.targets)
         candidate = cheapest(task, model, _goals(looks, aims))
-        if verified and not _is_worth(candidate, task, min(verified)[0]):
-            break
+        if verified:
+            least = min(verified)[0]
+            if not candidate.is_feasible or least - task.cost(candidate.values) < WORTH * abs(least):
+                break
         simulations = task.simulations_of(number)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
         question = task.question.at(candidate.values).drawn(number + 1)
@@ -261,25 +263,19 @@ def find_design(
     return replace(designed, costs=_costs(task, model, designed.result))
 
 
-def _is_worth(candidate: Candidate, task: DesignTask, least: float) -> bool:
-    """Whether a candidate is so much cheaper than the least cost of the verified designs that it deserves a look."""
-    return candidate.is_feasible and least - task.cost(candidate.values) >= WORTH * abs(least)
-
-
 def _goals(looks: Sequence[Look], aims: Array) -> Array:
     """The classifier's probabilities at which the true ones are expected to meet the aims, (r,)."""
     if not looks:
         return aims
-    estimates = np.array([estimate.probability for estimate in looks[-1].estimates])
-    return _corrected(aims, looks[-1].candidate.model, estimates)
+    found = np.array([estimate.probability for estimate in looks[-1].estimates])
+    return _corrected(aims, looks[-1].candidate.model, found)
 
 
 def _corrected(aims: Array, model: Array, found: Array) -> Array:
-    """The classifier's probabilities that correspond to aims, (r,), from those at one design.
+    """The classifier's probabilities that correspond to aims, (r,), by those at one design.
 
-    Where the classifier's probability is too large, the difference is taken as the same for all designs: it comes from
-    parts of the distribution where the classifier is unsure of survival, which hardly depend on the design. Where it
-    is too small, the ratio is.
+    What the classifier adds is the same for all designs: it comes from parts of the distribution where it is unsure of
+    survival whatever the design. What it lacks is in proportion to its probability.
 
     Args:
         aims: (r,) probabilities.
