@@ -39,6 +39,7 @@ from scipy.stats import t as student
 from activefail import create_run, open_run, simulate
 from activefail.bearing.pulse import amplitude_of
 from activefail.campaign.hazard import hazard_of, hazard_question
+from activefail.execution.local import ThreadExecutor
 from activefail.reliability.integral import boundary_of
 from activefail.reliability.strata import plan_strata
 from activefail.surrogate.threads import one_thread
@@ -149,15 +150,15 @@ def sites(study, target, count):
         hazard = hazard_of({"magnitude": {"M": 6.4 + 1.2 * study.rng.random()}, "pgv": pgv}, Path("hazard.toml"))
         question = hazard_question(hazard, study.run.settings, space, {**bearing, FREE: RANGE[0]})
         X = study.draw(question, 500, study.rng)
-        smallest, largest = (study.failed(question.at({FREE: value}), X).mean() for value in RANGE)
-        if largest <= 0.8 * target and smallest >= 1.2 * target:
+        smallest, largest = (question.at({FREE: value}) for value in RANGE)
+        if study.failed(largest, X).mean() <= 0.8 * target and study.failed(smallest, X).mean() >= 1.2 * target:
             count -= 1
             yield bearing, hazard, question
 
 
 def designs(study, site, target, number):
     bearing, hazard, question = site
-    findings = study.run.design(target, hazard, fixed=bearing)
+    findings = study.run.design(target, hazard, fixed=bearing, executor=ThreadExecutor(1))
     found = findings.designed
     value = found.values[FREE]
     rng = np.random.default_rng([number, 2])

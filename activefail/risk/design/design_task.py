@@ -32,16 +32,13 @@ class LookPlan(NamedTuple):
     Attributes:
         simulations: share of all simulations.
         error: share of the probability of a false result.
-        safety: distance of the aim from the target, in half widths of the interval: in those that the classifier
-            expects at the first look, in those of the look before at the second.
     """
 
     simulations: float
     error: float
-    safety: float
 
 
-LOOKS = (LookPlan(0.4, 0.8, 1.5), LookPlan(0.6, 0.2, 1.2))
+LOOKS = (LookPlan(0.4, 0.8), LookPlan(0.6, 0.2))
 """The looks. The first one settles most designs. The second one is seldom needed, has a higher confidence, and so needs
 more simulations (docs/decisions/0019)."""
 

@@ -41,8 +41,9 @@ _IMAGINED = len(LOOKS) + 1
 _LEAST = 1e-12
 """Least probability whose logarithm is taken."""
 
-_LEAST_AIM = 0.2
-"""Least aim over its target."""
+_HALVES, _OFF, _LEAST_AIM = 1.3, 0.025, 0.2
+"""Distance of an aim from its target: half widths of the interval, which are wider where the classifier errs more than
+it expects, and a share of the target, for the classifier's own error; and least aim over its target."""
 
 WORTH = 0.05
 """Least share of the cost that a smaller design must promise to save for a further look."""
@@ -231,9 +232,9 @@ def find_design(
 
     looks: list[Look] = []
     verified: list[tuple[float, int]] = []
-    for number, plan in enumerate(LOOKS):
+    for number in range(len(LOOKS)):
         stage(f"searching for the design of look {number + 1}")
-        aims = np.maximum(task.targets - plan.safety * half_widths(), _LEAST_AIM * task.targets)
+        aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(), _LEAST_AIM * task.targets)
         candidate = cheapest(task, model, _goals(looks, aims))
         if verified:
             least = min(verified)[0]
