@@ -814,7 +814,7 @@ class Run:
         free: "Sequence[str]" = (),
         cost: str = "",
         confidence: float = 0.95,
-        simulations: int = 500,
+        simulations: int = 1000,
         chart: bool = False,
         stage: Callable[[str], None] = lambda _: None,
         executor: "Executor | None" = None,

@@ -59,7 +59,7 @@ def design(
         typer.Option(
             help="Maximum number of fresh simulations for each target; not part of the budget.", min=50, max=1_000_000
         ),
-    ] = 500,
+    ] = 1000,
     chart: Annotated[bool, typer.Option(help="Compute the chart of required values, with --out.")] = True,
     as_json: AsJson = False,
     out: Annotated[

@@ -289,7 +289,7 @@ class DesignAnswers:
                 campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, watch
             )
             designed = find_design(estimator, task, watch.stage, with_costs=False)
-        of_design = DesignFindings(campaign, designed, hazard, designed.question.share_outside(self.space))
+        of_design = DesignFindings(campaign, designed, hazard, designed.question.outside(self.space))
         numbers = of_design.as_json()
         kept = (
             "status",

@@ -8,10 +8,11 @@ from activefail.bearing.design import GRAVITY
 from activefail.bearing.terms import Terms
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
+from activefail.campaign.question import Outside
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.design_task import LOOKS, Rate
 from activefail.risk.design.required_chart import RequiredChart
-from activefail.risk.design.search import Designed
+from activefail.risk.design.search import WORTH, Designed
 from activefail.shares import bounds_percent, percent
 from activefail.simulators.bearing import limits_of, terms_of
 from activefail.visible import or_worse, visible
@@ -28,7 +29,7 @@ class DesignFindings:
         campaign: the campaign.
         designed: the result of the search.
         hazard: the hazard of the question; None for another question.
-        extrapolated: share of the question outside the campaign's design space.
+        outside: what of the question lies outside the campaign's design space.
         at_upper: classifier's probability of each target's outcome at the upper property bounds, without interval;
             empty without such bounds.
         at_least: classifier's probability of each target's outcome at the least velocity of the hazard's curve,
@@ -39,7 +40,7 @@ class DesignFindings:
     campaign: Campaign
     designed: Designed
     hazard: Hazard | None
-    extrapolated: float
+    outside: Outside
     at_upper: tuple[float, ...] = ()
     at_least: tuple[float, ...] = ()
     chart: RequiredChart | None = None
@@ -110,7 +111,7 @@ class DesignFindings:
                 "campaign's."
             )
         sentences.append(
-            f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design space, "
+            f"{percent(self.outside.share)} of the question's distribution lies outside the campaign's design space, "
             "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
         )
         sentences.append(
@@ -120,7 +121,7 @@ class DesignFindings:
             + "."
         )
         kind = "small" if task.cost_text == task.free[0] else "cheap"
-        candidate = self.designed.last.candidate
+        candidate = self.designed.result.candidate
         if not candidate.is_feasible:
             sentences.append(
                 "No design within the ranges brings the classifier's probability down to the search's goal. This "
@@ -150,7 +151,7 @@ class DesignFindings:
             sentences.append(
                 "The bounds assume that there are no failures where the classifier is sure of survival. Without this "
                 f"assumption, up to {percent(missable)} of the designs drawn could fail there without having been seen "
-                f"({100.0 * self.designed.last.of_bound:.3g} % confidence)."
+                f"({100.0 * self.designed.result.of_bound:.3g} % confidence)."
             )
         return [*sentences, *limits_of(self.campaign.simulator)]
 
@@ -160,7 +161,9 @@ class DesignFindings:
         designed = self.designed
         match designed.status:
             case "verified":
-                return "The design meets its target: the upper bound from fresh simulations lies below it."
+                return (
+                    f"The design meets its target: the upper bound from fresh simulations lies below it. {self._ending}"
+                )
             case "not verified" if designed.surprising:
                 return (
                     f"Not verified: fresh simulations ({designed.surprising} of {designed.simulations}) contradict the "
@@ -178,6 +181,20 @@ class DesignFindings:
                     "simulations confirm this for the nearest design, shown here."
                 )
 
+    @property
+    def _ending(self) -> str:
+        """Why no smaller design was looked at, or what became of it, in one sentence."""
+        designed, task = self.designed, self.designed.task
+        cost = task.cost(designed.values)
+        kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
+        for look in designed.looks:
+            if task.cost(look.candidate.values) < cost:
+                values = ", ".join(f"{name} = {value:.4g}" for name, value in look.candidate.values.items())
+                return f"A {kind} one, {values}, was not verified."
+        if len(designed.looks) < len(LOOKS):
+            return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %."
+        return f"No look is left for a {kind} one."
+
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
         designed = self.designed
@@ -191,7 +208,7 @@ class DesignFindings:
                 "risk": None if task.rate is None else _risk_json(task.rate, one.target, estimate),
             }
             for one, estimate, model in zip(
-                task.requirements, designed.last.estimates, designed.last.candidate.model.tolist(), strict=True
+                task.requirements, designed.result.estimates, designed.result.candidate.model.tolist(), strict=True
             )
         ]
         return {
@@ -203,7 +220,8 @@ class DesignFindings:
             "confidence": task.confidence,
             "simulations": designed.simulations,
             "requirements": requirements,
-            "confidence_of_each_bound": designed.last.of_bound,
+            "confidence_of_each_bound": designed.result.of_bound,
+            "look": designed.number,
             "looks": [
                 {
                     "values": dict(look.candidate.values),
@@ -225,7 +243,10 @@ class DesignFindings:
             "classifier_probability_at_least_velocity": list(self.at_least) or None,
             "uncertain": self.uncertain,
             "question": designed.question.title,
-            "outside_design_space": self.extrapolated,
+            "outside_design_space": self.outside.share,
+            "ranges_to_widen_to": [
+                {"name": name, "low": low, "high": high} for name, (low, high) in self.outside.ranges.items()
+            ],
             "assumptions": self.assumptions,
             "chart": None if self.chart is None else _chart_json(self.chart),
         }
@@ -233,14 +254,15 @@ class DesignFindings:
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts for a terminal."""
         designed, units = self.designed, {p.name: p.unit for p in self.campaign.space.parameters}
-        task, bound = designed.task, f"{100.0 * designed.last.of_bound:.3g} %"
+        task, bound = designed.task, f"{100.0 * designed.result.of_bound:.3g} %"
         outcomes = self.campaign.simulator.outcomes
-        lines = [
+        lines = [("widen", self.outside.advice)] if self.outside.advice else []
+        lines.append(
             ("design", ", ".join(_value(name, value, units.get(name, "")) for name, value in self.bearing.items()))
-        ]
+        )
         lines.append(("result", self.verdict))
         for one, estimate, model in zip(
-            task.requirements, designed.last.estimates, designed.last.candidate.model, strict=True
+            task.requirements, designed.result.estimates, designed.result.candidate.model, strict=True
         ):
             lines.append(
                 (
