@@ -19,7 +19,7 @@ from activefail.figures.marks import outcome_colour
 from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain, significant
 from activefail.record.memory import MemoryStore
-from activefail.reliability.integral import Standardised, boundary_of
+from activefail.reliability.integral import Boundaries, Standardised, boundary_of
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, SIMULATIONS, Requirement, design_task
 from activefail.risk.design.findings import DesignFindings
@@ -104,8 +104,14 @@ class _InTurns(Estimator):
 
     def standardised(self, outcome: str) -> Standardised:
         """An outcome's boundary as a function of designs."""
-        of_designs = boundary_of(self.classifier, self.campaign.features, outcome)
+        return self._watched(boundary_of(self.classifier, self.campaign.features, outcome))
 
+    @property
+    def boundaries(self) -> Boundaries:
+        """All boundaries as a function of designs."""
+        return self._watched(super().boundaries)
+
+    def _watched(self, of_designs: Boundaries) -> Boundaries:
         def watched(X: Array) -> Array:
             self.watch.predicted(len(X))
             return of_designs(X)

@@ -143,6 +143,13 @@ class Status:
                 lines.append(("learned", text + of_rule(outcome, margin, settings.stop_outcome)))
         if self._rule_is_met:
             lines.append(("stop rule", "met"))
+        elif settings.stop_outcome and (lost := int(self.summary.counts[-1])):
+            lines.append(
+                (
+                    "stop rule",
+                    f"not met; {lost} runs gave no result, and simulator.lost says what that means",
+                )
+            )
         return lines
 
     @property

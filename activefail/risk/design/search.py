@@ -217,6 +217,12 @@ def find_design(
         with_costs: whether to compute what other confidences would cost.
     """
     model = _Model(task, tuple(estimator.standardised(one.outcome) for one in task.requirements))
+    columns = [estimator.campaign.simulator.outcomes.index(one.outcome) - 1 for one in task.requirements]
+
+    def exactly(candidate: Candidate) -> Candidate:
+        """A candidate with its probabilities as every other place shows them, not as the search's points gave them."""
+        integral = task.question.at(candidate.values).integral(estimator.boundaries, estimator.campaign.space)
+        return replace(candidate, model=integral.probability[columns])
 
     def half_widths() -> Array:
         """Expected half widths of the intervals of the next look, (r,)."""
@@ -240,6 +246,7 @@ def find_design(
             least = min(verified)[0]
             if not candidate.is_feasible or least - task.cost(candidate.values) < WORTH * abs(least):
                 break
+        candidate = exactly(candidate)
         simulations = task.simulations_of(number)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
         question = task.question.at(candidate.values).drawn(number + 1)
