@@ -788,7 +788,7 @@ def test_values_outside_the_paper_are_named(case: Path, tmp_path: Path) -> None:
         (("--to", "1e75"), "--to: 1e+75 m/s scales 0a to 3.85e+75 m/s2; a record must stay below 1e+75 m/s2."),
         (("--mce", "-1"), "--mce: must be positive, got -1"),
         (("--mce", "1", "--beta-total", "nan"), "--beta-total: must be positive, got nan"),
-        (("--scale-to", "sv"), "--scale-to: must be factor, pga, pgv or sa:T, got 'sv'"),
+        (("--scale-to", "sv"), "--scale-to: must be factor, pga, pgv, sa:T or p695, got 'sv'"),
     ],
 )
 def test_options_that_break_a_rule_are_refused(case: Path, options: tuple[str, ...], message: str) -> None:
