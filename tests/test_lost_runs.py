@@ -13,6 +13,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
+from activefail.findings.lost import where_lost
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
@@ -134,4 +135,15 @@ def test_lost_runs_that_mean_failure_are_failures_with_their_cause(tmp_path: Pat
         assert history.answered.all()
         assert opened.classifier.unknown is None
     status = json.loads(activefail("status", tmp_path / "run", "--json").out)
+    assert status["lost"] == ""
     assert status["counts"]["all"]["numerical_failure"] == 0
+
+
+def test_the_variable_that_tells_lost_runs_from_the_others_is_named() -> None:
+    campaign = Campaign.of(CampaignSettings().changed({"seed": 1}), simulator=Dies())
+    designs = campaign.space.sobol(64, np.random.default_rng(0))
+    column = campaign.space.names.index("D_tot")
+    lost = designs[:, column] < np.quantile(designs[:, column], 0.2)
+    text = where_lost(campaign.space, designs, lost)
+    assert text.startswith(f"{lost.sum()} of 64 runs gave no result, most of them at low D_tot")
+    assert "scattered" in where_lost(campaign.space, designs, np.arange(64) % 8 == 0)

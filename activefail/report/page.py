@@ -29,6 +29,7 @@ from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.files import replacing, target_of
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
+from activefail.findings.lost import where_lost
 from activefail.findings.prediction import information, predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
@@ -379,6 +380,7 @@ def render(
         "outcomes": outcomes,
         "boundary": findings.boundary,
         "counts": {title: values.tolist() for title, values in counts.items()},
+        "lost": where_lost(campaign.space, findings.X, ~findings.answered),
         "counts_picture": picture(
             plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes),
             "counts",
