@@ -29,7 +29,7 @@ Boundaries = Callable[[Array], Array]
 ACCURACY = 0.02
 """Relative standard error that ends the integration."""
 
-_SEQUENCES, _LENGTHS = 8, (128, 512)
+SEQUENCES, _LENGTHS = 8, (128, 512)
 """Randomised Sobol' sequences, and their lengths: the second if the first is not accurate."""
 
 _MOST_ROWS = 4096
@@ -171,7 +171,7 @@ def _integrated(
         integral = _by_sequences(boundaries, space, contains, length)
         limit = np.maximum(accuracy * integral.probability, resolution)
         # A share that no point shows may be as large as three points.
-        seen = (integral.probability * _SEQUENCES * length >= _SEEN) | (3.0 / (_SEQUENCES * length) <= resolution)
+        seen = (integral.probability * SEQUENCES * length >= _SEEN) | (3.0 / (SEQUENCES * length) <= resolution)
         accurate = (integral.error <= limit) & seen
         if accurate.all():
             return integral
@@ -199,11 +199,16 @@ def _outside(parts: Array, X: Array, contains: Contains | None) -> Array:
     return np.asarray(np.divide(outside, total, out=np.zeros(len(total)), where=total > 0.0))
 
 
+def sequences(space: DesignSpace, length: int) -> Array:
+    """Randomised Sobol' sequences of a length, a power of two, one after the other; always the same."""
+    return np.concatenate([space.sobol(length, np.random.default_rng(number)) for number in range(SEQUENCES)])
+
+
 def _by_sequences(boundaries: Boundaries, space: DesignSpace, contains: Contains | None, length: int) -> Integral:
-    X = np.concatenate([space.sobol(length, np.random.default_rng(number)) for number in range(_SEQUENCES)])
+    X = sequences(space, length)
     beyond = ndtr(boundaries(X))
-    means = beyond.reshape(_SEQUENCES, length, -1).mean(axis=1)
-    error = means.std(axis=0, ddof=1) / np.sqrt(_SEQUENCES)
+    means = beyond.reshape(SEQUENCES, length, -1).mean(axis=1)
+    error = means.std(axis=0, ddof=1) / np.sqrt(SEQUENCES)
     return Integral(means.mean(axis=0), error, _outside(beyond, X, contains))
 
 
