@@ -16,7 +16,7 @@ from scipy.special import log_ndtr, ndtr, ndtri_exp
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import around, finite, first_parents, next_parents
 from activefail.features import FeatureMap
-from activefail.space import Array, DesignSpace
+from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.weighted import WeightedRows
 
@@ -241,6 +241,7 @@ def _by_populations(
         if len(means) > 1:
             # A population that has missed a region does not know it; those that found it differ.
             error = max(error, float(np.std(means, ddof=1) / np.sqrt(len(means))))
-            if error <= accuracy * mean:
+            # Nothing is simulated farther out than `REACH`.
+            if error <= accuracy * max(mean, REACH):
                 break
     return mean, error, float(np.average(shares, weights=np.maximum(means, 1e-300)))
