@@ -17,7 +17,7 @@ from activefail.expressions import parse_expression
 from activefail.space import Array, DesignSpace
 from activefail.visible import visible
 
-FeatureSet = Literal["paper", "design", "sliding", "collision"]
+FeatureSet = Literal["paper", "design", "decorrelated", "sliding", "collision"]
 
 PAPER_FEATURES = ("D_ratio", "T_b/T_p", "mu/A_p", "h_sl/D_sl", "h_rim/D_sl", "k_norm")
 """Names of the paper's features, in the order of its section 3.1."""
@@ -193,9 +193,9 @@ def feature_map(
     Ratios enter as logarithms: over Table 1 they span up to three decades.
 
     Args:
-        features: "paper"; "design", the variables; "sliding", the variables and the sliding block's features;
-            "collision", these and the features of the reduced collision model; or custom features. Log-uniform and
-            lognormal variables enter as logarithms.
+        features: "paper"; "design", the variables; "decorrelated", each variable without what correlated ones before
+            it say; "sliding", the variables and the sliding block's features; "collision", these and the features of
+            the reduced collision model; or custom features. Log-uniform and lognormal variables enter as logarithms.
         space: the design space.
         model: settings of the bearing model that the sliding block and the reduced model share.
         check: whether to compute, and so to check, the scaling now; at its first use otherwise.
@@ -216,6 +216,8 @@ def _mapped(
     match features:
         case "design":
             return _scaled(space.names, np.asarray, space, _logarithms(space), list)
+        case "decorrelated":
+            return _decorrelated(space)
         case "paper":
             _check_bearing(features, space)
             return _of_paper(space)
@@ -234,7 +236,7 @@ def _mapped(
         case ExpressionFeatures():
             return _of_expressions(features, space)
         case _:
-            raise InputError(f"`features` must be paper, design, sliding or collision, got {features!r}.")
+            raise InputError(f"`features` must be paper, design, decorrelated, sliding or collision, got {features!r}.")
 
 
 def _check_bearing(features: str, space: DesignSpace) -> None:
@@ -256,6 +258,32 @@ def _of_paper(space: DesignSpace) -> FeatureMap:
         PAPER_LOGARITHMIC,
         lambda variables: _paper_formula(space.pick(variables, TABLE_1.names)),
     )
+
+
+def _decorrelated(space: DesignSpace) -> FeatureMap:
+    """w = L⁻¹ z of the design set's scaled features z, with the lower factor L of the copula's correlation matrix.
+
+    w is linear in the variables (or their logarithms), so a smooth margin remains smooth. The standard normal values of
+    the copula are not: those of a uniform variable go to infinity at its bounds.
+    """
+    design = _mapped("design", space, None)
+    if space.factor is None:
+        return design
+    L, logarithm = space.factor, parse_expression("log(x)", ("x",))
+
+    def formula(variables: Sequence[Any]) -> list[Any]:
+        center, spread = design.scaling
+        w: list[Any] = []
+        for i, x in enumerate(variables):
+            z = ((logarithm({"x": x}) if design.logarithmic[i] else x) - center[i]) / spread[i]
+            w.append((z - sum(float(L[i, j]) * w[j] for j in np.flatnonzero(L[i, :i]))) / float(L[i, i]))
+        return w
+
+    names = tuple(
+        f"{name}_given_{'_'.join(space.names[j] for j in np.flatnonzero(L[i, :i]))}" if L[i, :i].any() else name
+        for i, name in enumerate(space.names)
+    )
+    return _scaled(names, lambda X: np.column_stack(formula(list(np.asarray(X).T))), space, formula=formula)
 
 
 def _with_physics(names: tuple[str, ...], physics: Callable[[Array], Array], space: DesignSpace) -> FeatureMap:

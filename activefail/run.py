@@ -752,9 +752,9 @@ class Run:
         _, resolved = site_and_question(self.campaign, hazard, question, fixed)
         with self._estimator(executor) as estimator:
             estimate = estimator.sample(outcome, simulations, resolved, checks=True).estimate(confidence)
-        findings = ProbabilityFindings.of(
-            self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
-        )
+            findings = ProbabilityFindings.of(
+                self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
+            )
         if self._write and question is None and fixed is None and hazard is None:
             self._save_estimate(outcome, findings.as_json())
         return findings
@@ -814,7 +814,7 @@ class Run:
         free: "Sequence[str]" = (),
         cost: str = "",
         confidence: float = 0.95,
-        simulations: int = 500,
+        simulations: int = 1000,
         chart: bool = False,
         stage: Callable[[str], None] = lambda _: None,
         executor: "Executor | None" = None,
@@ -889,7 +889,7 @@ class Run:
                 file is invalid, or variables of the question are correlated.
         """
         from activefail.paper.p_values import variable_p_values
-        from activefail.reliability.integral import boundaries_of
+        from activefail.reliability.integral import BoundariesOf
         from activefail.risk.sensitivity.findings import (
             hazard_sensitivity,
             length_scales,
@@ -903,7 +903,7 @@ class Run:
         check_confidence(confidence)
         site, resolved = site_and_question(self.campaign, hazard, question, fixed, self.space.names)
         latent = self.classifier.latent(outcome)
-        boundaries = boundaries_of(self.classifier, self.features)
+        boundaries = BoundariesOf(self.classifier, self.features)
         with one_thread():
             if site is None:
                 result = question_sensitivity(self.campaign, boundaries, outcome, resolved, samples, confidence, begin)

@@ -49,7 +49,8 @@ from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current, learn_from
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import deviation_of_margins, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import baseline, deviation_of_margins, plan_estimate
+from activefail.reliability.integral import boundary_of
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
 
@@ -86,10 +87,10 @@ def wrong_shares(problem, space, standardised, rng):
 
 
 def static_classifier(campaign, problem, n, seed):
-    """The latent of a Latin hypercube of n designs; None if none of them failed and there is no margin."""
+    """The classifier of a Latin hypercube of n designs."""
     X = campaign.space.latin_hypercube(n, np.random.default_rng([seed, 2]))
     history = History.of_sample(X, problem.run(X))
-    return learn_from(campaign, history).latent("failure")
+    return learn_from(campaign, history)
 
 
 def score(name, seed, terms, repeats):
@@ -103,7 +104,7 @@ def score(name, seed, terms, repeats):
     known = learned_so_far if terms["asynchronous"] else current
     learned, history = known(campaign, store, write=False), History.of(store.batches)
     latent = learned.classifier.latent("failure")
-    standardised = standardised_latent(latent, campaign.features)
+    standardised = boundary_of(learned.classifier, campaign.features, "failure")
     rng = np.random.default_rng([seed, 1])
     row = {
         "problem": name,
@@ -116,10 +117,10 @@ def score(name, seed, terms, repeats):
         "ms": 1e3 * seconds / max(1, len(history) - campaign.settings.sampling.initial),
     }
     with one_thread():
-        static = standardised_latent(static_classifier(campaign, problem, len(history), seed), campaign.features)
+        static = boundary_of(static_classifier(campaign, problem, len(history), seed), campaign.features, "failure")
         row["missed"], row["false"] = wrong_shares(problem, campaign.space, standardised, rng)
         row["static missed"], row["static false"] = wrong_shares(problem, campaign.space, static, rng)
-        integral = integrated(standardised, campaign.space, rng)
+        integral = baseline(standardised, campaign.space)
         row["probability"] = integral.probability
         for m in FRESH:
             estimates, recalls = [], []

@@ -7,8 +7,6 @@ that the classifier's probability is 10 or 2.5 % under a hazard (M 7, PGV 1 m/s)
 are simulated once; estimates then draw 250 of them, 100 times. Printed for each target and estimator: the coverage of
 nominal 95 % intervals (mean and worst bearing), and how many more simulations Monte Carlo needs for the same width.
 Then a made-up classifier that is far too sure, at probabilities of 10 to 0.15 % (--made-up: this table alone).
-The last table is a calculation (--looks: this alone): plans of two looks with 500 simulations that verify at least 97 %
-of designs, whose second look is at a safer design after a failure of the first, and at a smaller one after a success.
 """
 
 import argparse
@@ -23,7 +21,8 @@ from activefail import open_run, simulate
 from activefail.campaign.hazard import hazard_of, hazard_question
 from activefail.parameter import Parameter
 from activefail.reliability import estimate as reliability
-from activefail.reliability.estimate import integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import baseline, plan_estimate
+from activefail.reliability.integral import boundary_of
 from activefail.reliability.strata import plan_strata, plan_wide_strata
 from activefail.space import DesignSpace
 from activefail.weighted import WeightedRows
@@ -36,7 +35,7 @@ FINE = (0.0005, 0.02, 0.15)
 def pools(folder, count, rng):
     """For each target, bearings with the latent's mean/sd and the failures of their pulses."""
     run = open_run(folder)
-    standardised = standardised_latent(run.classifier.latent("failure"), run.campaign.features)
+    standardised = boundary_of(run.classifier, run.campaign.features, "failure")
     hazard = hazard_of({"magnitude": {"M": 7.0}, "pgv": {"median_m_s": 1.0, "dispersion": 0.25}}, Path("hazard.toml"))
     names, low, high, grid = run.space.names[:7], run.space.low[:7], run.space.high[:7], np.linspace(0.45, 0.85, 9)
     found = {target: [] for target in TARGETS}
@@ -66,7 +65,7 @@ def by_importance(weight, wider):
         def of_rows(numbers):
             return z[numbers[:, 0].astype(int)]
 
-        plan = plan_estimate(of_rows, rows, integrated(of_rows, rows, rng), SIMULATIONS, rng)
+        plan = plan_estimate(of_rows, rows, baseline(of_rows, rows), SIMULATIONS, rng)
         chosen = plan.designs[:, 0].astype(int)
         found = plan.estimate(failed[chosen], np.ones(SIMULATIONS, dtype=bool), 0.95)
         return found.low, found.high
@@ -128,58 +127,6 @@ ESTIMATORS = {
 }
 
 
-def planned(rng, n, alpha, k1, k2, k3, draws=20_000, bias=0.045, error=0.043):
-    """How often a plan of two looks verifies a design, and how far below the target its probability ends.
-
-    All in logarithms. The classifier is off by `bias`, an estimate from 250 simulations by `error` (standard
-    deviations).
-
-    Args:
-        rng: of the calculation.
-        n: simulations of the first look, of 500.
-        alpha: its probability of a false result, of 0.05.
-        k1, k2, k3: how many half widths the first look, the second after a failure, and the second after a success aim
-            below the target. Without k3, there is no second look after a success.
-        draws: searches.
-        bias, error: see above.
-    """
-    off, first, second = bias * rng.standard_normal(draws), rng.standard_normal(draws), rng.standard_normal(draws)
-    sd1, sd2 = error * np.sqrt(250 / n), error * np.sqrt(250 / (500 - n))
-    half1 = norm.isf(alpha) * sd1
-    P1 = off - k1 * half1
-    seen = P1 + sd1 * first
-    succeeds = seen + half1 <= 0.0
-    # The ratio of the estimate to the classifier's probability corrects the second proposal. With looks both ways it is
-    # shrunk, because the estimate is not exact either.
-    trusted = bias**2 / (bias**2 + sd1**2) if k3 else 1.0
-    correction = trusted * (seen + k1 * half1)
-    half2 = np.where(succeeds, norm.isf(0.05), norm.isf(0.05 - alpha)) * sd2
-    aim = -np.where(succeeds, k3 or 0.0, k2) * half2 - correction
-    P2 = off + aim
-    accepted = P2 + sd2 * second + half2 <= 0.0
-    # A D_tot that is 1 % smaller has a probability that is about 3 % larger.
-    is_tried = (aim > 0.03 - k1 * half1) if k3 else np.zeros(draws, dtype=bool)
-    P = np.where(succeeds & ~(is_tried & accepted), P1, P2)[succeeds | accepted]
-    return float((succeeds | accepted).mean()), float(-np.median(P)), float(-P.mean())
-
-
-def looks():
-    """The table of plans, those with the smallest designs first."""
-    print("plans of two looks: n of the first, its share of 5 %, aims, verified, median and mean below the target")
-    lines, aims = [], ((1.0, 1.2, 1.5), (1.2, 1.5, 1.8))
-    for n, alpha, k1, k2, k3 in itertools.product(
-        (100, 150, 200, 250, 300), (0.02, 0.03, 0.035, 0.04), *aims, (None, 1.0, 1.2, 1.4)
-    ):
-        verified, median, mean = planned(np.random.default_rng(0), n, alpha, k1, k2, k3)
-        if verified >= 0.97:
-            lines.append((median + mean, n, alpha, k1, k2, k3, verified, median, mean))
-    for title, is_kind in (("two ways", lambda line: line[5]), ("one way", lambda line: not line[5])):
-        for _, *plan, verified, median, mean in sorted(filter(is_kind, lines), key=lambda line: line[0])[:4]:
-            print(f"  {title} {plan}: {verified:.3f}, {100 * median:.1f} %, {100 * mean:.1f} %")
-    verified, median, mean = planned(np.random.default_rng(0), 300, 0.04, 1.5, 1.4, None)
-    print(f"  the package's: {verified:.3f}, {100 * median:.1f} %, {100 * mean:.1f} %")
-
-
 def overconfident(target, sd, isolated, by_importance, repeats=200):
     """Estimates of a look with a classifier that is far too sure.
 
@@ -221,7 +168,7 @@ def overconfident(target, sd, isolated, by_importance, repeats=200):
         rng = np.random.default_rng(seed)
         plan = None if by_importance else plan_strata(latent, space, 300, rng)
         if plan is None:
-            integral = integrated(latent, space, rng)
+            integral = baseline(latent, space)
             of = plan_estimate if by_importance else plan_wide_strata
             plan = of(latent, space, integral, 300, rng)
         found = plan.estimate(fails(plan.designs), np.ones(300, dtype=bool), 0.92)
@@ -254,16 +201,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--campaign", type=Path)
     parser.add_argument("--made-up", action="store_true")
-    parser.add_argument("--looks", action="store_true")
     parser.add_argument("--repeats", type=int, default=200, help="of the made-up classifier")
     parser.add_argument("--bearings", type=int, default=20)
     parser.add_argument("--seed", type=int, default=42)
     options = parser.parse_args()
-    if options.made_up or options.looks:
-        made_up(options.repeats) if options.made_up else looks()
+    if options.made_up:
+        made_up(options.repeats)
         return
     if options.campaign is None:
-        parser.error("give --campaign, --made-up or --looks")
+        parser.error("give --campaign or --made-up")
     for target, rows in pools(options.campaign, options.bearings, np.random.default_rng(options.seed)).items():
         off = np.array([ndtr(z).mean() / failed.mean() - 1.0 for z, failed in rows])
         print(
@@ -285,7 +231,6 @@ def main():
                 f"upper bound over P {np.mean(above):.3f}"
             )
     made_up(options.repeats)
-    looks()
 
 
 if __name__ == "__main__":

@@ -31,7 +31,8 @@ from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.learning import current
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import deviation_of_margins, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import baseline, deviation_of_margins, plan_estimate
+from activefail.reliability.integral import boundary_of
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
 from activefail.verification.mode_check import check_of, places_of_check
@@ -91,8 +92,8 @@ def answers(problem, campaign, classifier, simulated, space, seed):
     latent, question = classifier.latent("failure"), Question("asked", space.names, space)
     if not isinstance(latent, MarginLatent):
         return
-    standardised, rng = standardised_latent(latent, campaign.features), np.random.default_rng([seed, 1])
-    integral, answered = integrated(standardised, space, rng), np.ones(FRESH, dtype=bool)
+    standardised, rng = boundary_of(classifier, campaign.features, "failure"), np.random.default_rng([seed, 1])
+    integral, answered = baseline(standardised, space), np.ones(FRESH, dtype=bool)
     for _ in range(REPEATS):
         plan = plan_estimate(standardised, space, integral, FRESH, rng)
         margin = problem.limit(plan.designs)

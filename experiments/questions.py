@@ -23,7 +23,7 @@ from activefail.execution.local import ThreadExecutor
 from activefail.loop.batches import run
 from activefail.loop.learning import current
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import standardised_latent
+from activefail.reliability.integral import boundary_of
 from activefail.reliability.strata import plan_strata
 from activefail.simulators.interface import Results
 from activefail.surrogate.threads import one_thread
@@ -87,7 +87,7 @@ def main():
             with ThreadExecutor(1) as executor:
                 run(campaign, store, executor, campaign.settings.sampling.budget)
             classifier = current(campaign, store, write=False).classifier
-            standardised = standardised_latent(classifier.latent("failure"), campaign.features)
+            standardised = boundary_of(classifier, campaign.features, "failure")
             with one_thread():
                 for question, space in spaces.items():
                     for repeat in range(REPEATS):

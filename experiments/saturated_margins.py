@@ -37,7 +37,8 @@ from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import deviation_of_margins, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import baseline, deviation_of_margins, plan_estimate
+from activefail.reliability.integral import boundary_of
 from activefail.simulators.interface import Results
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
@@ -128,10 +129,10 @@ def score(kind, seed, terms):
     known = learned_so_far if terms["asynchronous"] else current
     learned, history = known(campaign, store, write=False), History.of(store.batches)
     latent = learned.classifier.latent("failure")
-    standardised = standardised_latent(latent, campaign.features)
+    standardised = boundary_of(learned.classifier, campaign.features, "failure")
     rng = np.random.default_rng([seed, 1])
     with one_thread():
-        integral = integrated(standardised, campaign.space, rng)
+        integral = baseline(standardised, campaign.space)
         covered = 0
         for _ in range(REPEATS):
             plan = plan_estimate(standardised, campaign.space, integral, FRESH, rng)

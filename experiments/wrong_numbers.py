@@ -42,7 +42,7 @@ from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import current
 from activefail.record.memory import MemoryStore
-from activefail.reliability.estimate import deviation_of_margins, integrated, plan_estimate, standardised_latent
+from activefail.reliability.estimate import baseline, deviation_of_margins, plan_estimate
 from activefail.simulators.interface import Results
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.threads import one_thread
@@ -281,8 +281,10 @@ def true_probability(problem, variables, terms):
 
 
 def estimates(problem, latent, features, space, true, rng):
-    standardised = standardised_latent(latent, features)
-    integral = integrated(standardised, space, rng)
+    def standardised(X):
+        return latent.moments(features(X)).side
+
+    integral = baseline(standardised, space)
     counts = np.zeros(3)
     for _ in range(REPEATS):
         plan = plan_estimate(standardised, space, integral, FRESH, rng)

@@ -11,6 +11,7 @@ from activefail.errors import InputError
 from activefail.features import PAPER_FEATURES, CustomFeatures, feature_map, paper_features
 from activefail.parameter import Parameter
 from activefail.space import Array, DesignSpace
+from activefail.surrogate.margin import fit_margin
 
 # T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5], T_p [s], A_p [g]
 DESIGN = (4.0, 0.06, 0.6, 0.8, 0.1, 50.0, 2e9, 2.0, 0.4)
@@ -113,6 +114,49 @@ def test_the_designs_own_features_do_not_depend_on_its_units() -> None:
     )
 
 
+CORRELATED = DesignSpace(
+    (
+        Parameter("a", 20.0, 120.0, distribution="lognormal", mean=50.0, sd=10.0),
+        Parameter("b", 0.0, 1.0),
+        Parameter("c", -1.0, 1.0),
+    ),
+    correlation=(("b", "c", 0.9999),),
+)
+
+
+def test_decorrelated_features_are_uncorrelated_and_linear_in_the_variables() -> None:
+    features = feature_map("decorrelated", CORRELATED)
+    assert features.names == ("a", "b", "c_given_b")
+    X = CORRELATED.latin_hypercube(4000, np.random.default_rng(1))
+    assert_allclose(np.corrcoef(features(X).T), np.eye(3), atol=0.05)
+    T = np.column_stack([np.log(X[:, 0]), X[:, 1:]])
+    assert_allclose(features(0.5 * X[:1] + 0.5 * X[1:2])[:, 1:], 0.5 * features(X[:2]).sum(axis=0)[None, 1:], atol=1e-8)
+    with_one = np.column_stack([np.ones(len(T)), T])
+    weights = np.linalg.lstsq(with_one, features(X), rcond=None)[0]
+    assert_allclose(with_one @ weights, features(X), atol=1e-8)
+
+
+def test_without_correlation_the_decorrelated_features_are_the_variables() -> None:
+    X = TABLE_1.latin_hypercube(5, np.random.default_rng(1))
+    np.testing.assert_array_equal(feature_map("decorrelated", TABLE_1)(X), feature_map("design", TABLE_1)(X))
+
+
+def test_the_difference_of_nearly_equal_variables_is_learned_from_decorrelated_features() -> None:
+    X = CORRELATED.latin_hypercube(60, np.random.default_rng(2))
+    fresh = CORRELATED.latin_hypercube(2000, np.random.default_rng(3))
+
+    def margin(X: np.ndarray) -> np.ndarray:
+        return 1.0 - 100.0 * (X[:, 2] - (2.0 * X[:, 1] - 1.0)) + np.log(X[:, 0] / 50.0)
+
+    wrong = {}
+    for name in ("design", "decorrelated"):
+        features = feature_map(name, CORRELATED)
+        mean, _ = fit_margin(features(X), margin(X)).moments(features(fresh))
+        wrong[name] = np.mean((mean <= 0.0) != (margin(fresh) <= 0.0))
+    assert wrong["decorrelated"] < 0.01
+    assert wrong["design"] > 0.1
+
+
 def test_two_maps_of_one_space_are_the_same_bits() -> None:
     X = TABLE_1.latin_hypercube(20, np.random.default_rng(1))
     assert feature_map("paper", TABLE_1)(X).tobytes() == feature_map("paper", TABLE_1)(X).tobytes()
@@ -133,7 +177,7 @@ def test_the_papers_features_of_a_space_that_reaches_to_zero_are_refused(low: fl
 
 
 def test_an_unknown_feature_set_is_refused_with_rule_and_value() -> None:
-    with pytest.raises(InputError, match=r"must be paper, design, sliding or collision, got 'fourier'"):
+    with pytest.raises(InputError, match=r"must be paper, design, decorrelated, sliding or collision, got 'fourier'"):
         feature_map("fourier", TABLE_1)  # type: ignore[arg-type]
 
 

@@ -69,10 +69,24 @@ def test_each_boundary_is_learned_from_the_one_margin(levelled: Path, outcome: s
 
 def test_a_saved_classifier_of_levels_is_restored(levelled: Path) -> None:
     with open_run(levelled / "run", code=levelled) as run:
-        restored = [latent.trained.margin for latent in run.classifier.latents]
+        damage, collapse = run.classifier.latents
         margin = run.history.training.margins[:, 0]
-    for values, level in zip(restored, LEVELS, strict=True):
-        assert np.array_equal(values, margin - level)
+    # One regression, of which each boundary is a level.
+    assert damage.trained is collapse.trained
+    assert np.array_equal(collapse.trained.margin, margin - LEVELS[1])
+    assert (damage.level, collapse.level) == (LEVELS[0] - LEVELS[1], 0.0)
+
+
+def test_one_margin_has_one_latent_so_that_an_outcome_is_as_probable_as_its_levels_say(levelled: Path) -> None:
+    with open_run(levelled / "run", code=levelled) as run:
+        latent = run.classifier.latents[1].trained
+        designs = run.space.sobol(512, np.random.default_rng(0))
+        mean, sd = latent.moments(run.features(designs))
+        predicted = run.predict(designs)
+    for outcome, level in zip(("p_damage", "p_collapse"), LEVELS, strict=True):
+        below = ndtr((latent.warped(np.array(level - LEVELS[1])) - mean) / sd)
+        beyond = predicted["p_collapse"] + (predicted["p_damage"] if outcome == "p_damage" else 0.0)
+        assert beyond.to_numpy() == pytest.approx(below, abs=1e-12)
 
 
 @pytest.mark.parametrize("declared", [False, True])

@@ -191,6 +191,22 @@ def test_the_share_outside_the_design_space_is_counted(tmp_path: Path) -> None:
     assert question(tmp_path, "[space]\nx = { value = 50.0 }\n").share_outside(space) == 1.0
 
 
+def test_the_ranges_that_a_campaign_should_be_widened_to_hold_99_percent_of_the_question(tmp_path: Path) -> None:
+    space = parse_settings(CAMPAIGN, "made.toml").design_space()
+    low, high = space.low[2], space.high[2]
+    outside = question(tmp_path, "[space]\nz = { low = -2, high = 2 }\n").outside(space)
+    assert outside.ranges.keys() == {"z"}
+    # Rounded outwards to two digits.
+    assert outside.ranges["z"] == pytest.approx((min(low, -2.0), max(high, 2.0)), abs=0.021)
+    assert "Widen the campaign first, because 50.0 % of" in outside.advice
+    assert (
+        question(tmp_path, f"[space]\nz = {{ low = {low}, high = {high + 0.05 * (high - low)} }}\n")
+        .outside(space)
+        .advice
+        == ""
+    )
+
+
 def test_two_questions_differ_by_what_they_define_not_by_their_words(tmp_path: Path) -> None:
     one = question(tmp_path, 'description = "one"\n[space]\nz = { low = -2, high = 2 }\n')
     same = question(tmp_path, 'description = "another"\n[space]\nz = { low = -2.0, high = 2.0 }\n')

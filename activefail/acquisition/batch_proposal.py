@@ -1,13 +1,13 @@
 """Proposal of a batch: a criterion is maximised over the physical variables, one design at a time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, ndtr
 
 from activefail.acquisition.by_margin import propose_by_margin
 from activefail.acquisition.criteria import LookAhead, Pointwise, bald
@@ -35,6 +35,9 @@ LAZY_BLOCK = 64
 
 _REFINEMENTS = (0.05, 0.02, 0.008)
 """Standard deviations of the local searches around the best designs so far, in units of the variables' ranges."""
+
+Answers = Callable[[Array], Array]
+"""Scaled features, (n, m) -> probability of a result, (n,)."""
 
 _NODES, _WEIGHTS = hermegauss(20)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
@@ -88,6 +91,16 @@ def fantasised(latent: Latent, F: Array) -> Latent:
     )
 
 
+def weighted(criterion: Pointwise, answers: Array | None) -> Pointwise:
+    """A criterion whose values count as much as an answer is probable, (n,); the criterion itself if all are certain.
+
+    Φ(value) has the ranking of the values, and is positive.
+    """
+    if answers is None:
+        return criterion
+    return lambda mean, sd: np.asarray(ndtr(criterion(mean, sd)) * answers)
+
+
 def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -> NDArray[np.intp]:
     """Rows of q candidates, each the criterion's best given the ones before it.
 
@@ -112,7 +125,9 @@ def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -
     return np.array(chosen, dtype=np.intp)
 
 
-def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion: LookAhead) -> NDArray[np.intp]:
+def greedy_look_ahead(
+    mean: Array, covariance: Array, n: int, q: int, criterion: LookAhead, answers: Array | None = None
+) -> NDArray[np.intp]:
     """Rows of q of the first n points, each the criterion's best given the ones before it; the others are references.
 
     Chosen points are fantasised as in `greedy_batch`. Values are updated lazily [Minoux1978]: a candidate's value
@@ -125,13 +140,14 @@ def greedy_look_ahead(mean: Array, covariance: Array, n: int, q: int, criterion:
         n: number of candidates.
         q: number of candidates to choose, at most n.
         criterion: a look-ahead criterion.
+        answers: (n,) probabilities of a result; all are certain if None.
     """
     covariance = covariance.copy()
 
     def evaluate(rows: NDArray[np.intp]) -> Array:
         sd = np.sqrt(np.clip(covariance.diagonal(), 0.0, None))
         gain: Array = criterion.gain(mean[rows], sd[rows], mean[n:], sd[n:], covariance[rows, n:])
-        return gain
+        return gain if answers is None else gain * answers[rows]
 
     value, current = evaluate(np.arange(n)), np.ones(n, dtype=bool)
     chosen: list[int] = []
@@ -159,6 +175,7 @@ def propose(
     pending: Array | None = None,
     failed: Array | None = None,
     widening: float = 1.0,
+    answers: Answers | None = None,
 ) -> Array:
     """q designs, (q, d), where a label, or a margin, is most valuable for the latent's boundary.
 
@@ -172,15 +189,16 @@ def propose(
         failed: (k, d) designs whose simulation was a numerical failure; they are not proposed again.
         widening: factor that stretches the normal variables of candidates and references, for a boundary that lies
             where the design measure has few designs.
+        answers: probability of a result at scaled features; all are certain if None.
     """
     if isinstance(latent, MarginLatent):
-        return propose_by_margin(latent, features, space, q, rng, pending=pending, failed=failed)
+        return propose_by_margin(latent, features, space, q, rng, pending=pending, failed=failed, answers=answers)
     if pending is not None and len(pending) > 0:
         latent = fantasised(latent, features(pending))
     if isinstance(criterion, LookAhead):
         # It draws new candidates for each batch, so none is an earlier design.
-        return _propose_ahead(latent, features, space, criterion, q, rng, widening)
-    return _propose_pointwise(latent, features, space, criterion, q, rng, failed, widening)
+        return _propose_ahead(latent, features, space, criterion, q, rng, widening, answers)
+    return _propose_pointwise(latent, features, space, criterion, q, rng, failed, widening, answers)
 
 
 def _sample(space: DesignSpace, n: int, rng: np.random.Generator, widening: float) -> Array:
@@ -198,14 +216,18 @@ def _propose_pointwise(
     rng: np.random.Generator,
     failed: Array | None,
     widening: float,
+    answers: Answers | None,
 ) -> Array:
+    def value(F: Array) -> Array:
+        return np.asarray(weighted(criterion, None if answers is None else answers(F))(*latent.moments(F)))
+
     pool = _sample(space, POOL, rng, widening)
-    values = criterion(*latent.moments(features(pool)))
+    values = value(features(pool))
     for spread in _REFINEMENTS:
         best = np.argsort(-values, kind="stable")[:SHORTLIST]
         unit = space.to_unit(pool[best])
         moved = space.from_unit(np.clip(unit + spread * rng.standard_normal(unit.shape), 0.0, 1.0))
-        moved_values = criterion(*latent.moments(features(moved)))
+        moved_values = value(features(moved))
         # Each search replaces its own start, so that the shortlist stays spread over the whole boundary.
         improved = moved_values > values[best]
         pool = np.where(improved[:, None], moved, pool[best])
@@ -225,7 +247,8 @@ def _propose_pointwise(
         new = new.astype(np.intp)
     pool, F = pool[new], F[new]
     mean, covariance = latent.joint(F)
-    return np.asarray(pool[greedy_batch(mean, covariance, q, criterion)])
+    of_batch = weighted(criterion, None if answers is None else answers(F))
+    return np.asarray(pool[greedy_batch(mean, covariance, q, of_batch)])
 
 
 def new_rows(X: Array, F: Array, latent: Latent, failed: Array | None) -> NDArray[np.intp]:
@@ -253,6 +276,7 @@ def _propose_ahead(
     q: int,
     rng: np.random.Generator,
     widening: float,
+    answers: Answers | None,
 ) -> Array:
     pool = _sample(space, POOL, rng, widening)
     # Not by entropy, which ignores the wide latents that look-ahead criteria prefer.
@@ -262,7 +286,8 @@ def _propose_ahead(
     references = _sample(space, REFERENCES, rng, widening)
     mean, covariance = latent.joint(features(np.concatenate([candidates, references])))
     n = len(candidates)
-    return np.asarray(candidates[greedy_look_ahead(mean, covariance, n, min(q, n), criterion)])
+    certain = None if answers is None else answers(features(candidates))
+    return np.asarray(candidates[greedy_look_ahead(mean, covariance, n, min(q, n), criterion, certain)])
 
 
 def apportion(shares: Sequence[float], first: int, q: int) -> list[int]:
@@ -358,6 +383,7 @@ def propose_shared(
                 pending=in_flight,
                 failed=failed,
                 widening=widening,
+                answers=classifier.answers if classifier.loses else None,
             )
             chosen = np.concatenate([chosen, proposed])
     return chosen

@@ -6,6 +6,7 @@ deviation of the probability beyond the boundary [BectEtAl2012].
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,10 @@ _MORE = 4
 SIZE = 12_000
 """Designs of a population."""
 
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
-_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
+_HEIGHTS = (0.236799, 0.109751, 0.085693, 0.067768)
+_PRECISIONS = (0.503909, 0.567564, 0.733511, 1.091334)
+"""Of Gaussian functions whose sum Σ h exp(−q z²/2) is √(p(1 − p)) of p = Φ(z): the largest relative error over |z| ≤ 8
+is 3·10⁻⁵. They minimise it, as a fit of four terms found."""
 
 LEAST = 1e-300
 """Lower bound for divisors."""
@@ -42,20 +45,22 @@ def doubt(standardised: Array) -> Array:
 def expected_doubt(mean: Array, sd: Array, variance: Array, covariance: Array) -> Array:
     """Expected √(p(1 − p)) at R references after the margin of each of n candidates becomes known, (n, R).
 
-    A candidate's margin moves a reference's mean by covariance/√variance times a standard normal number, and reduces
-    its variance. Five nodes of Gauss–Hermite quadrature give the expectation.
+    A candidate's margin, with the correlation ρ to a reference, moves the reference's mean by ρ sd times a standard
+    normal number, and reduces its variance to (1 − ρ²) sd². The doubt is a sum of Gaussian functions, so its
+    expectation is Σ h √((1 − ρ²)/D) exp(−q mean²/(2 D sd²)) with D = 1 + (q − 1) ρ². Its relative error is at most that
+    of the sum, whatever the correlation.
 
     Args:
         mean, sd: (R,) of the latent at references.
         variance: (n,) of the latent at candidates.
         covariance: (n, R) between both.
     """
-    shift = covariance / np.sqrt(variance)[:, None]
-    left = np.sqrt(np.maximum(sd**2 - shift**2, 1e-12 * sd**2))
-    total = np.zeros_like(shift)
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        total += weight * doubt((mean + node * shift) / left)
-    return total
+    explained = np.minimum(covariance**2 / (variance[:, None] * sd**2), 1.0 - 1e-12)
+    half, total = 0.5 * (mean / sd) ** 2, np.zeros_like(explained)
+    for height, precision in zip(_HEIGHTS, _PRECISIONS, strict=True):
+        D = 1.0 + (precision - 1.0) * explained
+        total += height * np.exp(-precision * half / D) / np.sqrt(D)
+    return np.asarray(total * np.sqrt(1.0 - explained))
 
 
 def doubtful_population(
@@ -76,6 +81,7 @@ def propose_by_margin(
     *,
     pending: Array | None = None,
     failed: Array | None = None,
+    answers: Callable[[Array], Array] | None = None,
 ) -> Array:
     """q designs, (q, d), whose margins reduce the doubt about the boundary most.
 
@@ -90,16 +96,20 @@ def propose_by_margin(
         rng: generator of the draws.
         pending: (k, d) designs in flight; their margins are taken as known.
         failed: (k, d) designs whose simulation was a numerical failure; nothing is to be learned near them.
+        answers: probability of a result at scaled features; all are certain if None.
     """
     for known in (pending, failed):
         if known is not None and len(known):
             latent = latent.with_pending(features(known))
     drawn, F, standardised = doubtful_population(latent, features, space, SIZE, rng)
-    return np.asarray(drawn.X[_best_rows(latent, F, drawn.weight * doubt(standardised), q, rng)])
+    parts, certain = drawn.weight * doubt(standardised), None if answers is None else answers(F)
+    return np.asarray(drawn.X[_best_rows(latent, F, parts, q, rng, certain)])
 
 
-def _best_rows(latent: MarginLatent, F: Array, parts: Array, q: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Rows of q designs of a population with features F, (n, m), and parts of the doubt, (n,)."""
+def _best_rows(
+    latent: MarginLatent, F: Array, parts: Array, q: int, rng: np.random.Generator, answers: Array | None
+) -> NDArray[np.intp]:
+    """Rows of q designs of a population with features F, (n, m), parts of the doubt, (n,), and chances of a result."""
     share = (parts + LEAST) / (parts + LEAST).sum()
     references = rng.choice(len(F), REFERENCES, p=share)
     candidates = np.unique(rng.choice(len(F), _CANDIDATES + _MORE * q, p=share))
@@ -115,6 +125,8 @@ def _best_rows(latent: MarginLatent, F: Array, parts: Array, q: int, rng: np.ran
         variance = np.maximum(covariance.diagonal(), 1e-12)
         after = expected_doubt(mean[n:], np.sqrt(variance[n:]), variance[:n], covariance[:n, n:])
         left = (after / before).mean(axis=1)
+        if answers is not None:
+            left = (left - 1.0) * answers[candidates]
         left[chosen] = math.inf
         best = int(np.argmin(left))
         chosen.append(best)

@@ -47,6 +47,11 @@ def to_come(system, samples, t, k):
     raise NotImplementedError
 
 
+def rises(samples):
+    """Whether the ground moves vertically too."""
+    raise NotImplementedError
+
+
 def is_over(samples, t, ends):
     """Whether a run without a rim touch may end: for an accelerogram at any time."""
     raise NotImplementedError
@@ -133,6 +138,11 @@ def _to_come(system, samples, t, k):
         return across + up + samples.impulse[k + 1]
 
     return _of(samples, of_pulse, of_samples)
+
+
+@overload(rises, jit_options=INLINE)
+def _rises(samples):
+    return _of(samples, lambda samples: False, lambda samples: samples.vertical.any())
 
 
 @overload(is_over, jit_options=INLINE)

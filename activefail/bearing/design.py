@@ -131,7 +131,7 @@ class Bearing:
 
     @property
     def displacement_capacity(self) -> float:
-        """D_tot = D_out − D_sl, the displacement of the top plate at which the slider touches both rims [m]."""
+        """D_tot = D_out − D_sl, nominally the displacement at which the slider touches both rims [m]; see `terms`."""
         return self.dish_diameter - self.slider_diameter
 
     @property

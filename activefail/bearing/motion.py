@@ -145,7 +145,8 @@ def describe_outcome(response: Response) -> str:
             )
         case o.FAILURE:
             after = margins.failure_time - margins.first_touch_time
-            return f"Failure by {cause} at {seconds(margins.failure_time)}, {after:.2f} s after the first rim touch"
+            touch = "without a rim touch" if math.isnan(after) else f"{after:.2f} s after the first rim touch"
+            return f"Failure by {cause} at {seconds(margins.failure_time)}, {touch}"
         case _:
             return f"Numerical failure ({cause}): no statement about the bearing"
 
@@ -211,7 +212,7 @@ def response_lines(response: Response) -> list[str]:
     rows = [
         ("x / D_tot", f"{margins.peak_displacement_ratio:.3f}", "peak displacement over the capacity"),
         ("F_rim / Mg", f"{margins.peak_rim_force_ratio:.3f}", "peak rim force over the weight"),
-        ("gap / rim", f"{margins.peak_gap_ratio:.3f}", "largest uplift of a plate over the rim height; lost above 1"),
+        ("gap / rim", f"{margins.peak_gap_ratio:.3f}", "largest uplift of a plate over the rim height"),
         ("tilt", f"{margins.peak_tilt:.3f} rad", "largest rotation of the slider"),
         (
             "energy",
@@ -245,8 +246,9 @@ def instants(response: Response) -> dict[str, float]:
     t = motion.fine_times()
     x_t = motion.position(t)[:, 3]
     if response.outcome == o.FAILURE:
-        chosen["first rim touch"] = touch
-        chosen["half-way to failure"] = 0.5 * (touch + margins.failure_time)
+        if math.isfinite(touch):
+            chosen["first rim touch"] = touch
+            chosen["half-way to failure"] = 0.5 * (touch + margins.failure_time)
         chosen["failure"] = margins.failure_time
     elif math.isfinite(touch):
         gaps = motion.contacts(t)[0].max(axis=1)

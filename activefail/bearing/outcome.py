@@ -38,7 +38,7 @@ class Margins(NamedTuple):
     first_touch_velocity: float  # approach velocity of the vertex at the rim [m/s]; NaN without one
     peak_displacement_ratio: float  # peak |x_t| / D_tot [-]
     peak_rim_force_ratio: float  # largest normal force on the rim of one plate / M g [-]
-    peak_gap_ratio: float  # largest confinement gap / h_rim [-]; loss of confinement above 1
+    peak_gap_ratio: float  # largest confinement gap / h_rim [-]; above 1, lost unless vertical motion lifted the plate
     peak_tilt: float  # largest |theta| [rad]
     failure_time: float  # time of failure, after the pulse's centre [s]; NaN without failure
     end_time: float  # end of the integration [s]

@@ -21,6 +21,7 @@ from activefail.bearing.course import (
     from_sample,
     is_over,
     longest_step,
+    rises,
     shaking,
     to_come,
 )
@@ -96,6 +97,9 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
     first_touch_time, first_touch_velocity, failure_time = math.nan, math.nan, math.nan
     peak_displacement, peak_rim_force, peak_gap, peak_tilt = 0.0, 0.0, 0.0, 0.0
     outcome, cause, touched, rows = o.NO_IMPACT, o.NONE, False, 0
+    # A plate that vertical motion lifts may come down on the slider; one that a rim throws off is lost (records.md).
+    lifts = rises(samples)
+    thrown = not lifts
     while True:
         sample = at_sample(samples, t, sample)
         now = from_sample(system, samples, sample)
@@ -134,7 +138,10 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
             first_touch_time = t - (1.0 - fraction) * step
             slowing = seen_before.touch_velocity - seen.touch_velocity
             first_touch_velocity = seen.touch_velocity + (1.0 - fraction) * slowing
-        cause = o.failure_cause(seen, system, confinement)
+        if lifts and seen.confinement_gap <= system.rim_height:
+            clear = seen.confinement_gap <= 0.0 and seen.touch <= -system.rim_height
+            thrown = seen.touch > 0.0 or (thrown and not clear)
+        cause = o.failure_cause(seen, system, confinement and thrown)
 
         work_in += step / 6.0 * (before.input + 4.0 * halfway.input + after.input)
         dissipated += step / 6.0 * (before.dissipation + 4.0 * halfway.dissipation + after.dissipation)
@@ -143,7 +150,7 @@ def integrate(system, samples, capacity, free_time, confinement, tolerance, long
         if cause != o.ESCAPE:
             peak_imbalance = max(peak_imbalance, abs(after.stored - at_rest.stored - work_in + dissipated))
         if cause != o.NONE:
-            if touched:
+            if touched or lifts:
                 outcome = o.FAILURE
                 failure_time = t - (1.0 - o.failure_fraction(seen_before, seen, cause, system)) * step
             else:

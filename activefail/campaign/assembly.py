@@ -191,7 +191,10 @@ def _simulator(
     settings: CampaignSettings, space: DesignSpace, code: Path | None, run: Path | None
 ) -> tuple[Simulator, dict[str, str]]:
     """The simulator in the settings, and the digest of its source if it is a Python function."""
-    match settings.simulator:
+    custom = settings.simulator
+    failing = () if isinstance(custom, str) else custom.causes_that_mean("failure")
+    impossible = () if isinstance(custom, str) else custom.causes_that_mean("impossible")
+    match custom:
         case sections.PythonSimulatorSettings() as spec:
             function = PythonSimulator(
                 space,
@@ -202,6 +205,8 @@ def _simulator(
                 folder=run,
                 renew=spec.renew,
                 levels=spec.levels_of_number,
+                failing=failing,
+                impossible=impossible,
             )
             if code is None:
                 return function, {}
@@ -219,10 +224,12 @@ def _simulator(
                 spec.keep,
                 spec.largest_file,
                 spec.levels_of_number,
+                failing=failing,
+                impossible=impossible,
             )
             return command, {}
         case sections.ElsewhereSettings() as spec:
-            return ElsewhereSimulator(tuple(spec.outcomes), tuple(spec.margins)), {}
+            return ElsewhereSimulator(tuple(spec.outcomes), tuple(spec.margins), failing, impossible), {}
         case _:
             return DfpSimulator.on(space, settings.bearing.model(), settings.bearing.integration()), {}
 

@@ -1,6 +1,7 @@
 """A question: another distribution of a campaign's variables, and its share outside the design space."""
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -8,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from activefail.bearing.design import LARGEST
 from activefail.campaign.hazard_sections import LARGEST_MEDIAN
@@ -16,15 +16,19 @@ from activefail.campaign.sections import FixedVariable, QuestionSettings, Variab
 from activefail.campaign.settings import CampaignSettings, checked, parse_toml, read_text
 from activefail.errors import InputError
 from activefail.parameter import Parameter
+from activefail.shares import percent
 from activefail.space import Array, DesignSpace, radius
 from activefail.visible import visible
-from activefail.weighted import WeightedRows
+from activefail.weighted import WeightedRows, weighted_quantiles
 
 if TYPE_CHECKING:
     from activefail.reliability.integral import Boundaries, Integral
 
 _SHARE = 2**14
 """Points that estimate which share of a question lies outside the design space."""
+
+_WIDEN_ABOVE, _HELD = 0.1, 0.99
+"""Share outside above which a campaign should be widened, and the share that the ranges named then hold."""
 
 PGV = "PGV"
 """Peak ground velocity of the pulse [m/s], which may take the place of its amplitude A_p [g]."""
@@ -129,22 +133,73 @@ class Question:
         """
         from activefail.reliability.integral import integrate
 
-        def contains(X: Array) -> NDArray[np.bool_]:
-            return space.contains(self.designs(X))
-
-        return integrate(
-            lambda X: boundaries(self.designs(X)), self.space, None if self.is_own else contains, resolution
-        )
+        contains = None if self.is_own else space.contains
+        return integrate(boundaries, self.space, resolution, designs=self.designs, contains=contains)
 
     def share_outside(self, space: DesignSpace) -> float:
-        """The share of the question outside a campaign's design space, where its classifier extrapolates.
+        """The share of the question outside a campaign's design space (see `outside`)."""
+        return self.outside(space).share
+
+    def outside(self, space: DesignSpace) -> "Outside":
+        """What of the question lies outside a campaign's design space, where its classifier extrapolates.
 
         Estimated by 16,384 points of a scrambled Sobol' sequence.
         """
         from activefail.acquisition.population import integration_points
 
-        X, weight = integration_points(self.space, _SHARE)
-        return float(1.0 - (weight * space.contains(self.designs(X))).mean())
+        U, weight = integration_points(self.space, _SHARE)
+        X = self.designs(U)
+        ranges = {}
+        for parameter, x in zip(space.parameters, X.T, strict=True):
+            low, high = weighted_quantiles(x, weight, (0.5 - 0.5 * _HELD, 0.5 + 0.5 * _HELD)).tolist()
+            if low < parameter.low or high > parameter.high:
+                ends = min(parameter.low, _outwards(low, -1.0)), max(parameter.high, _outwards(high, 1.0))
+                ranges[parameter.name] = ends
+        return Outside(float(1.0 - (weight * space.contains(X)).mean()), ranges, space)
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """What of a question lies outside a campaign's design space.
+
+    Attributes:
+        share: of the question.
+        ranges: of the variables that leave the space, by name: the space's, widened to hold 99 % of the question.
+        space: the design space.
+    """
+
+    share: float
+    ranges: Mapping[str, tuple[float, float]]
+    space: DesignSpace
+
+    @property
+    def advice(self) -> str:
+        """By which variables the campaign should be widened, in one sentence; empty if at most a tenth lies outside."""
+        if self.share <= _WIDEN_ABOVE:
+            return ""
+        parts = []
+        for parameter in self.space.parameters:
+            low, high = self.ranges.get(parameter.name, (parameter.low, parameter.high))
+            unit = f" {parameter.unit}" if parameter.unit else ""
+            if low < parameter.low and high > parameter.high:
+                parts.append(f"{parameter.name} from {low:g} to {high:g}{unit}")
+            elif low < parameter.low:
+                parts.append(f"{parameter.name} down to {low:g}{unit}")
+            elif high > parameter.high:
+                parts.append(f"{parameter.name} up to {high:g}{unit}")
+        return visible(
+            f"Widen the campaign first, because {percent(self.share)} of the question's distribution lies outside its "
+            f"design space, where the classifier extrapolates: {' and '.join(parts)} would hold {100.0 * _HELD:g} %"
+            + (" each." if len(parts) > 1 else " of it.")
+        )
+
+
+def _outwards(value: float, side: float) -> float:
+    """A value with two digits, rounded up (`side` 1) or down (−1)."""
+    if value == 0.0:
+        return value
+    digit = 10.0 ** (math.floor(math.log10(abs(value))) - 1)
+    return float(f"{side * math.ceil(side * value / digit) * digit:.6g}")
 
 
 def question_with(

@@ -14,7 +14,7 @@ from activefail.campaign import sections
 from activefail.campaign.assembly import Campaign
 from activefail.csv_table import Source, name_of, number_of, read_cells, rereadable
 from activefail.errors import InputError
-from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError
+from activefail.simulators.interface import EXECUTION_CAUSES, NUMERICAL_FAILURE, Results, UnusableAnswerError, settled
 from activefail.simulators.returned import read_answer
 from activefail.space import Array, DesignSpace
 
@@ -339,7 +339,8 @@ def _results(campaign: Campaign, table: Table, rows: Sequence[int]) -> Results:
     empty = Results(
         np.empty(0, dtype=np.int8), np.empty(0, dtype=np.int8), np.empty((0, k)), np.empty(0, dtype=np.float64)
     )
-    return Results.concatenate([empty, *(_result(campaign, table, row) for row in rows)])
+    results = Results.concatenate([empty, *(_result(campaign, table, row) for row in rows)])
+    return settled(campaign.simulator, results)
 
 
 def _result(campaign: Campaign, table: Table, row: int) -> Results:

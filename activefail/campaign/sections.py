@@ -23,6 +23,7 @@ from activefail.campaign.boundaries import boundary_shares
 from activefail.distributions import PARAMETERS, Distribution, moments, parameters_fault, quantiles_at
 from activefail.features import FeatureSet
 from activefail.parameter import Parameter, distribution_fault
+from activefail.simulators.interface import EXECUTION_CAUSES
 
 _SHOWN = 200
 """Longest value shown in a message, in characters."""
@@ -152,8 +153,11 @@ class BearingSettings(Section):
 
     Attributes:
         slider_diameter: D_sl [m], which Table 1 does not contain.
-        restitution_coefficient: coefficient of restitution of the contacts, dish and rim.
-        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate.
+        restitution_coefficient: coefficient of restitution of the contacts, dish and rim, for two bodies of the mass in
+            the damper; of the plate that hits a rim see `restitution`.
+        restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate. A plate hits a
+            rim through the light slider: if "pairwise", it rebounds nearly elastically, with 0.89 of its speed in the
+            median and up to 0.97, and if "assembly" with 0.57, up to 0.71 (`python experiments/restitution.py`).
         slider_density: density of the slider [kg/m³].
         friction_velocity: velocity over which Coulomb friction is regularised [m/s].
         loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.
@@ -201,6 +205,13 @@ def means_safety(name: str) -> bool:
     return _MEANS_SAFETY.fullmatch(name.strip("_")) is not None
 
 
+Lost = Literal["unknown", "failure", "impossible"]
+"""What a run without a result means."""
+
+CAUSES = Literal["worker_died", "time_limit", "out_of_memory", "raised", "unusable_answer", "numerical_failure"]
+"""Why a run has no result; `numerical_failure` is what the simulator itself says."""
+
+
 class OutcomeSettings(Section):
     """What the simulations of a campaign return, whoever makes them.
 
@@ -209,12 +220,23 @@ class OutcomeSettings(Section):
         margins: names of the numbers that it returns besides the outcome.
         levels: by margin, the value at or below which each outcome but the least severe one occurs; 0 if left out.
         truncated: margins that say no more than their sign at the most severe outcome, because the simulation ends.
+        lost: what a run without a result means: "unknown", either outcome; "failure", the most severe outcome, where
+            non-convergence is collapse; "impossible", a design that does not exist. For all causes, or by cause.
     """
 
     outcomes: list[str] = Field(["safe", "failure"], min_length=2, max_length=3)
     margins: list[str] = Field([], max_length=100)
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
+    lost: Lost | dict[CAUSES, Lost] = "unknown"
+
+    def causes_that_mean(self, meaning: Lost) -> tuple[int, ...]:
+        """Codes of the causes of lost runs that mean this; 0 is the simulator's own."""
+        names = {0: "numerical_failure"} | EXECUTION_CAUSES
+        if isinstance(self.lost, str):
+            return tuple(names) if self.lost == meaning else ()
+        by_cause = {str(cause): means for cause, means in self.lost.items()}
+        return tuple(code for code, name in names.items() if by_cause.get(name, "unknown") == meaning)
 
     @field_validator("outcomes", "margins")
     @classmethod
@@ -460,8 +482,8 @@ class AcquisitionSettings(Section):
 
     Attributes:
         criterion: what ranks the candidates.
-        boundary: outcome of the target boundary, or weights by outcome. With a custom simulator the most severe outcome
-            by default.
+        boundary: outcome of the target boundary, which is that of this outcome or a worse one, or weights by outcome.
+            With a custom simulator the most severe outcome by default.
         exploration: share of the proposed designs that are drawn from the whole space instead.
     """
 

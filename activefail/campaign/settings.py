@@ -39,10 +39,22 @@ from activefail.files import check_dots
 from activefail.space import DesignSpace, radius
 from activefail.visible import visible
 
+_STRONG = 0.9
+"""Correlation of two variables from which the variables themselves are poor features, in magnitude."""
+
 
 def _tables(section: object) -> list[dict[str, Any]]:
     """The tables in a section that has not been validated yet."""
     return [one for one in section.values() if isinstance(one, dict)] if isinstance(section, dict) else []
+
+
+def _is_strong(correlation: object) -> bool:
+    """Whether correlations that have not been validated yet include one of `_STRONG` or more."""
+    pairs = correlation if isinstance(correlation, list) else []
+    return any(
+        isinstance(rho, int | float) and abs(rho) >= _STRONG
+        for rho in (pair[-1] for pair in pairs if isinstance(pair, list | tuple) and pair)
+    )
 
 
 def _table_1() -> dict[str, Variable | FixedVariable]:
@@ -99,11 +111,13 @@ class CampaignSettings(Section):
     def _with_defaults_of_any_simulator(cls, values: Any) -> Any:
         """Set the defaults of a custom simulator.
 
-        Features are the variables and the target boundary is that of the most severe outcome; `space` has no default.
+        Features are the variables, decorrelated if two are strongly correlated, and the target boundary is that of the
+        most severe outcome; `space` has no default.
         """
         if not (isinstance(values, dict) and isinstance(values.get("simulator"), dict)):
             return values
-        defaults: dict[str, dict[str, Any]] = {"classifier": {"features": "design"}}
+        features = "decorrelated" if _is_strong(values.get("correlation")) else "design"
+        defaults: dict[str, dict[str, Any]] = {"classifier": {"features": features}}
         if isinstance(values.get("stop"), dict) and "probability" in values["stop"]:
             # A probability needs few designs of the bulk, and every result changes where the next one teaches most.
             variables = sum("value" not in one for one in _tables(values.get("space")))

@@ -29,7 +29,8 @@ def design(
         str,
         typer.Option(
             help="Largest acceptable probability of failure, such as 0.10 or 10%; a risk category, II, III or IV; a "
-            "risk such as '1% in 50 years'; or one for each outcome, such as failure=0.05,impact=0.3.",
+            "risk such as '1% in 50 years'; or one for each outcome, such as failure=0.05,impact=0.3, where "
+            "impact means impact or worse.",
             show_default=False,
         ),
     ],
@@ -58,7 +59,7 @@ def design(
         typer.Option(
             help="Maximum number of fresh simulations for each target; not part of the budget.", min=50, max=1_000_000
         ),
-    ] = 500,
+    ] = 1000,
     chart: Annotated[bool, typer.Option(help="Compute the chart of required values, with --out.")] = True,
     as_json: AsJson = False,
     out: Annotated[

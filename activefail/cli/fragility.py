@@ -93,7 +93,9 @@ def fragility(
         outcomes = opened.campaign.simulator.outcomes
     from activefail.risk.fragility.curve_files import write_curves
     from activefail.risk.fragility.wording import lines
+    from activefail.simulators.bearing import terms_of
 
+    terms = terms_of(opened.campaign.simulator, findings.fixed)
     if csv is not None:
         with table_output("--csv", csv) as target:
             write_curves(findings, target)
@@ -109,6 +111,8 @@ def fragility(
     if csv == STANDARD:
         return
     print("\n".join(map(visible, lines(findings, outcomes))))
+    if terms is not None:
+        print("\n".join(f"{title:<10} {text}" for title, text in terms.lines()))
     if csv is not None:
         print(f"table      {name_of(csv)}")
     if out is not None:

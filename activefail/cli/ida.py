@@ -50,16 +50,24 @@ def ida(
         ),
     ],
     scale_to: Annotated[
-        str, typer.Option(help="Intensity of the levels: factor, pga [g], pgv [m/s], or sa:T [g] at a period [s].")
+        str,
+        typer.Option(
+            help="Intensity of the levels: factor, pga [g], pgv [m/s], sa:T [g] at a period [s], or p695, one factor "
+            "for all records, by their S_T(T_b) [g]."
+        ),
     ] = "pgv",
     to: Annotated[
         float | None,
-        typer.Option(help="Highest level. Default: 8 (factor), 3 g (pga), 4 m/s (pgv), 2 g (sa).", show_default=False),
+        typer.Option(
+            help="Highest level. Default: 8 (factor), 3 g (pga), 4 m/s (pgv), 2 g (sa), 12 S_NRT (p695).",
+            show_default=False,
+        ),
     ] = None,
     outcome: Annotated[
         str | None,
         typer.Option(
-            help="Outcome that is sought: failure or impact, or one of the campaign's. Default: the most severe.",
+            help="Outcome that is sought, or a worse one: failure, impact, or one of the campaign's. Default: the "
+            "most severe.",
             show_default=False,
         ),
     ] = None,
@@ -81,7 +89,8 @@ def ida(
     sdc: Annotated[
         str | None,
         typer.Option(
-            help="Seismic design category (dmax, dmin, cmax, cmin, bmax, bmin), to compute the shape factor.",
+            help="Seismic design category (dmax, dmin, cmax, cmin, bmax, bmin), to compute the shape factor and --mce; "
+            "requires --scale-to p695.",
             show_default=False,
         ),
     ] = None,

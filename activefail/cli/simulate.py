@@ -162,9 +162,10 @@ def _simulate_one(
     as_json: bool,
 ) -> None:
     from activefail.accelerogram_files import doubts
-    from activefail.bearing.design import Bearing, Pulse, outside_table_1
+    from activefail.bearing.design import TABLE_1, Bearing, Pulse, outside_table_1
     from activefail.bearing.motion import record_lines, response_lines
     from activefail.bearing.simulation import simulate_one
+    from activefail.bearing.terms import Terms
 
     check_file(plot, "a plot", (".png", ".svg", ".pdf"))
     check_file(animate, "an animation", (".gif", ".mp4"))
@@ -172,11 +173,14 @@ def _simulate_one(
     motion = record if record is not None else Pulse.from_table(*design[7:])
     # The plots show the motion beyond the moment that decides the outcome.
     response = simulate_one(bearing, motion, model, tolerance, to_the_end=True)
+    terms = Terms.of(dict(zip(TABLE_1.names, design, strict=False)), model.slider_diameter)
     if as_json:
-        print_json(_as_json(response))
+        print_json({**_as_json(response), "terms": None if terms is None else terms.as_json()})
     else:
         lines = [] if record is None else record_lines(record)
-        print("\n".join(visible(line) for line in [*lines, *response_lines(response)]))
+        lines += response_lines(response)
+        lines += [] if terms is None else [f"{title:<10} {text}" for title, text in terms.lines()]
+        print("\n".join(map(visible, lines)))
     notes = [] if record is None else doubts(record)
     for note in [*notes, *outside_table_1(design)]:
         print(f"note: {visible(note)}", file=sys.stderr)

@@ -15,6 +15,7 @@ from activefail.simulators.interface import (
     Results,
     Simulator,
     UnusableAnswerError,
+    settled,
     unanswered,
 )
 from activefail.space import Array
@@ -88,8 +89,9 @@ def _usable(simulator: Simulator, X: Array, results: Results) -> Results:
     )
 
 
-def with_shown_faults(results: Results) -> Results:
-    """The results with faults for messages, made visible and cut: a simulator's text may be anything, of any length."""
+def finished(simulator: Simulator, results: Results) -> Results:
+    """Results as they leave an executor: lost runs settled, faults visible and cut, whatever a simulator's text is."""
+    results = settled(simulator, results)
     return replace(results, faults={row: visible(fault[:LONGEST_MESSAGE]) for row, fault in results.faults.items()})
 
 

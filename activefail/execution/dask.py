@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Self
 
 from activefail.errors import ActivefailError, InputError, SimulationError
-from activefail.execution.answering import answer, with_shown_faults
+from activefail.execution.answering import answer, finished
 from activefail.execution.processes import Guards
 from activefail.simulators.interface import WORKER_DIED, Results, Simulator, unanswered
 from activefail.space import Array
@@ -26,6 +26,9 @@ _Expected = tuple[tuple[str, str], ...]
 
 _CONNECT = 10.0
 """Seconds in which a scheduler must answer."""
+
+TRIES = 3
+"""How often Dask is given a simulation, each time until it has lost as many workers as it allows (3 by default)."""
 
 _LOOK = 0.5
 """Seconds between checks that the scheduler is reachable."""
@@ -83,6 +86,7 @@ class DaskExecutor:
         self._waits_for_workers = False
         self._arrivals: _Arrivals = SimpleQueue()
         self._in_flight: dict[str, tuple[Future, Simulator, Array]] = {}
+        self._tries: dict[bytes, int] = {}
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
@@ -143,7 +147,25 @@ class DaskExecutor:
             self._waits_for_workers = False
         else:
             self._look_for_workers()
-        return [(ticket, self._result(key, answer)) for ticket, key, answer in arrivals]
+        results = []
+        for ticket, key, arrived in arrivals:
+            if not self._is_tried_again(key, ticket, arrived, queue):
+                results.append((ticket, self._result(key, arrived)))
+        return results
+
+    def _is_tried_again(self, key: str, ticket: int, answer: "_Answer", queue: "_Arrivals") -> bool:
+        """Whether a simulation begins again because its workers were lost, as when an allocation ends."""
+        from distributed import KilledWorker
+
+        _, simulator, x = self._in_flight[key]
+        tries = self._tries.get(x.tobytes(), 1)
+        if not isinstance(answer, KilledWorker) or tries == TRIES:
+            self._tries.pop(x.tobytes(), None)
+            return False
+        self._tries[x.tobytes()] = tries + 1
+        del self._in_flight[key]
+        self._submit(simulator, ticket, x, queue)
+        return True
 
     def _look_for_workers(self) -> None:
         """Tell the user, once each time, that simulations wait because there are no workers."""
@@ -166,8 +188,8 @@ class DaskExecutor:
         future, simulator, x = self._in_flight.pop(key)
         match answer:
             case KilledWorker():
-                fault = f"design {x.tolist()}: its workers were lost: {answer}"
-                return with_shown_faults(unanswered(simulator, 1, WORKER_DIED, fault))
+                fault = f"design {x.tolist()}: its workers were lost in each of {TRIES} tries: {answer}"
+                return finished(simulator, unanswered(simulator, 1, WORKER_DIED, fault))
             case ActivefailError():
                 raise answer
             case OSError() | CancelledError() if future.status != "error":
@@ -181,7 +203,7 @@ class DaskExecutor:
                     "The workers need this machine's versions of activefail, Python and Dask."
                 ) from answer
             case _:
-                return with_shown_faults(answer)
+                return finished(simulator, answer)
 
     def __enter__(self) -> Self:
         return self

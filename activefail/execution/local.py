@@ -8,7 +8,7 @@ from queue import Empty, SimpleQueue
 from typing import Self
 
 from activefail.errors import SimulationError
-from activefail.execution.answering import answer, with_shown_faults
+from activefail.execution.answering import answer, finished
 from activefail.execution.processes import Guards
 from activefail.simulators.interface import Results, Simulator, unanswered
 from activefail.space import Array
@@ -81,7 +81,7 @@ class ThreadExecutor:
             raise SimulationError(f"A simulation cannot be started: {error}. Try fewer --workers.") from None
 
     def _simulate(self, simulator: Simulator, X: Array) -> Results:
-        return with_shown_faults(self._answer(simulator, X))
+        return finished(simulator, self._answer(simulator, X))
 
     def _stop(self) -> None:
         """Cancel pending simulations, without waiting."""

@@ -34,7 +34,7 @@ from activefail.findings.quantities import plain, words
 from activefail.findings.results import Findings, at_the_boundary
 from activefail.reliability.integral import Standardised
 from activefail.report.failure import failure_section
-from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.space import Array, DesignSpace
 from activefail.visible import or_worse, visible
 
@@ -272,9 +272,11 @@ class Answers:
             InputError: if the campaign's simulator has no bearing to show.
         """
         simulator, response = self._simulated(point)
+        terms = terms_of(simulator, dict(zip(self.space.names, point, strict=True)))
         answer: Answer = {
             "outcome": response.outcome_name,
             "description": describe_outcome(response),
+            "terms": "" if terms is None else terms.text,
             "command": _command(simulator, self.space.names, point),
         }
         try:

@@ -19,13 +19,14 @@ from activefail.figures.marks import outcome_colour
 from activefail.figures.svg import inline
 from activefail.findings.quantities import Quantity, plain, significant
 from activefail.record.memory import MemoryStore
-from activefail.reliability.integral import Standardised, boundary_of
+from activefail.reliability.integral import Boundaries, Standardised, boundary_of
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import RISK_CATEGORIES, SIMULATIONS, Requirement, design_task
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import least_value
 from activefail.risk.design.search import find_design
 from activefail.shares import percent
+from activefail.simulators.bearing import terms_of
 from activefail.space import Array
 from activefail.verification.probability_estimator import Estimator
 from activefail.visible import visible
@@ -103,8 +104,14 @@ class _InTurns(Estimator):
 
     def standardised(self, outcome: str) -> Standardised:
         """An outcome's boundary as a function of designs."""
-        of_designs = boundary_of(self.classifier, self.campaign.features, outcome)
+        return self._watched(boundary_of(self.classifier, self.campaign.features, outcome))
 
+    @property
+    def boundaries(self) -> Boundaries:
+        """All boundaries as a function of designs."""
+        return self._watched(super().boundaries)
+
+    def _watched(self, of_designs: Boundaries) -> Boundaries:
         def watched(X: Array) -> Array:
             self.watch.predicted(len(X))
             return of_designs(X)
@@ -247,7 +254,7 @@ class DesignAnswers:
             "median_period": hazard.median_period,
             "outside": outside,
             "outside_text": percent(outside),
-            "notes": self._notes(hazard),
+            "notes": [*self._terms(request, at), *self._notes(hazard)],
             "svg": self._drawn(grid, P, request.target, value),
         }
 
@@ -288,7 +295,7 @@ class DesignAnswers:
                 campaign, MemoryStore(campaign.schema), executor, findings.classifier, last, self._answers, watch
             )
             designed = find_design(estimator, task, watch.stage, with_costs=False)
-        of_design = DesignFindings(campaign, designed, hazard, designed.question.share_outside(self.space))
+        of_design = DesignFindings(campaign, designed, hazard, designed.question.outside(self.space))
         numbers = of_design.as_json()
         kept = (
             "status",
@@ -360,6 +367,10 @@ class DesignAnswers:
 
     def _quantity_text(self, number: str) -> str:
         return f"{number} {self._quantity.unit}".strip()
+
+    def _terms(self, request: Asked, at: float) -> list[str]:
+        terms = terms_of(self.campaign.simulator, {**dict(request.bearing), CAPACITY: at})
+        return [] if terms is None else [f"{CAPACITY} = {self._with_unit(at)}: {terms.text}."]
 
     def _notes(self, hazard: Hazard) -> list[str]:
         return [

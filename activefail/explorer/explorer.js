@@ -260,6 +260,7 @@ const simulate = latest(async () => {
   find("outcome").dataset.outcome = answer.outcome;
   find("earlier").hidden = true;
   find("command").textContent = answer.command;
+  find("terms").replaceChildren(withSubscripts(answer.terms));
   find("film").hidden = !answer.frames;
   if (!answer.frames) return;
   film = { answer, point: design, stage: buildStage(answer), histories: null };

@@ -13,8 +13,8 @@ from activefail.risk.design.design_task import LOOKS
 from activefail.simulators.interface import Results, Simulator
 from activefail.space import Array
 
-STEPS = 1 + 2 * len(LOOKS)
-"""Most stages of a verification: the first search for a design, then a search and simulations for each look."""
+STEPS = 2 * len(LOOKS)
+"""Most stages of a verification: a search and simulations for each look."""
 
 
 class AlreadyRunningError(InputError):

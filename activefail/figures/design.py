@@ -35,7 +35,7 @@ class Mark(NamedTuple):
         target: what it was verified for.
         label: in the legend.
         is_verified: whether it meets the target with confidence.
-        is_result: whether it is a result, and not an earlier look of a search.
+        is_result: whether it is a result, and not another look of a search.
     """
 
     x: float
@@ -76,17 +76,18 @@ def plot_required(chart: RequiredChart, space: DesignSpace, marks: Sequence[Mark
 
 
 def marks_of(findings: DesignFindings) -> list[Mark]:
-    """The marks of a design and of the looks that were not accepted; none where the chart does not have its values."""
+    """The marks of a design and of the other looks; none where the chart does not have its values."""
     chart, designed, values = findings.chart, findings.designed, findings.bearing
     if chart is None or chart.across not in values or chart.name not in values:
         return []
     target, x = designed.task.requirements[0].target, values[chart.across]
     marks = [
         Mark(
-            look.candidate.values.get(chart.across, x), look.candidate.values[chart.name], target, "earlier look",
+            look.candidate.values.get(chart.across, x), look.candidate.values[chart.name], target, "other look",
             is_verified=False, is_result=False,
         )
-        for look in designed.looks[:-1]
+        for look in designed.looks
+        if look is not designed.result
     ]  # fmt: skip
     verified = designed.status == "verified"
     label = f"{designed.status}: {chart.lines} = {values.get(chart.lines, float('nan')):.3g}"

@@ -16,7 +16,7 @@ from activefail.loop.learning import Learned, learn_from
 from activefail.record.store import Store
 from activefail.reliability.design_point import DesignPoint, design_point
 from activefail.reliability.estimate import ProbabilityEstimate
-from activefail.reliability.integral import boundaries_of, boundary_of, integrate
+from activefail.reliability.integral import BoundariesOf, boundary_of, integrate
 from activefail.reliability.model_probability import model_probability
 from activefail.shares import lognormal_interval
 from activefail.space import REACH, Array
@@ -131,7 +131,7 @@ def _probability(campaign: Campaign, classifier: Classifier, outcome: str) -> tu
     if isinstance(latent, MarginLatent):
         known = model_probability(classifier, campaign.features, campaign.space, outcome, SIZE, rng)
         return known.mean, *lognormal_interval(known.mean, float(np.hypot(known.sd, known.error)), REACH)
-    integral = integrate(boundaries_of(classifier, campaign.features), campaign.space)
+    integral = integrate(BoundariesOf(classifier, campaign.features), campaign.space)
     return float(integral.probability[classifier.outcomes.index(outcome) - 1]), np.nan, np.nan
 
 

@@ -12,7 +12,14 @@ if TYPE_CHECKING:
     from activefail.surrogate.classifier import Classifier
 
 
-def sentence(outcome: str, margin: str, margin_score: float, outcome_score: float, is_clipped: bool = False) -> str:
+def sentence(
+    outcome: str,
+    margin: str,
+    margin_score: float,
+    outcome_score: float,
+    is_clipped: bool = False,
+    support: int = 0,
+) -> str:
     """What a boundary is learned from, with the evidence if there is any; empty if there was no choice.
 
     Args:
@@ -20,6 +27,7 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
         margin: name of the margin; empty if the boundary is learned from the outcomes.
         margin_score, outcome_score: mean log probabilities of left-out designs' sides [nat]; NaN if not compared.
         is_clipped: whether the margin is clipped at a largest value.
+        support: number of simulations that predictions rest on; 0 if they rest on all.
     """
     compared = not (math.isnan(margin_score) or math.isnan(outcome_score))
     if not margin and not compared:
@@ -34,6 +42,8 @@ def sentence(outcome: str, margin: str, margin_score: float, outcome_score: floa
         "cannot end the campaign"
     )
     text = f"{visible(words(outcome))} from {source}{evidence if compared else ''}"
+    if support:
+        text += f"; predictions rest on {support:,} simulations, half of them those with the smallest margins"
     return text + clipped if is_clipped else text
 
 
@@ -85,8 +95,9 @@ def choices_in_words(campaign: "Campaign", history: "History", classifier: "Clas
     for severity, (choice, latent) in enumerate(zip(classifier.choices, classifier.latents, strict=False), start=1):
         outcome = campaign.simulator.outcomes[severity]
         margin = "" if choice.margin == OUTCOMES else names[choice.margin]
-        clipped = isinstance(latent, MarginLatent) and latent.trained.is_clipped
-        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped)
+        trained = latent.trained if isinstance(latent, MarginLatent) else None
+        clipped, support = (trained.is_clipped, trained.size_of_support) if trained else (False, 0)
+        text = sentence(outcome, margin, choice.margin_score, choice.outcome_score, clipped, support)
         candidate = candidate_of(names, learns)
         if not text and candidate:
             margins = campaign.margins_at(severity, known.outcome, known.margins)

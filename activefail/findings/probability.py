@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
-from activefail.campaign.question import Question
+from activefail.campaign.question import Outside, Question
 from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
-from activefail.reliability.integral import OfBoundary, boundaries_of
+from activefail.reliability.integral import BoundariesOf, OfBoundary
 from activefail.shares import percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
@@ -102,7 +102,7 @@ class ProbabilityFindings:
         bound: without a model.
         outside: bound on the probability of designs outside the variables' bounds, which no simulation tries.
         question: title of the distribution; empty for the campaign's design measure.
-        extrapolated: share of the distribution outside the campaign's design space.
+        outside_space: what of the distribution lies outside the campaign's design space; None for the design measure.
         model: the probability by the classifier alone.
         of_question: what the question and the simulator assume, as sentences.
     """
@@ -115,7 +115,7 @@ class ProbabilityFindings:
     bound: Bound
     outside: float
     question: str
-    extrapolated: float
+    outside_space: Outside | None
     model: OfBoundary
     of_question: tuple[str, ...] = ()
     is_clipped: bool = False
@@ -138,7 +138,7 @@ class ProbabilityFindings:
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
         latent = classifier.latent(outcome)
-        integral = question.integral(boundaries_of(classifier, campaign.features), campaign.space)
+        integral = question.integral(BoundariesOf(classifier, campaign.features), campaign.space)
         return cls(
             outcome=outcome,
             estimate=estimate,
@@ -148,11 +148,16 @@ class ProbabilityFindings:
             bound=bound_of_fresh(estimate) if question.digest else bound_without_model(campaign, history, outcome),
             outside=question.space.outside,
             question=question.title if question.digest else "",
-            extrapolated=question.share_outside(campaign.space) if question.digest else 0.0,
+            outside_space=question.outside(campaign.space) if question.digest else None,
             model=integral.of(severity - 1),
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
+
+    @property
+    def extrapolated(self) -> float:
+        """Share of the distribution outside the campaign's design space."""
+        return 0.0 if self.outside_space is None else self.outside_space.share
 
     @property
     def is_extrapolated(self) -> bool:
@@ -170,6 +175,8 @@ class ProbabilityFindings:
         """What the estimate assumes, and what contradicts it, as sentences."""
         estimate, name = self.estimate, words(self.outcome)
         sentences = []
+        if self.outside_space is not None and self.outside_space.advice:
+            sentences.append(self.outside_space.advice)
         if self.is_extrapolated:
             kind = "fresh simulation" if self.question else "simulation"
             sentences.append(

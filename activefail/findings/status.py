@@ -35,11 +35,13 @@ class Status:
         folder: the run folder.
         summary: of its campaign.
         warnings: of its record; empty if it is intact.
+        lost: where runs gave no result; empty if all gave one.
     """
 
     folder: Path
     summary: Summary
     warnings: tuple[str, ...] = ()
+    lost: str = ""
 
     @property
     def lines(self) -> list[tuple[str, str]]:
@@ -74,6 +76,7 @@ class Status:
             "stop_rule_met": self._rule_is_met,
             "estimates": self._estimates,
             "warnings": list(self.warnings),
+            "lost": self.lost,
             "continue": [text for _, text in self.continuation],
         }
 
@@ -100,7 +103,7 @@ class Status:
             return {}
 
     @cached_property
-    def _choices(self) -> list[tuple[str, str, float, float, bool]]:
+    def _choices(self) -> list[tuple[str, str, float, float, bool, int]]:
         """For each boundary the arguments of `sentence`."""
         rows = []
         for outcome in self.summary.outcomes[1:]:
@@ -108,7 +111,8 @@ class Status:
                 margin, _, from_margin, from_outcomes, _ = self._state[f"{outcome}/choice"].tolist()
                 name = "" if margin < 0 else self.summary.margins[int(margin)]
                 is_clipped = f"{outcome}/clipped" in self._state
-                rows.append((outcome, name, float(from_margin), float(from_outcomes), is_clipped))
+                support = int(self._state.get(f"{outcome}/support", 0))
+                rows.append((outcome, name, float(from_margin), float(from_outcomes), is_clipped, support))
             except (LookupError, ValueError, TypeError, OverflowError):
                 return []
         return rows
@@ -128,8 +132,8 @@ class Status:
 
     @property
     def learned(self) -> list[tuple[str, str]]:
-        """Titles and texts of what each boundary is learned from, and of a stop rule that is met."""
-        settings, lines = self.summary.settings, []
+        """Titles and texts of where runs are lost, of what each boundary is learned from, and of its stop rule."""
+        settings, lines = self.summary.settings, [("lost", self.lost)] if self.lost else []
         candidate = candidate_of(self.summary.margins, settings.learns)
         for choice in self._choices:
             outcome, margin, *_ = choice
@@ -142,6 +146,13 @@ class Status:
                 lines.append(("learned", text + of_rule(outcome, margin, settings.stop_outcome)))
         if self._rule_is_met:
             lines.append(("stop rule", "met"))
+        elif settings.stop_outcome and (lost := int(self.summary.counts[-1])):
+            lines.append(
+                (
+                    "stop rule",
+                    f"not met; simulator.lost says what the {lost} lost runs mean",
+                )
+            )
         return lines
 
     @property
@@ -265,11 +276,16 @@ def read_status(folder: Path) -> Status:
         InputError: if the folder holds no campaign or its settings are invalid.
         StoreError: if the record cannot be read.
     """
-    if (summary := read_summary(folder)) is not None:
+    summary = read_summary(folder)
+    if summary is not None and not summary.counts[-1]:
         return Status(folder, summary)
     from activefail.campaign.on_disk import open_campaign
+    from activefail.findings.lost import where_lost
+    from activefail.loop.history import History
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
-        warnings = store.new_warnings()
-        outcomes = campaign.simulator.outcomes
-        return Status(folder, Summary.of(campaign.settings.text(), outcomes, store.batches, store.asked), warnings)
+        warnings, history = store.new_warnings(), History.of(store.batches)
+        if summary is None:
+            outcomes = campaign.simulator.outcomes
+            summary = Summary.of(campaign.settings.text(), outcomes, store.batches, store.asked)
+        return Status(folder, summary, warnings, where_lost(campaign.space, history.designs, ~history.answered))

@@ -33,6 +33,7 @@ class History:
         iteration: (n,) int64, iteration of each simulation's batch; 0 in the initial design.
         origin: (n,) int8, INITIAL, ACTIVE, CHECK or GIVEN.
         margins: (n, k) float64, one column for each of the simulator's margins; (0, 0) for an empty record.
+        cause: (n,) int8, code of what decided the outcome, or of why there is none.
     """
 
     designs: Array
@@ -40,19 +41,21 @@ class History:
     iteration: NDArray[np.int64]
     origin: NDArray[np.int8]
     margins: Array
+    cause: NDArray[np.int8]
 
     @classmethod
     def of(cls, batches: Sequence[Batch]) -> Self:
         """The history of some batches."""
         if not batches:
             none = np.empty(0, dtype=np.int8)
-            return cls(np.empty((0, 0)), none, np.empty(0, dtype=np.int64), none, np.empty((0, 0)))
+            return cls(np.empty((0, 0)), none, np.empty(0, dtype=np.int64), none, np.empty((0, 0)), none)
         return cls(
             np.concatenate([batch.designs for batch in batches]),
             np.concatenate([batch.results.outcome for batch in batches]),
             np.repeat([batch.iteration for batch in batches], [len(batch) for batch in batches]),
             np.concatenate([batch.origin for batch in batches]),
             np.concatenate([batch.results.margins for batch in batches]),
+            np.concatenate([batch.results.cause for batch in batches]),
         )
 
     @classmethod
@@ -60,14 +63,19 @@ class History:
         """The history of designs, (n, d), that were simulated together, like an initial design."""
         n = len(X)
         origin = np.full(n, INITIAL, dtype=np.int8)
-        return cls(X, results.outcome, np.zeros(n, dtype=np.int64), origin, results.margins)
+        return cls(X, results.outcome, np.zeros(n, dtype=np.int64), origin, results.margins, results.cause)
 
     def __len__(self) -> int:
         return len(self.outcome)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
         return type(self)(
-            self.designs[rows], self.outcome[rows], self.iteration[rows], self.origin[rows], self.margins[rows]
+            self.designs[rows],
+            self.outcome[rows],
+            self.iteration[rows],
+            self.origin[rows],
+            self.margins[rows],
+            self.cause[rows],
         )
 
     def through(self, iteration: int) -> Self:

@@ -14,8 +14,9 @@ from activefail.loop.history import History
 from activefail.loop.probability_rule import Looks, check_looks, looked, looks_from_state, looks_state
 from activefail.record.batch import Batch
 from activefail.record.store import Store
+from activefail.simulators.interface import is_impossible
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Latent, LearnableMargins, train
+from activefail.surrogate.classifier import Classifier, Latent, LearnableMargins, lost_latent, train
 from activefail.surrogate.covariance import Hyperparameters
 from activefail.surrogate.fitting import condition, fit, objective
 from activefail.surrogate.saved import SavedClassifier
@@ -53,10 +54,10 @@ def learn_from(campaign: Campaign, history: History, warm: Classifier | None = N
         warm,
         margins_of(campaign, known),
     )
-    if len(known) > STARTED_AFRESH:
-        return classifier
-    latents = (_from_other_starts(one) if isinstance(one, Latent) else one for one in classifier.latents)
-    return replace(classifier, latents=tuple(latents))
+    if len(known) <= STARTED_AFRESH:
+        latents = (_from_other_starts(one) if isinstance(one, Latent) else one for one in classifier.latents)
+        classifier = replace(classifier, latents=tuple(latents))
+    return with_lost(campaign, classifier, history)
 
 
 def _from_other_starts(latent: Latent) -> Latent:
@@ -72,6 +73,26 @@ def _from_other_starts(latent: Latent) -> Latent:
     fine = Hyperparameters(trained.hyperparameters.mean, math.log(10.0), np.full(m, math.log(0.5 * math.sqrt(m))))
     best = max(fit(*data), fit(*data, condition(*data, fine)), key=objective)
     return Latent(best) if objective(best) > objective(trained) + _BETTER else latent
+
+
+def with_lost(campaign: Campaign, classifier: Classifier, history: History) -> Classifier:
+    """A classifier with what the simulations say about where there is no result.
+
+    It is learned anew each time, so that no saved state needs it.
+    """
+    # Failures before the first outcome came from a simulator that has been fixed since.
+    history = history[history.leading_failures :]
+    if history.answered.all():
+        return classifier
+    impossible = is_impossible(campaign.simulator, history.outcome, history.cause)
+
+    def latent(lost: NDArray[np.bool_]) -> Latent | None:
+        if not lost.any():
+            return None
+        kernel = campaign.settings.classifier.kernel
+        return lost_latent(campaign.features(history.designs), lost, kernel)
+
+    return replace(classifier, unknown=latent(~history.answered & ~impossible), impossible=latent(impossible))
 
 
 def margins_of(campaign: Campaign, known: History) -> LearnableMargins | None:
@@ -116,11 +137,14 @@ def _restored(
     kernel, outcomes = campaign.settings.classifier.kernel, campaign.simulator.outcomes
     while (saved := store.latest_state()) is not None and saved[0] <= through:
         iteration, state = saved
-        known = History.of(store.batches).through(iteration).training
+        history = History.of(store.batches).through(iteration)
+        known = history.training
         try:
             check(iteration, state)
             margins = margins_of(campaign, known)
             classifier = build(state, known.designs, known.outcome, outcomes, campaign.features, kernel, margins)
+            if isinstance(classifier, Classifier):
+                classifier = with_lost(campaign, classifier, history)
             return iteration, state, classifier
         except KeyError:  # an older version saved fewer arrays: retrain from the record
             break

@@ -94,8 +94,8 @@ def looked(
         is_whole(designs_of_check(campaign.space.dimension), int(check.answered.sum()))
         and not contradicted(campaign, before, check).any()
     )
-    if not of_check.all():
-        # Results that arrived beside the check may have widened the posterior again.
+    if not of_check.all() or not check.answered.all():
+        # Results beside the check, or lost runs, may have widened the posterior again.
         rule = campaign.settings.probability_rule
         assert rule is not None
         passed = passed and Looks(table).is_narrow(rule.cov)

@@ -9,8 +9,9 @@ fresh simulations lie farther from their predictions than the latent says, this 
 campaign's mode check comes before.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -96,6 +97,8 @@ class Plan:
         missed, false: of the designs that the classifier puts short of the boundary, and beyond it.
         doubts: both if the latent's standard deviations are larger by a factor; None if no doubt is left.
         deviation: of the margins of the fresh simulations from their predictions (see `deviation_of_margins`).
+        ends: the same designs as corrections of two other boundaries: where no run that is probably lost is beyond, and
+            where all are; None if none is probably lost.
     """
 
     designs: Array
@@ -108,6 +111,7 @@ class Plan:
     false: Doubt
     doubts: Callable[[float], tuple[Doubt, Doubt]] | None = None
     deviation: float = 1.0
+    ends: "tuple[Plan, Plan] | None" = None
 
     def deviating(self, deviation: float) -> "Plan":
         """The plan after the fresh margins showed how far they lie from their predictions.
@@ -117,7 +121,8 @@ class Plan:
         if self.doubts is None or not deviation > 1.0:
             return self
         missed, false = self.doubts(deviation)
-        return replace(self, missed=missed, false=false, deviation=deviation)
+        ends = None if self.ends is None else (self.ends[0].deviating(deviation), self.ends[1].deviating(deviation))
+        return replace(self, missed=missed, false=false, deviation=deviation, ends=ends)
 
     @property
     def surest(self) -> tuple[int, float]:
@@ -138,15 +143,16 @@ class Plan:
             confidence: of the interval.
         """
         middle, _, _ = _interval(self, np.where(answered, beyond, self.predicted), confidence)
-        _, low, _ = _interval(self, beyond & answered, confidence)
-        _, _, high = _interval(self, beyond | ~answered, confidence)
+        if_none, if_all = self.ends or (self, self)
+        _, low, _ = _interval(if_none, beyond & answered, confidence)
+        _, _, high = _interval(if_all, beyond | ~answered, confidence)
         wrong = answered & (beyond != self.predicted)
         recall, recall_low = _recall(self, beyond, answered, confidence)
         return ProbabilityEstimate(
             probability=min(1.0, max(0.0, middle)),
-            low=min(1.0, max(0.0, low)),
+            low=min(1.0, max(0.0, min(low, middle))),
             # No design is drawn farther out; all of them may fail.
-            high=min(1.0, max(0.0, high) + REACH),
+            high=min(1.0, max(0.0, high, middle) + REACH),
             confidence=confidence,
             simulations=len(beyond),
             unanswered=int((~answered).sum()),
@@ -231,34 +237,52 @@ def baseline(standardised: Standardised, space: DesignSpace | WeightedRows) -> B
     return Baseline(float(integral.probability[0]), float(integral.error[0]))
 
 
+class Predictor(NamedTuple):
+    """A boundary as a function of the values of a distribution, and its share of predictions."""
+
+    standardised: Standardised
+    share: Baseline
+
+
 def plan_estimate(
     standardised: Standardised,
     space: DesignSpace | WeightedRows,
     of_classifier: Baseline,
     m: int,
     rng: np.random.Generator,
+    ends: tuple[Predictor, Predictor] | None = None,
 ) -> Plan:
-    """Plan m fresh simulations that correct the baseline of a classifier."""
+    """Plan m fresh simulations that correct the baseline of a classifier.
+
+    Args:
+        standardised: the boundary.
+        space: the distribution.
+        of_classifier: the baseline.
+        m: number of simulations.
+        rng: draws them.
+        ends: the boundaries if none, and all, of the runs that are probably lost are beyond.
+    """
     drawn = population(space, RADIAL, None, rng)
-    z = standardised(drawn.X)
-    return _planned(drawn.X, drawn.weight, z, of_classifier, m, rng, isinstance(space, WeightedRows))
+    predictors = (Predictor(standardised, of_classifier), *(ends or ()))
+    plan, *others = _planned(drawn.X, drawn.weight, predictors, m, rng, isinstance(space, WeightedRows))
+    return replace(plan, ends=(others[0], others[1])) if others else plan
 
 
 def _planned(
-    X: Array, weight: Array, z: Array, of_classifier: Baseline, m: int, rng: np.random.Generator, is_exact: bool
-) -> Plan:
-    """The plan with m designs of a weighted sample, or of an exact distribution.
+    X: Array, weight: Array, predictors: Sequence[Predictor], m: int, rng: np.random.Generator, is_exact: bool
+) -> list[Plan]:
+    """A plan for each boundary with the same m designs of a weighted sample, or of an exact distribution.
 
     Args:
         X: (n, k) the sample.
         weight: (n,) density of the design measure over that of the sample.
-        z: (n,) the latent's mean/sd.
-        of_classifier: its share of predictions.
+        predictors: the boundaries.
         m: number of simulations.
         rng: draws them.
         is_exact: whether the rows are the distribution itself, by their weights.
     """
-    parts = weight * doubt(z / _WIDER)
+    z = np.array([one.standardised(X) for one in predictors])
+    parts = weight * doubt(z / _WIDER).max(axis=0)
     # Without regard to doubt: a sample is drawn as it comes, weighted rows by their weights.
     shares = weight / weight.sum() if is_exact else np.full(len(parts), 1.0 / len(parts))
     if parts.sum() > 0.0:
@@ -266,7 +290,7 @@ def _planned(
     # A row without weight is never drawn.
     ratio = np.divide(weight, len(parts) * shares, out=np.zeros(len(parts)), where=shares > 0.0)
 
-    def doubts(deviation: float) -> tuple[Doubt, Doubt]:
+    def doubts(z: Array, deviation: float) -> tuple[Doubt, Doubt]:
         side = ndtr(z / (_WIDER * deviation))
         in_doubt = np.minimum(side, 1.0 - side)
 
@@ -277,19 +301,24 @@ def _planned(
 
         return doubt_of(z <= 0.0), doubt_of(z > 0.0)
 
-    missed, false = doubts(1.0)
     rows = rng.choice(len(parts), m, p=shares / shares.sum())
-    return Plan(
-        designs=X[rows],
-        ratio=ratio[rows],
-        predicted=z[rows] > 0.0,
-        standardised=z[rows],
-        probability=of_classifier.probability,
-        standard_error=of_classifier.standard_error,
-        missed=missed,
-        false=false,
-        doubts=doubts,
-    )
+    plans = []
+    for of_boundary, predictor in zip(z, predictors, strict=True):
+        missed, false = doubts(of_boundary, 1.0)
+        plans.append(
+            Plan(
+                designs=X[rows],
+                ratio=ratio[rows],
+                predicted=of_boundary[rows] > 0.0,
+                standardised=of_boundary[rows],
+                probability=predictor.share.probability,
+                standard_error=predictor.share.standard_error,
+                missed=missed,
+                false=false,
+                doubts=partial(doubts, of_boundary),
+            )
+        )
+    return plans
 
 
 def _recall(

@@ -6,16 +6,17 @@ around parents that an earlier one has found [CappeEtAl2004].
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr, ndtri_exp
 
 from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import around, finite, first_parents, next_parents
 from activefail.features import FeatureMap
-from activefail.space import Array, DesignSpace
+from activefail.space import REACH, Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.weighted import WeightedRows
 
@@ -28,7 +29,7 @@ Boundaries = Callable[[Array], Array]
 ACCURACY = 0.02
 """Relative standard error that ends the integration."""
 
-_SEQUENCES, _LENGTHS = 8, (128, 512)
+SEQUENCES, _LENGTHS = 8, (128, 512)
 """Randomised Sobol' sequences, and their lengths: the second if the first is not accurate."""
 
 _MOST_ROWS = 4096
@@ -42,7 +43,7 @@ _POPULATION, _PARENTS, _ROUNDS = 8192, 100, 40
 
 
 Contains = Callable[[Array], NDArray[np.bool_]]
-"""Values of a distribution's variables, (n, k) -> whether the campaign's space contains the designs, (n,)."""
+"""Designs, (n, d), or values of variables -> whether the campaign's space contains the designs, (n,)."""
 
 
 class OfBoundary(NamedTuple):
@@ -71,40 +72,106 @@ class Integral(NamedTuple):
         return OfBoundary(*(float(numbers[column]) for numbers in self))
 
 
-def boundaries_of(classifier: Classifier, features: FeatureMap) -> Boundaries:
-    """All boundaries of a classifier as one function of designs; the features are computed once."""
-    return lambda X: classifier.predicted(finite(features, X)).boundaries
+Lost = Literal["learned", "none", "all"]
+"""Which of the designs that probably give no result count as beyond a boundary: as the boundary was learned, or so."""
 
 
-def boundary_of(classifier: Classifier, features: FeatureMap, outcome: str) -> Standardised:
+@dataclass(frozen=True)
+class BoundariesOf:
+    """All boundaries of a classifier as one function of designs; the features are computed once.
+
+    Designs that do not exist are beyond no boundary; `exists` says which do.
+
+    Attributes:
+        classifier: the classifier.
+        features: map from designs to its inputs.
+        lost: what a run without a known result counts as.
+    """
+
+    classifier: Classifier
+    features: FeatureMap
+    lost: Lost = "learned"
+
+    def __call__(self, X: Array) -> Array:
+        """The probits of P(at least as severe) of designs, (n, d) -> (n, b)."""
+        F = finite(self.features, X)
+        z = self.classifier.predicted(F).boundaries
+        if self.classifier.unknown is not None and self.lost != "learned":
+            unknown = self.classifier.unknown.moments(F).side[:, None]
+            z = _both(z, -unknown) if self.lost == "none" else -_both(-z, -unknown)
+        if self.classifier.impossible is not None:
+            impossible = self.classifier.impossible.moments(F).side[:, None]
+            z = _both(z, -impossible)
+        return z
+
+    @property
+    def exists(self) -> Boundaries | None:
+        """Where designs exist, as a boundary of its own; None if all do."""
+        impossible = self.classifier.impossible
+        if impossible is None:
+            return None
+        return lambda X: -impossible.moments(finite(self.features, X)).side[:, None]
+
+
+def _both(a: Array, b: Array) -> Array:
+    """The probits of Φ(a) Φ(b)."""
+    return np.asarray(ndtri_exp(log_ndtr(a) + log_ndtr(b)))
+
+
+def boundary_of(classifier: Classifier, features: FeatureMap, outcome: str, lost: Lost = "learned") -> Standardised:
     """The boundary of an outcome as a function of designs."""
-    column = classifier.outcomes.index(outcome) - 1
-    return lambda X: classifier.predicted(finite(features, X)).boundaries[:, column]
+    column, boundaries = classifier.outcomes.index(outcome) - 1, BoundariesOf(classifier, features, lost)
+    return lambda X: boundaries(X)[:, column]
 
 
 def integrate(
     boundaries: Boundaries,
     space: DesignSpace | WeightedRows,
-    contains: Contains | None = None,
     resolution: float = 0.0,
     accuracy: float = ACCURACY,
+    designs: Callable[[Array], Array] = lambda X: X,
+    contains: Contains | None = None,
 ) -> Integral:
-    """The share of a distribution that a classifier puts beyond each boundary: the mean of Φ(z).
+    """The share of a distribution that a classifier puts beyond each boundary: the mean of Φ(z), of designs that exist.
 
     Args:
-        boundaries: of the distribution's variables.
+        boundaries: of designs.
         space: the distribution.
-        contains: whether the campaign's space contains the designs; all if None.
         resolution: standard error that is small enough, whatever the probability.
         accuracy: relative standard error that is small enough.
+        designs: the designs of values of the distribution's variables.
+        contains: whether the campaign's space contains designs; all if None.
     """
+    integral = _integrated(
+        lambda X: boundaries(designs(X)),
+        space,
+        resolution,
+        accuracy,
+        None if contains is None else lambda X: contains(designs(X)),
+    )
+    if not isinstance(boundaries, BoundariesOf) or boundaries.exists is None:
+        return integral
+    exists = boundaries.exists
+    share = _integrated(lambda X: exists(designs(X)), space, 0.0, accuracy, None)
+    return integral._replace(
+        probability=np.minimum(integral.probability / share.probability, 1.0), error=integral.error / share.probability
+    )
+
+
+def _integrated(
+    boundaries: Boundaries,
+    space: DesignSpace | WeightedRows,
+    resolution: float,
+    accuracy: float,
+    contains: Contains | None,
+) -> Integral:
     if isinstance(space, WeightedRows):
         return _of_rows(boundaries, space.thinned(_MOST_ROWS), contains)
     for length in _LENGTHS:
         integral = _by_sequences(boundaries, space, contains, length)
         limit = np.maximum(accuracy * integral.probability, resolution)
         # A share that no point shows may be as large as three points.
-        seen = (integral.probability * _SEQUENCES * length >= _SEEN) | (3.0 / (_SEQUENCES * length) <= resolution)
+        seen = (integral.probability * SEQUENCES * length >= _SEEN) | (3.0 / (SEQUENCES * length) <= resolution)
         accurate = (integral.error <= limit) & seen
         if accurate.all():
             return integral
@@ -114,7 +181,8 @@ def integrate(
         found = _by_populations(boundaries, int(column), space, contains, accuracy)
         for known, value in zip(integral, found, strict=True):
             known[column] = value
-    return integral
+    # Populations have their own errors, by which boundaries must not cross.
+    return integral._replace(probability=np.minimum.accumulate(np.minimum(integral.probability, 1.0)))
 
 
 def _of_rows(boundaries: Boundaries, rows: WeightedRows, contains: Contains | None) -> Integral:
@@ -131,11 +199,16 @@ def _outside(parts: Array, X: Array, contains: Contains | None) -> Array:
     return np.asarray(np.divide(outside, total, out=np.zeros(len(total)), where=total > 0.0))
 
 
+def sequences(space: DesignSpace, length: int) -> Array:
+    """Randomised Sobol' sequences of a length, a power of two, one after the other; always the same."""
+    return np.concatenate([space.sobol(length, np.random.default_rng(number)) for number in range(SEQUENCES)])
+
+
 def _by_sequences(boundaries: Boundaries, space: DesignSpace, contains: Contains | None, length: int) -> Integral:
-    X = np.concatenate([space.sobol(length, np.random.default_rng(number)) for number in range(_SEQUENCES)])
+    X = sequences(space, length)
     beyond = ndtr(boundaries(X))
-    means = beyond.reshape(_SEQUENCES, length, -1).mean(axis=1)
-    error = means.std(axis=0, ddof=1) / np.sqrt(_SEQUENCES)
+    means = beyond.reshape(SEQUENCES, length, -1).mean(axis=1)
+    error = means.std(axis=0, ddof=1) / np.sqrt(SEQUENCES)
     return Integral(means.mean(axis=0), error, _outside(beyond, X, contains))
 
 
@@ -168,6 +241,7 @@ def _by_populations(
         if len(means) > 1:
             # A population that has missed a region does not know it; those that found it differ.
             error = max(error, float(np.std(means, ddof=1) / np.sqrt(len(means))))
-            if error <= accuracy * mean:
+            # Nothing is simulated farther out than `REACH`.
+            if error <= accuracy * max(mean, REACH):
                 break
     return mean, error, float(np.average(shares, weights=np.maximum(means, 1e-300)))

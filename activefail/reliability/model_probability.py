@@ -1,5 +1,6 @@
 """The probability beyond a boundary by the classifier alone, and the posterior sd of this probability."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from scipy.special import ndtr
 
 from activefail.acquisition.by_margin import LEAST, REFERENCES, doubt, doubtful_population
 from activefail.features import FeatureMap
-from activefail.reliability.integral import boundaries_of, integrate
+from activefail.reliability.integral import BoundariesOf, integrate
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
@@ -45,10 +46,23 @@ def model_probability(
     """
     latent, column = classifier.latent(outcome), classifier.outcomes.index(outcome) - 1
     assert isinstance(latent, MarginLatent)
-    integral = integrate(boundaries_of(classifier, features), space)
+    integral = integrate(BoundariesOf(classifier, features), space)
+    if_none, if_all = lost_ends(classifier, features, space, column)
     drawn, F, standardised = doubtful_population(latent, features, space, n, rng)
     sd = posterior_sd(latent, F, standardised, drawn.weight, rng)
+    # The posterior does not know what lost runs are; half of the range counts as one standard deviation.
+    sd = math.hypot(sd, 0.5 * (if_all - if_none))
     return ModelProbability(float(integral.probability[column]), sd, float(integral.error[column]))
+
+
+def lost_ends(classifier: Classifier, features: FeatureMap, space: DesignSpace, column: int) -> tuple[float, float]:
+    """The probability beyond a boundary if none, and if all, of the runs that are probably lost are beyond it."""
+    if classifier.unknown is None:
+        return 0.0, 0.0
+    none, everything = (
+        integrate(BoundariesOf(classifier, features, lost), space).of(column).probability for lost in ("none", "all")
+    )
+    return none, max(none, everything)
 
 
 def posterior_sd(latent: MarginLatent, F: Array, standardised: Array, weight: Array, rng: np.random.Generator) -> float:

@@ -29,6 +29,7 @@ from activefail.figures.samples import MOST_SHOWN, plot_counts, plot_pairs
 from activefail.files import replacing, target_of
 from activefail.findings import quantities
 from activefail.findings.failure import FailureFindings
+from activefail.findings.lost import where_lost
 from activefail.findings.prediction import information, predict
 from activefail.findings.quantities import significant, words
 from activefail.findings.results import Findings, at_the_boundary
@@ -43,7 +44,7 @@ from activefail.report.evidence import Evidence
 from activefail.report.failure import failure_section
 from activefail.report.fragility_section import RiskFindings, fragility_section
 from activefail.report.picture import picture
-from activefail.simulators.bearing import DfpSimulator
+from activefail.simulators.bearing import DfpSimulator, terms_of
 from activefail.surrogate.margin import KERNEL as MARGIN_KERNEL
 from activefail.surrogate.margin import MarginLatent
 from activefail.visible import quoted, visible
@@ -227,6 +228,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
         prediction = predict(findings.campaign, findings.classifier, findings.X[row : row + 1])
         probabilities = [_probability(float(p)) for p in prediction.probabilities[0]]
         alternative = f"Plates and slider of simulation {findings.ids[row]} at four instants"
+        terms = terms_of(simulator, dict(zip(findings.campaign.space.names, findings.X[row].tolist(), strict=True)))
         shown.append(
             {
                 "picture": picture(plot_snapshots(response), f"bearing{number}", alternative),
@@ -240,6 +242,7 @@ def _gallery(findings: Findings) -> list[dict[str, Any]]:
                     else f"iteration {findings.iteration[row]}"
                 ),
                 "result": describe_outcome(response),
+                "terms": "" if terms is None else terms.text,
                 "probabilities": dict(zip(simulator.outcomes, probabilities, strict=True)),
             }
         )
@@ -377,6 +380,7 @@ def render(
         "outcomes": outcomes,
         "boundary": findings.boundary,
         "counts": {title: values.tolist() for title, values in counts.items()},
+        "lost": where_lost(campaign.space, findings.X, ~findings.answered),
         "counts_picture": picture(
             plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes),
             "counts",

@@ -1,5 +1,6 @@
 """The double friction pendulum bearing as a campaign's simulator."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from activefail.bearing import outcome as o
 from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
 from activefail.bearing.simulation import Response, simulate, simulate_one
+from activefail.bearing.terms import Terms
 from activefail.errors import InputError
 from activefail.simulators.interface import Results
 from activefail.space import Array, DesignSpace
@@ -17,6 +19,13 @@ _LIMITS = "The bearing model is planar. Its rims do not yield, and there is no v
 def limits_of(simulator: object) -> tuple[str, ...]:
     """What the bearing model leaves out, as sentences; none for another simulator."""
     return (_LIMITS,) if isinstance(simulator, DfpSimulator) else ()
+
+
+def terms_of(simulator: object, values: Mapping[str, float]) -> Terms | None:
+    """The designer's terms of a bearing with these values and the space's fixed ones; None for another simulator."""
+    if not isinstance(simulator, DfpSimulator):
+        return None
+    return Terms.of({**simulator.space.fixed, **values}, simulator.model.slider_diameter)
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,8 @@ class CommandSimulator:
     keep: bool = True
     largest_file: int = 10_000_000_000
     levels: tuple[float, ...] = ()
+    failing: tuple[int, ...] = ()
+    impossible: tuple[int, ...] = ()
 
     causes = ("",)
     releases_gil = False

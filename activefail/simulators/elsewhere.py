@@ -17,6 +17,8 @@ class ElsewhereSimulator:
 
     outcomes: tuple[str, ...]
     margins: tuple[str, ...]
+    failing: tuple[int, ...] = ()
+    impossible: tuple[int, ...] = ()
 
     causes = ("",)
     releases_gil = True

@@ -44,6 +44,8 @@ class PythonSimulator:
     folder: Path | None = None
     renew: int | None = None
     levels: tuple[float, ...] = ()
+    failing: tuple[int, ...] = ()
+    impossible: tuple[int, ...] = ()
 
     causes = ("",)
     releases_gil = False

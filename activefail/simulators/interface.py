@@ -1,7 +1,7 @@
 """The simulator interface: designs in, outcomes and margins out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -107,8 +107,10 @@ class Simulator(Protocol):
     towards the time limit.
 
     **Optional attributes.** `renew` (int or None) is the most simulations of one worker process. `isolated` (bool)
-    means that each simulation runs in its own process, so that an error is not repeated in a fresh worker. `check(X)`
-    raises an InputError if one of the designs can have no result at all, such as one with a negative friction.
+    means that each simulation runs in its own process, so that an error is not repeated in a fresh worker. `failing`
+    and `impossible` (tuples of codes of causes) say which lost runs are failures (`settled`), and which are designs
+    that do not exist. `check(X)` raises an InputError if one of the designs can have no result at all, such as one
+    with a negative friction.
 
     **Arrays.** `run` neither modifies X, which may be read-only, nor keeps it. The caller owns the results.
 
@@ -148,6 +150,20 @@ class Simulator(Protocol):
             NUMERICAL_FAILURE and one of the simulator's causes.
         """
         ...
+
+
+def settled(simulator: Simulator, results: Results) -> Results:
+    """The results with lost runs as the most severe outcome, if their causes mean that; the causes stay."""
+    means_failure = (results.outcome == NUMERICAL_FAILURE) & np.isin(results.cause, getattr(simulator, "failing", ()))
+    if not means_failure.any():
+        return results
+    most_severe = np.int8(len(simulator.outcomes) - 1)
+    return replace(results, outcome=np.where(means_failure, most_severe, results.outcome))
+
+
+def is_impossible(simulator: Simulator, outcome: NDArray[np.int8], cause: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Which simulations, (n,), say that their design does not exist."""
+    return np.asarray((outcome == NUMERICAL_FAILURE) & np.isin(cause, getattr(simulator, "impossible", ())))
 
 
 def unanswered(simulator: Simulator, n: int, cause: int = 0, fault: str = "") -> Results:

@@ -146,12 +146,26 @@ class Classifier:
         features: map from designs to the latents' inputs.
         latents: one for each outcome but the first: "at least as severe as this one".
         choices: what each latent is learned from; empty if all are learned from the outcomes alone.
+        unknown: positive where a simulation probably gives no result that is known; None if all gave one.
+        impossible: positive where a design probably does not exist; None if all did.
     """
 
     outcomes: tuple[str, ...]
     features: FeatureMap
     latents: tuple[Latent | MarginLatent, ...]
     choices: tuple[Choice, ...] = ()
+    unknown: Latent | None = None
+    impossible: Latent | None = None
+
+    @property
+    def loses(self) -> bool:
+        """Whether any simulation gave no result."""
+        return self.unknown is not None or self.impossible is not None
+
+    def answers(self, F: Array) -> Array:
+        """Probability of a result at scaled features, (n, m) -> (n,)."""
+        lost = [latent.moments(F).probability for latent in (self.unknown, self.impossible) if latent is not None]
+        return np.asarray(np.prod([np.ones(len(F)), *(1.0 - p for p in lost)], axis=0))
 
     def latent(self, outcome: str) -> Latent | MarginLatent:
         """The latent of the boundary below the named outcome."""
@@ -168,6 +182,11 @@ class Classifier:
 
 def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> "Tensor":
     return torch.from_numpy(np.where(outcome >= severity, 1.0, -1.0))
+
+
+def lost_latent(F: Array, lost: NDArray[np.bool_], kernel: Kernel) -> Latent:
+    """The latent of simulations without a result: positive at scaled features, (n, m), like those that were lost."""
+    return Latent(fit(torch.from_numpy(F), torch.from_numpy(np.where(lost, 1.0, -1.0)), kernel))
 
 
 @dataclass(frozen=True)

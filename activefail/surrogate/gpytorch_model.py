@@ -137,7 +137,7 @@ class MarginModel(gpytorch.models.ExactGP, GPyTorchModel):
         likelihood.noise = self.nugget
         solved = trained.solved
         for name, array in (
-            ("X", trained.features),
+            ("X", trained.support),
             ("L", solved.L),
             ("weights", solved.weights),
             ("ones", solved.ones),

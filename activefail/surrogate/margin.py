@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
 from scipy.special import erfcx, log_ndtr
 
 from activefail.space import Array
 from activefail.surrogate.covariance import Hyperparameters, covariance_array, covariance_gradient
-from activefail.surrogate.fitting import pack, unpack
+from activefail.surrogate.fitting import unpack
 from activefail.surrogate.moments import MarginMoments
 
 if TYPE_CHECKING:
@@ -57,6 +58,16 @@ _SWEEPS, _DAMPING, _TOLERANCE = 300, 0.7, 1e-9
 _ALWAYS, _GROWTH = 30, 0.05
 """Number of points up to which hyperparameters are always relearned, and the growth that triggers it beyond."""
 
+LEARNED_ON = 1000
+"""Most points for learning hyperparameters: a step of the search costs the cube of their number. They are evenly spread
+over the sorted margins; a surplus of points near the boundary would make the regression too sure of itself."""
+
+COARSE = 500
+"""Most points for choosing a warping; with more, the hyperparameters learned there are the starting point."""
+
+EXACT = 2000
+"""Most points in a posterior: a prediction costs the square of their number."""
+
 ROWS_AT_ONCE = 4096
 """Most points per call of a prediction, which limits its memory to n x 4096 numbers."""
 
@@ -89,6 +100,19 @@ def is_truncated(margin: Array) -> bool:
     largest = others.max()
     reach = np.ptp(failed / largest) if len(failed) > 1 else -failed[0] / largest
     return bool(reach <= _CENSORED_SPREAD * (others / largest).std())
+
+
+def informative(margin: Array, truncated: bool, most: int) -> NDArray[np.intp]:
+    """Rows of at most `most` points that stand for all, in order: half are nearest the boundary, half evenly spread.
+
+    A censored margin, (n,), does not say how near it is, so such points are among the spread ones.
+    """
+    if len(margin) <= most:
+        return np.arange(len(margin))
+    order = np.argsort(np.where(truncated & (margin <= 0.0), np.inf, np.abs(margin)), kind="stable")
+    nearest, others = order[: most // 2], np.sort(order[most // 2 :])
+    spread = others[np.linspace(0, len(others) - 1, most - len(nearest)).astype(int)]
+    return np.sort(np.concatenate([nearest, spread]))
 
 
 class CensoredSites(NamedTuple):
@@ -140,11 +164,10 @@ def _with_sites(mean: Array, S: Array, linear: Array, precision: Array) -> tuple
     root = np.sqrt(precision)
     L = cholesky(np.eye(len(mean)) + root[:, None] * S * root, lower=True)
     whitened = solve_triangular(L, root[:, None] * S, lower=True)
-    V = S - whitened.T @ whitened
     pull = linear - precision * mean
-    step = V @ pull
+    step = S @ pull - whitened.T @ (whitened @ pull)
     quadratic = float(linear @ mean - 0.5 * mean @ (precision * mean) + 0.5 * pull @ step)
-    variance = np.maximum(V.diagonal(), 1e-12 * S.diagonal())
+    variance = np.maximum(S.diagonal() - np.einsum("ij,ij->j", whitened, whitened), 1e-12 * S.diagonal())
     return 2.0 * float(np.log(L.diagonal()).sum()), mean + step, variance, quadratic
 
 
@@ -158,11 +181,11 @@ def _cavities(m: Array, variance: Array, linear: Array, precision: Array) -> tup
 
 
 class Solved(NamedTuple):
-    """What predictions of a regression need of A = K + site variances."""
+    """What predictions of a regression need of A = K + site variances at its s support points."""
 
-    L: Array  # (n, n), lower; A = LLᵀ
-    weights: Array  # (n,), A⁻¹(target − mean)
-    ones: Array  # (n,), A⁻¹1
+    L: Array  # (s, s), lower; A = LLᵀ
+    weights: Array  # (s,), A⁻¹(target − mean)
+    ones: Array  # (s,), A⁻¹1
     total: float  # 1ᵀA⁻¹1
 
 
@@ -177,8 +200,9 @@ class MarginFit:
         warping: name of the warping.
         unit: q, the unit of the margins before warping.
         hyperparameters: of the warped margin's prior.
-        sites: of the censored points.
-        log_likelihood: of the margins, with the warping's derivative and the log prior of the length scales.
+        sites: of the censored points; 0 outside the support.
+        log_likelihood: of the margins, with the warping's derivative and the log prior of the length scales; NaN if the
+            hyperparameters are those of other points.
         learned_on: number of points when the hyperparameters were last learned.
     """
 
@@ -191,6 +215,21 @@ class MarginFit:
     sites: CensoredSites
     log_likelihood: float
     learned_on: int
+
+    @cached_property
+    def rows(self) -> NDArray[np.intp]:
+        """Rows of the support points, (s,): the posterior is that of at most `EXACT` points (`informative`)."""
+        return informative(self.margin, self.truncated, EXACT)
+
+    @cached_property
+    def support(self) -> Array:
+        """Scaled features of the support points, (s, m)."""
+        return self.features[self.rows]
+
+    @property
+    def size_of_support(self) -> int:
+        """Number of support points; 0 if all points are."""
+        return len(self.rows) if len(self.rows) < len(self.margin) else 0
 
     @cached_property
     def solved(self) -> "Solved":
@@ -210,7 +249,7 @@ class MarginFit:
         return bool(top > 0.0 and len(np.unique(self.features[self.margin == top], axis=0)) >= _TIED)
 
     def _covariance(self, F: Array) -> Array:
-        return covariance_array(KERNEL, self.hyperparameters, self.features, F)
+        return covariance_array(KERNEL, self.hyperparameters, self.support, F)
 
     def moments(self, F: Array) -> tuple[Array, Array]:
         """Mean and standard deviation of the warped margin at scaled features, (l, m); each (l,).
@@ -242,11 +281,12 @@ class MarginFit:
     def left_out(self) -> tuple[Array, Array]:
         """Mean and standard deviation of each warped margin from all others, at the same hyperparameters; each (n,).
 
-        In closed form [RasmussenWilliams2006, section 5.4.2]. A censored point's own site is left out too.
+        In closed form [RasmussenWilliams2006, section 5.4.2]. A censored point's own site is left out too. A point
+        outside the support is left out as it is.
         """
         A, target = linear_system(self)
         L, _, ones, total = self.solved
-        Q = cho_solve((L, True), np.eye(len(A))) - np.outer(ones, ones) / total
+        Q = _inverse(L) - np.outer(ones, ones) / total
         diagonal = Q.diagonal()
         # The variance of a left-out observation includes its own site's variance, which is not that of the margin.
         s2 = math.exp(self.hyperparameters.log_outputscale)
@@ -255,9 +295,14 @@ class MarginFit:
         # A site that says almost nothing has a variance that swallows the difference's digits.
         vague = of_sites > s2
         if vague.any():
-            with_site = self.moments(self.features[vague])[1] ** 2
+            with_site = self.moments(self.support[vague])[1] ** 2
             variance[vague] = with_site / (1.0 - with_site / of_sites[vague])
-        return target - (Q @ target) / diagonal, np.sqrt(np.maximum(variance, 1e-12))
+        own = target - (Q @ target) / diagonal, np.sqrt(np.maximum(variance, 1e-12))
+        if len(self.rows) == len(self.margin):
+            return own
+        mean, sd = self.moments(self.features)
+        mean[self.rows], sd[self.rows] = own
+        return mean, sd
 
     def warped(self, margin: Array) -> Array:
         """Margins, (l,), in the units of `moments`."""
@@ -271,17 +316,25 @@ class MarginFit:
 
 
 def linear_system(trained: MarginFit) -> tuple[Array, Array]:
-    """A = K + site variances, (n, n), and the sites' means, (n,): the warped margins where they are not censored."""
-    A = covariance_array(KERNEL, trained.hyperparameters, trained.features, trained.features)
-    target = WARPINGS[trained.warping][0](trained.margin / trained.unit)
+    """A = K + site variances, (s, s), and the sites' means, (s,): the warped margins where they are not censored."""
+    A = covariance_array(KERNEL, trained.hyperparameters, trained.support, trained.support)
+    margin = trained.margin[trained.rows]
+    target = trained.warped(margin)
     noise = np.full(len(A), NUGGET * math.exp(trained.hyperparameters.log_outputscale))
     if trained.truncated:
-        failed = trained.margin <= 0.0
-        precision = np.maximum(trained.sites.precision, 1e-12)
+        failed = margin <= 0.0
+        taken = np.isin(np.flatnonzero(trained.margin <= 0.0), trained.rows)
+        precision = np.maximum(trained.sites.precision[taken], 1e-12)
         noise[failed] += 1.0 / precision
-        target[failed] = trained.sites.linear / precision
+        target[failed] = trained.sites.linear[taken] / precision
     A[np.diag_indices(len(A))] += noise
     return A, target
+
+
+def _inverse(L: Array) -> Array:
+    """(LLᵀ)⁻¹ of a lower factor, (n, n)."""
+    inverse, _ = dpotri(L, lower=1)  # its lower triangle, over that of L
+    return np.asarray(inverse + np.tril(inverse, -1).T)
 
 
 class PenalisedLikelihood(NamedTuple):
@@ -292,37 +345,56 @@ class PenalisedLikelihood(NamedTuple):
     sites: CensoredSites
 
 
+class _Conditioned(NamedTuple):
+    """Log likelihood of warped margins, the censored points' sites, and A = K + site variances."""
+
+    value: float
+    sites: CensoredSites
+    L: Array  # (n, n), lower; A = LLᵀ
+    b: Array  # (n,), A⁻¹(target − mean)
+
+
+def _conditioned(K: Array, y: Array, censored: NDArray[np.bool_], mean: float, sites: CensoredSites) -> _Conditioned:
+    """Of warped margins y, (n,), under N(mean, K), with the censored ones' sites iterated from `sites`."""
+    exact = ~censored
+    L = cholesky(K[np.ix_(exact, exact)], lower=True)
+    away = y[exact] - mean
+    alpha = cho_solve((L, True), away)
+    value = -0.5 * float(away @ alpha) - float(np.log(L.diagonal()).sum()) - 0.5 * len(away) * math.log(2.0 * math.pi)
+    if exact.all():
+        return _Conditioned(value, sites, L, alpha)
+    cross = K[np.ix_(exact, censored)]
+    whitened = solve_triangular(L, cross, lower=True)
+    S = K[np.ix_(censored, censored)] - whitened.T @ whitened
+    result = censored_posterior(mean + cross.T @ alpha, S, sites)
+    precision = np.maximum(result.sites.precision, 1e-12)
+    A, target = K.copy(), y - mean
+    A[censored, censored] += 1.0 / precision
+    target[censored] = result.sites.linear / precision - mean
+    L = cholesky(A, lower=True)
+    return _Conditioned(value + result.log_evidence, result.sites, L, cho_solve((L, True), target))
+
+
+def _prior(features: Array, h: Hyperparameters) -> tuple[Array, Array]:
+    """Covariance of warped margins without and with the nugget, each (n, n)."""
+    plain = covariance_array(KERNEL, h, features, features)
+    K = plain.copy()
+    K[np.diag_indices(len(K))] += NUGGET * math.exp(h.log_outputscale)
+    return plain, K
+
+
 def penalised_likelihood(
     features: Array, y: Array, censored: NDArray[np.bool_], packed: Array, sites: CensoredSites
 ) -> PenalisedLikelihood:
     """Log likelihood of warped margins plus the log prior of the length scales, and its gradient."""
     h = unpack(packed)
-    plain = covariance_array(KERNEL, h, features, features)
-    K = plain.copy()
-    s2 = math.exp(h.log_outputscale)
-    K[np.diag_indices(len(K))] += NUGGET * s2
-    exact = ~censored
-    L = cholesky(K[np.ix_(exact, exact)], lower=True)
-    away = y[exact] - h.mean
-    alpha = cho_solve((L, True), away)
-    value = -0.5 * float(away @ alpha) - float(np.log(L.diagonal()).sum()) - 0.5 * len(away) * math.log(2.0 * math.pi)
-    A, target = K, y - h.mean
-    if censored.any():
-        cross = K[np.ix_(exact, censored)]
-        S = K[np.ix_(censored, censored)] - cross.T @ cho_solve((L, True), cross)
-        result = censored_posterior(h.mean + cross.T @ alpha, S, sites)
-        sites, value = result.sites, value + result.log_evidence
-        precision = np.maximum(sites.precision, 1e-12)
-        A, target = K.copy(), target.copy()
-        A[censored, censored] += 1.0 / precision
-        target[censored] = sites.linear / precision - h.mean
-    factor = cholesky(A, lower=True)
-    b = cho_solve((factor, True), target)
+    plain, K = _prior(features, h)
+    value, sites, L, b = _conditioned(K, y, censored, h.mean, sites)
     # At the sites' fixed point the likelihood changes with K as that of Gaussian observations does.
-    by_K = 0.5 * (np.outer(b, b) - cho_solve((factor, True), np.eye(len(A))))
+    by_K = 0.5 * (np.outer(b, b) - _inverse(L))
     X, plain_tensor, by_K_tensor = (torch.from_numpy(array) for array in (features, plain, by_K))
     by_scales = covariance_gradient(KERNEL, h, X, X, plain_tensor, by_K_tensor).numpy()
-    by_scales[0] += NUGGET * s2 * float(np.trace(by_K))
+    by_scales[0] += NUGGET * math.exp(h.log_outputscale) * float(np.trace(by_K))
     center, sd = length_scale_prior(features.shape[1])
     offset = (packed[2:] - center) / sd
     value -= 0.5 * float(offset @ offset) + len(offset) * (math.log(sd) + 0.5 * math.log(2.0 * math.pi))
@@ -334,6 +406,8 @@ def fit_margin(
     features: Array, margin: Array, truncated: bool | None = None, warm: MarginFit | None = None
 ) -> MarginFit:
     """Fit a GP to margins.
+
+    The hyperparameters are learned on at most `LEARNED_ON` points, and the posterior is that of at most `EXACT`.
 
     Args:
         features: (n, m) scaled features.
@@ -353,19 +427,38 @@ def fit_margin(
         raise ValueError("regression on truncated margins needs two that are positive")
     if warm is not None and truncated == warm.truncated and _ALWAYS < len(margin) < (1.0 + _GROWTH) * warm.learned_on:
         return _solved_at(features, margin, warm)
-    fits = [_fit_warped(features, margin, truncated, name, warm) for name in WARPINGS]
-    return max(fits, key=lambda fitted: fitted.log_likelihood)
+    n = len(margin)
+    best = warm
+    if best is None or truncated != best.truncated or min(n, best.learned_on) <= COARSE:
+        rows = _spread(margin, COARSE)
+        fits = [_fit_warped(features[rows], margin[rows], truncated, name, warm) for name in WARPINGS]
+        best = max(fits, key=lambda fitted: fitted.log_likelihood)
+    if n > COARSE:
+        rows = _spread(margin, LEARNED_ON)
+        best = _fit_warped(features[rows], margin[rows], truncated, best.warping, best)
+    return best if len(best.margin) == n else _solved_at(features, margin, replace(best, learned_on=n))
+
+
+def _spread(margin: Array, most: int) -> NDArray[np.intp]:
+    """Rows of at most `most` points, in order, evenly spread over the sorted margins, (n,)."""
+    if len(margin) <= most:
+        return np.arange(len(margin))
+    return np.sort(np.argsort(margin, kind="stable")[np.linspace(0, len(margin) - 1, most).astype(int)])
 
 
 def _solved_at(features: Array, margin: Array, warm: MarginFit) -> MarginFit:
-    """The fit to more points with the warping and the hyperparameters of an earlier one."""
-    censored = (margin <= 0.0) & warm.truncated
-    y = WARPINGS[warm.warping][0](margin / warm.unit)
-    packed = pack(warm.hyperparameters)
-    final = penalised_likelihood(
-        features, y, censored, packed, _first_sites(censored, max(float(y[~censored].std()), 1e-3))
-    )
-    return replace(warm, features=features, margin=margin, sites=final.sites, log_likelihood=math.nan)
+    """The fit to other points with the warping and the hyperparameters of an earlier one."""
+    failed = np.flatnonzero((margin <= 0.0) & warm.truncated)
+    sites = CensoredSites(np.zeros(len(failed)), np.zeros(len(failed)))
+    fitted = replace(warm, features=features, margin=margin, sites=sites, log_likelihood=math.nan)
+    taken = np.isin(failed, fitted.rows)
+    if taken.any():
+        y, censored = fitted.warped(margin[fitted.rows]), np.isin(fitted.rows, failed)
+        start = _first_sites(censored, max(float(y[~censored].std()), 1e-3))
+        _, K = _prior(fitted.support, warm.hyperparameters)
+        found = _conditioned(K, y, censored, warm.hyperparameters.mean, start).sites
+        sites.linear[taken], sites.precision[taken] = found
+    return fitted
 
 
 def _first_sites(censored: NDArray[np.bool_], scale: float) -> CensoredSites:

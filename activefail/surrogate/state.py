@@ -60,6 +60,8 @@ def classifier_state(classifier: Classifier) -> dict[str, NDArray[Any]]:
             if trained.is_clipped:
                 # For readers without the margins.
                 state[f"{name}/clipped"] = np.int64(1)
+            if trained.size_of_support:
+                state[f"{name}/support"] = np.int64(trained.size_of_support)
             continue
         state |= {
             f"{name}/site_linear": trained.sites.linear.numpy(),

@@ -19,15 +19,16 @@ from activefail.reliability.estimate import (
     SURE,
     Doubt,
     Plan,
+    Predictor,
     ProbabilityEstimate,
     baseline,
     deviation_of_margins,
     plan_estimate,
 )
 from activefail.reliability.hidden import ModeCheck
-from activefail.reliability.integral import Boundaries, Standardised, boundaries_of, boundary_of
+from activefail.reliability.integral import Boundaries, BoundariesOf, Lost, Standardised, boundary_of, integrate
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
-from activefail.simulators.interface import NUMERICAL_FAILURE, Results
+from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
@@ -75,6 +76,7 @@ class Sampled:
         is_complete: whether the draws are all rows of the distribution.
         error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
         check: of a question; None if none was made.
+        existing: share of the distribution that the classifier takes for designs that exist; 1 if all do.
     """
 
     plan: Plan | StratifiedPlan
@@ -84,8 +86,17 @@ class Sampled:
     is_complete: bool = False
     error: float = 0.0
     check: ModeCheck | None = None
+    existing: float = 1.0
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
+        """The probability among the designs that exist, with an interval of this confidence (see `_among_all`)."""
+        estimate = self._among_all(confidence)
+        if self.existing == 1.0:
+            return estimate
+        middle, low, high = (min(1.0, p / self.existing) for p in (estimate.probability, estimate.low, estimate.high))
+        return replace(estimate, probability=middle, low=low, high=high)
+
+    def _among_all(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, which includes the error of the blocks.
 
         If the margins of the check lie farther from the classifier's than those of the fresh simulations, they decide
@@ -166,7 +177,7 @@ class _Fresh:
         designs: (s, d) to simulate.
         first: as `Sampled.first`.
         place: (m,) the simulation of each draw; None if every draw is simulated.
-        is_complete, error: as in `Sampled`.
+        is_complete, error, existing: as in `Sampled`.
     """
 
     plan: Plan | StratifiedPlan
@@ -177,6 +188,7 @@ class _Fresh:
     place: NDArray[np.int_] | None
     is_complete: bool
     error: float
+    existing: float
 
     def sampled(self, campaign: Campaign, classifier: Classifier, results: Results, severity: int) -> Sampled:
         """The sample with the results of the s simulations."""
@@ -184,9 +196,13 @@ class _Fresh:
         if isinstance(plan, Plan) and isinstance(latent, MarginLatent):
             margin = margin_of(campaign, classifier, severity, results.outcome, results.margins)
             plan = plan.deviating(deviation_of_margins(latent, campaign.features, self.designs, margin))
-        drawn = results.outcome if self.place is None else results.outcome[self.place]
-        beyond, answered = drawn >= severity, drawn != NUMERICAL_FAILURE
-        return Sampled(plan, beyond, answered, self.first, self.is_complete, self.error)
+        answered = results.outcome != NUMERICAL_FAILURE
+        # A design that does not exist is beyond no boundary.
+        answered |= is_impossible(campaign.simulator, results.outcome, results.cause)
+        beyond = results.outcome >= severity
+        if self.place is not None:
+            beyond, answered = beyond[self.place], answered[self.place]
+        return Sampled(plan, beyond, answered, self.first, self.is_complete, self.error, existing=self.existing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +226,7 @@ class Estimator:
     @property
     def boundaries(self) -> Boundaries:
         """All boundaries as a function of designs."""
-        return boundaries_of(self.classifier, self.campaign.features)
+        return BoundariesOf(self.classifier, self.campaign.features)
 
     def standardised(self, outcome: str) -> Standardised:
         """An outcome's boundary as a function of designs."""
@@ -337,7 +353,11 @@ def _fresh(
     designs, first, place = question.designs(plan.designs), None, None
     if isinstance(rows, WeightedRows):
         designs, first, place = np.unique(designs, axis=0, return_index=True, return_inverse=True)
-    return _Fresh(plan, name_of_estimate(*kept), name_of_check(*kept), designs, first, place, is_complete, error)
+    exists, existing = BoundariesOf(classifier, campaign.features).exists, 1.0
+    if exists is not None:
+        existing = integrate(exists, rows, designs=question.designs).of(0).probability
+    names = name_of_estimate(*kept), name_of_check(*kept)
+    return _Fresh(plan, *names, designs, first, place, is_complete, error, existing)
 
 
 def error_of_rows(standardised: Standardised, question: Question) -> float:
@@ -356,18 +376,24 @@ def _planned(
     They are drawn by importance under the campaign's own distribution, where the outcome is very rare, and where the
     boundary is learned from a margin: unlike outcomes, margins show how far from it a design is.
     """
-    latent, of_designs = classifier.latent(outcome), boundary_of(classifier, campaign.features, outcome)
+    latent, unknown = classifier.latent(outcome), classifier.unknown is not None
     rng = stream(campaign.settings.seed, "estimate", iteration)
     if question.draw:
         rng = stream(campaign.settings.seed, "draw", _DRAWS * iteration + question.draw)
 
-    def standardised(X: Array) -> Array:
-        return of_designs(question.designs(X))
+    def boundary(lost: Lost) -> Standardised:
+        of_designs = boundary_of(classifier, campaign.features, outcome, lost)
+        return lambda X: of_designs(question.designs(X))
 
-    in_strata = not (question.is_own or isinstance(latent, MarginLatent))
+    standardised = boundary("learned")
+    in_strata = not (question.is_own or unknown or isinstance(latent, MarginLatent))
     if in_strata and (plan := plan_strata(standardised, question.space, simulations, rng)) is not None:
         return plan
     share = baseline(standardised, question.space)
     if in_strata and (plan := plan_wide_strata(standardised, question.space, share, simulations, rng)) is not None:
         return plan
-    return plan_estimate(standardised, question.space, share, simulations, rng)
+    if not unknown:
+        return plan_estimate(standardised, question.space, share, simulations, rng)
+    none, everything = boundary("none"), boundary("all")
+    ends = Predictor(none, baseline(none, question.space)), Predictor(everything, baseline(everything, question.space))
+    return plan_estimate(standardised, question.space, share, simulations, rng, ends)

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 from rare import four_branch
+from scipy.integrate import quad
 from scipy.special import ndtr
+from scipy.stats import norm
 
 from activefail.acquisition.by_margin import doubt, doubtful_population, expected_doubt, propose_by_margin
 from activefail.features import feature_map
@@ -34,6 +36,21 @@ def test_the_expected_doubt_is_that_over_the_margins_that_may_come() -> None:
         assert expected[row] == pytest.approx(simulated.mean(), abs=3e-3)
     # What is learned never adds doubt on average.
     assert (expected <= doubt(mean[1:] / np.sqrt(K.diagonal()[1:])) + 1e-3).all()
+
+
+@pytest.mark.parametrize("rho", [0.1, 0.6, 0.9, 0.99, 0.999, 0.99999])
+def test_the_expected_doubt_is_that_of_numerical_integration_at_every_correlation(rho: float) -> None:
+    for b in np.linspace(-4.0, 4.0, 9):
+        left = np.sqrt(1.0 - rho**2)
+
+        def integrand(z: float, b: float = b, left: float = left) -> float:
+            return float(doubt(np.array(z)) * norm.pdf((left * z - b) / rho) * left / rho)
+
+        parts = [(-40.0, -3.0), (-3.0, 0.0), (0.0, 3.0), (3.0, 40.0)]
+        exact = sum(quad(integrand, low, high, epsabs=0.0, epsrel=1e-10)[0] for low, high in parts)
+        one = np.ones(1)
+        # The sum of Gaussian functions is accurate to 3e-5.
+        assert expected_doubt(b * one, one, one, rho * np.ones((1, 1)))[0, 0] == pytest.approx(exact, rel=4e-5)
 
 
 def test_a_known_margin_leaves_no_doubt_where_it_was_simulated() -> None:

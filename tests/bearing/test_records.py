@@ -16,6 +16,7 @@ from activefail.bearing import (
 )
 from activefail.bearing.design import GRAVITY
 from activefail.bearing.ground import samples
+from activefail.bearing.motion import describe_outcome, instants
 from activefail.bearing.pulse import ground_acceleration
 from activefail.errors import InputError
 from activefail.space import Array
@@ -138,6 +139,39 @@ def test_with_a_vertical_component_a_run_that_may_end_early_has_the_outcome_of_t
     assert set(early.outcome.tolist()) == {0, 1, 2}
     plain = simulate_records(X, [synthetic(k % 12, peak) for k, peak in enumerate(np.geomspace(0.08, 1.2, 120))])
     assert plain.margin("peak_displacement_ratio").tolist() != early.margin("peak_displacement_ratio").tolist()
+
+
+def lifting(push: float, vertical: float, dt: float = 0.005) -> Accelerogram:
+    """A horizontal push [m/s2] of 0.4 s, then a fall of the ground for 0.25 s by an acceleration [g]."""
+    t = np.arange(0.0, 3.0, dt)
+    across, up = np.where(t < 0.4, push, 0.0), np.where((t >= 0.4) & (t < 0.65), -vertical * GRAVITY, 0.0)
+    return Accelerogram(across, dt, vertical=up)
+
+
+def test_a_centred_bearing_that_vertical_motion_lifts_over_its_rims_height_and_that_comes_down_has_not_failed() -> None:
+    for row in bearings(8):
+        response = simulate_one(bearing_of(row), lifting(0.1, 2.5), to_the_end=True)
+        assert response.margins.peak_gap_ratio > 2.0
+        assert response.outcome_name == "no_impact"
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_bearing_that_moves_over_its_rims_while_lifted_has_escaped_without_a_rim_touch(side: float) -> None:
+    for row in bearings(8):
+        response = simulate_one(bearing_of(row), lifting(side * 3.0, 3.5))
+        assert (response.outcome_name, response.cause_name) == ("failure", "escape")
+        assert np.isnan(response.margins.first_touch_time)
+        assert "nan" not in describe_outcome(response)
+        assert list(instants(response)) == ["at rest", "failure"]
+
+
+def test_what_a_rim_throws_off_is_lost_with_vertical_motion_as_without() -> None:
+    plain = [synthetic(k, peak) for k, peak in enumerate(np.geomspace(0.5, 1.0, 60))]
+    nearly = [one.with_vertical(synthetic(k + 100, 1e-5)) for k, one in enumerate(plain)]
+    X = bearings(60, 4)
+    one, other = (simulate_records(X, records) for records in (plain, nearly))
+    assert (one.outcome == 2).sum() >= 20
+    assert (one.outcome != other.outcome).sum() <= 1
 
 
 def test_a_mirrored_record_keeps_its_vertical_component_and_mirrors_the_motion() -> None:

@@ -72,6 +72,22 @@ def test_an_empty_file_is_the_papers_study() -> None:
     assert Campaign.of(settings).simulator.outcomes == ("no_impact", "impact", "failure")
 
 
+@pytest.mark.parametrize(
+    ("rho", "features"), [(0.89, "design"), (0.9, "decorrelated"), (-0.95, "decorrelated"), ("0.95", None)]
+)
+def test_strongly_correlated_variables_of_a_custom_simulator_are_decorrelated(rho: object, features: str) -> None:
+    values = {
+        "simulator": {"python": "a:b", "outcomes": ["safe", "failure"]},
+        "space": {name: {"distribution": "normal", "mean": 0.0, "sd": 1.0} for name in ("x", "y")},
+        "correlation": [["x", "y", rho]],
+    }
+    if features is None:
+        with pytest.raises(ValueError, match="correlation"):
+            CampaignSettings.model_validate(values)
+    else:
+        assert CampaignSettings.model_validate(values).classifier.features == features
+
+
 def test_what_the_file_says_reaches_the_simulator() -> None:
     settings = parse_settings(
         """
@@ -278,7 +294,7 @@ BROKEN = {
     "unknown simulator": ('simulator = "fem"', ["simulator: must be 'dfp'", "'fem'"]),
     "unknown features": (
         'classifier.features = "all"',
-        ["classifier.features: must be 'paper', 'design', 'sliding' or 'collision'", "'all'"],
+        ["classifier.features: must be 'paper', 'design', 'decorrelated', 'sliding' or 'collision'", "'all'"],
     ),
     "number for features": ("classifier.features = 9", ["classifier.features: must be", "'sliding'", "9"]),
     "features without a function": (

@@ -116,6 +116,27 @@ class Deadly(Disc):
         os._exit(1)
 
 
+@dataclass(frozen=True)
+class DeadlyAtFirst(Disc):
+    """A compiled disc that ends its worker so many times, as an allocation does that ends.
+
+    Attributes:
+        folder: where the deaths are counted.
+        deaths: how many there are.
+    """
+
+    folder: str = ""
+    deaths: int = 4
+
+    releases_gil = True
+
+    def run(self, X: Array) -> Results:
+        if len(list(Path(self.folder).iterdir())) < self.deaths:
+            (Path(self.folder) / str(os.getpid())).touch()
+            os._exit(1)
+        return super().run(X)
+
+
 def versions() -> dict[str, str]:
     """What differs between these tests and the workers that they start."""
     return {"activefail": "1", "leader": "there" if "DASK_TEMPORARY_DIRECTORY" in os.environ else "here"}

@@ -17,7 +17,7 @@ import pytest
 from campaign.stub import Disc, disc
 from cases import some
 from commandline import activefail, record, refused, started, wait_for
-from execution.sent import Ambush, Deadly, Fatal, Gathered, Grave, Noted, Sleeping, Unknown, versions
+from execution.sent import Ambush, Deadly, DeadlyAtFirst, Fatal, Gathered, Grave, Noted, Sleeping, Unknown, versions
 from faults.simulators import Meddling, Remembering
 from patience import PATIENCE
 
@@ -346,7 +346,10 @@ def test_workers_that_cannot_load_what_they_are_sent_end_the_campaign_in_words(s
 
 @pytest.mark.faults
 @pytest.mark.exhaustive
-def test_a_design_that_costs_worker_after_worker_is_given_up(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_design_that_costs_worker_after_worker_is_given_up(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("activefail.execution.dask.TRIES", 1)
     with ExitStack() as stack:
         executor = stack.enter_context(DaskExecutor(cluster.address))
         for name in ("three", "four"):
@@ -354,6 +357,18 @@ def test_a_design_that_costs_worker_after_worker_is_given_up(cluster: Cluster, t
         results = executor.run(Deadly(), np.array([[2.5, 20.0]]))
     assert "its workers were lost" in results.faults[0]
     assert results.cause.tolist() == [WORKER_DIED]
+
+
+@pytest.mark.faults
+@pytest.mark.exhaustive
+def test_workers_that_an_allocation_ended_are_not_the_designs_fault(cluster: Cluster, tmp_path: Path) -> None:
+    X = np.array([[2.5, 20.0]])
+    with DaskExecutor(cluster.address) as executor:
+        for name in ("three", "four", "five"):
+            cluster.add(name)
+        # Dask gives up after four; the fifth worker answers.
+        results = executor.run(DeadlyAtFirst(folder=str(tmp_path)), X)
+    assert results.outcome.tolist() == Disc().run(X).outcome.tolist()
 
 
 TOML = """

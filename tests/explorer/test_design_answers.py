@@ -27,7 +27,7 @@ from activefail.findings.results import findings_of
 from activefail.loop.learning import current_classifier
 from activefail.opening import open_run
 from activefail.record.run_folder import FolderStore
-from activefail.reliability.estimate import standardised_latent
+from activefail.reliability.integral import boundary_of
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.required_chart import least_value
 from activefail.simulators.interface import Results
@@ -68,7 +68,7 @@ def hazard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_required_value_and_its_curve_are_those_of_the_classifier(design, findings, hazard, refined):
     reply = design.required(design.asked(REQUEST), refined)
     campaign = findings.campaign
-    latent = standardised_latent(findings.classifier.latent("failure"), campaign.features)
+    latent = boundary_of(findings.classifier, campaign.features, "failure")
     question = hazard_question(read_hazard(hazard), campaign.settings, campaign.space, BEARING)
 
     def probability(at: float) -> float:

@@ -24,6 +24,7 @@ from activefail.record.batch import ACTIVE, CHECK, INITIAL
 from activefail.record.memory import MemoryStore
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results
+from activefail.surrogate import margin
 from activefail.surrogate.threads import one_thread
 
 PROBABILITY = 2.2225e-3
@@ -156,7 +157,9 @@ def test_a_check_that_meets_a_hidden_failure_continues_the_campaign(ended) -> No
     where = np.array([[-2.4, 2.2]])
     hidden = campaign_on(FourBranch(hidden=(-2.4, 2.2)))
     results = hidden.simulator.run(where)
-    batch = History(where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins)
+    batch = History(
+        where, results.outcome, np.array([1]), np.array([CHECK], dtype=np.int8), results.margins, results.cause
+    )
     assert contradicted(hidden, known.classifier, batch).tolist() == [True]
     # On the right side, but with a margin that the classifier considered impossible.
     odd = replace(batch, outcome=np.zeros(1, dtype=np.int8), margins=np.array([[50.0]]))
@@ -195,7 +198,7 @@ def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended, at_c
     last = whole.last_iteration
     before = History.of(store.batches[: n - 1])
     earlier = current(campaign, copied(campaign, at_check), write=False)
-    for rows, failed, known in ((8, 0, True), (8, 2, True), (8, 3, False), (3, 0, False)):
+    for rows, failed, known in ((8, 0, True), (8, 2, False), (3, 0, False)):
         outcome = store.batches[-1].results.outcome.copy()
         outcome[:failed] = -1
         batch = store.batches[-1]
@@ -205,11 +208,12 @@ def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended, at_c
             np.full(rows, last),
             batch.origin[:rows],
             batch.results.margins[:rows],
+            batch.results.cause[:rows],
         )
         history = History(
             *(
                 np.concatenate([getattr(one, name) for one in (before, checked)])
-                for name in ("designs", "outcome", "iteration", "origin", "margins")
+                for name in ("designs", "outcome", "iteration", "origin", "margins", "cause")
             )
         )
         learned = Learned.after(campaign, history, last, earlier)
@@ -240,6 +244,14 @@ def test_without_margins_the_rule_never_ends_a_campaign() -> None:
     store = taken(campaign)
     assert len(History.of(store.batches)) == 20
     assert not current(campaign, store, write=False).looks.is_known
+
+
+def test_predictions_from_a_part_of_the_simulations_are_announced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(margin, "EXACT", 16)
+    campaign = campaign_on(FourBranch(), sampling__budget=20)
+    store = taken(campaign)
+    (text,) = choices_in_words(campaign, History.of(store.batches), current(campaign, store, write=False).classifier)
+    assert "; predictions rest on 16 simulations, half of them those with the smallest margins" in text
 
 
 @pytest.mark.parametrize("asynchronous", [False, True])
@@ -304,7 +316,7 @@ def test_asked_for_one_design_at_a_time_it_ends_with_the_bits_of_the_loop(ended)
         told(campaign, store, proposed.designs)
     assert proposed.reason == "the stop rule is met"
     one, other = History.of(store.batches), History.of(whole.batches)
-    for name in ("designs", "outcome", "iteration", "origin", "margins"):
+    for name in ("designs", "outcome", "iteration", "origin", "margins", "cause"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes(), name
     assert len(ask(campaign, store, 1, 120, ignore_stop=True).designs) == 1
 

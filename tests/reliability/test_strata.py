@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import Integral, integrated, plan_estimate
+from activefail.reliability.estimate import Baseline, baseline, plan_estimate
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.space import Array, DesignSpace
 from activefail.weighted import WeightedRows
@@ -121,7 +121,7 @@ def test_without_a_wrong_prediction_the_interval_keeps_a_width_that_falls_with_t
     for m in (30, 120, 480):
         plan = plan_of(0.12, m, 0)
         estimate = plan.estimate(plan.predicted, all_answered(plan), 0.9)
-        assert estimate.probability == pytest.approx(estimate.model, abs=1e-3)
+        assert estimate.probability == pytest.approx(plan.probability, abs=1e-3)
         assert estimate.wrong == 0
         widths.append(estimate.high - estimate.low)
     assert widths[0] > 1.5 * widths[1] > 2.0 * widths[2] > 0.0
@@ -167,7 +167,7 @@ def test_hidden_failure_is_within_the_bound_of_a_rare_outcome_where_importance_s
 
     true = float(with_islands(SPACE.from_unit(np.random.default_rng(0).random((1_000_000, 2)))).mean())
     assert 1.1 * probability < true < 1.4 * probability
-    integral = integrated(of, SPACE, np.random.default_rng(0))
+    integral = baseline(of, SPACE)
     held = {"strata": 0, "importance": 0}
     for seed in range(25):
         for name, plans in (("strata", plan_wide_strata), ("importance", plan_estimate)):
@@ -186,7 +186,7 @@ def test_a_rare_outcome_has_the_probability_of_its_integral_and_no_wider_interva
         plan = plan_strata(of, SPACE, 300, rng)
         assert (plan is None) == (probability < 0.01)
         if plan is None:
-            integral = integrated(of, SPACE, rng)
+            integral = baseline(of, SPACE)
             plan = plan_wide_strata(of, SPACE, integral, 300, rng)
             assert plan is not None
             assert plan.volume.sum() == pytest.approx(1.0)
@@ -204,7 +204,7 @@ def test_a_rare_outcome_of_weighted_rows_has_strata_of_its_rows() -> None:
     def of(X: Array) -> Array:
         return (X[:, 0] - limit) / 0.001
 
-    integral = Integral(float((rows.X[:, 0] > limit).mean()), 0.0)
+    integral = Baseline(float((rows.X[:, 0] > limit).mean()), 0.0)
     plan = plan_wide_strata(of, rows, integral, 300, np.random.default_rng(0))
     assert plan is not None
     assert plan.standard_error == 0.0
@@ -214,7 +214,7 @@ def test_a_rare_outcome_of_weighted_rows_has_strata_of_its_rows() -> None:
 
 
 def test_an_outcome_rarer_than_one_in_a_thousand_has_no_strata() -> None:
-    assert plan_wide_strata(rare_latent(8e-4), SPACE, Integral(8e-4, 0.0), 100, np.random.default_rng(0)) is None
+    assert plan_wide_strata(rare_latent(8e-4), SPACE, Baseline(8e-4, 0.0), 100, np.random.default_rng(0)) is None
 
 
 def test_the_expected_width_is_that_of_intervals_if_the_classifier_is_right() -> None:

@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 
 from activefail.campaign.question import Question
 from activefail.parameter import Parameter
-from activefail.reliability.estimate import Integral, ProbabilityEstimate, plan_estimate
+from activefail.reliability.estimate import Baseline, ProbabilityEstimate, plan_estimate
 from activefail.risk.fragility.band import (
     NOT_VERIFIED,
     VerifiedLevel,
@@ -184,7 +184,7 @@ def test_an_interval_includes_the_error_of_the_sequences() -> None:
 
     question = as_rows(Question.of_space(space).at({"x": 0.5}))
     assert isinstance(question.space, WeightedRows)
-    of_classifier = Integral(float((disc(question.designs(question.space.X)) > 0.0).mean()), 0.0)
+    of_classifier = Baseline(float((disc(question.designs(question.space.X)) > 0.0).mean()), 0.0)
     rng = np.random.default_rng(0)
     plan = plan_estimate(lambda X: disc(question.designs(X)), question.space, of_classifier, 30, rng)
     right = Sampled(plan, plan.predicted, np.ones(30, dtype=bool), error=error_of_rows(disc, question)).estimate(0.95)

@@ -162,10 +162,13 @@ def test_rare_failures_of_a_capacity_with_added_uncertainty_are_not_missed(tmp_p
     def question(hazard: Hazard) -> Question:
         return hazard_question(hazard, settings, space, middles)
 
-    (parts,) = deaggregated(beyond, question, read_hazard(tmp_path / "site.toml"))
+    hazard = read_hazard(tmp_path / "site.toml")
+    probability = question(hazard).integral(beyond, space).probability
+    (parts,) = deaggregated(beyond, question, hazard, probability)
     true = float(ndtr(-math.log(limit) / math.hypot(0.2, 0.3)))
-    # 512 pulses with 8 values each; that of failures with a probability of 3 % is 120 points.
     assert parts.probability == pytest.approx(true, rel=0.06)
+    assert parts.velocity_of_failures is not None
+    assert parts.velocity_of_failures.median > 1.1 * parts.velocity_of_pulses.median
 
 
 def test_the_period_enters_the_curve_against_the_amplitude(ended: Path) -> None:

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from commandline import activefail, refused
 
+from activefail.accelerogram_sets import read_record_set
 from activefail.bearing import Accelerogram
 from activefail.bearing.design import GRAVITY
 from activefail.errors import InputError
 from activefail.risk.ida import simulations
-from activefail.risk.ida.p695 import MarginOptions, MarginRequest, shape_factor, total_dispersion
+from activefail.risk.ida.intensity import Intensity, spectral_acceleration, unscaled
+from activefail.risk.ida.p695 import (
+    MarginOptions,
+    MarginRequest,
+    normalised_intensity,
+    shape_factor,
+    total_dispersion,
+)
 from activefail.space import Array
 
 TOML = "T_b = 3.5\nmu = 0.06\nD_tot = 0.6\nh_sl_ratio = 0.6\nh_rim_ratio = 0.1\np = 45\nk = 2e9\n"
@@ -89,7 +97,6 @@ def test_ratings_that_are_none_are_refused(ratings: str) -> None:
     [
         ({"ssf": 1.2}, "--ssf requires --mce."),
         ({"beta_total": 0.5}, "--beta-total requires --mce."),
-        ({"sdc": "dmax", "ductility": 8.0}, "--sdc requires --mce."),
         ({"mce": 1.0, "sdc": "dmax"}, "--sdc requires --ductility"),
         ({"mce": 1.0, "ductility": 3.0}, "--ductility requires --sdc or --ratings."),
         ({"mce": 1.0, "ductility": 0.9, "ratings": "A,A,A"}, "--ductility: must be at least 1, got 0.9."),
@@ -104,13 +111,13 @@ def test_options_that_need_or_exclude_others_say_so(options: dict, message: str)
 
 
 def test_the_options_are_those_stated_and_the_note_says_where_they_come_from() -> None:
-    assert MarginRequest().options(3.0, "") is None
-    assert MarginRequest(mce=0.9).options(3.0, "") == MarginOptions(
+    assert MarginRequest().options(3.0, "", False) is None
+    assert MarginRequest(mce=0.9).options(3.0, "", False) == MarginOptions(
         0.9,
         note="The spectral shape factor is 1, because neither --ssf nor --sdc is stated. "
         "β is 0.5, because neither --beta-total nor --ratings is stated.",
     )
-    stated = MarginRequest(mce=0.9, ssf=1.3, ratings="B,B,C", ductility=1.5).options(3.0, "")
+    stated = MarginRequest(mce=0.9, ssf=1.3, ratings="B,B,C", ductility=1.5).options(3.0, "", True)
     assert stated is not None
     assert (stated.shape_factor, stated.total_dispersion) == (1.3, total_dispersion("B,B,C", 1.5))
     assert stated.note == (
@@ -124,17 +131,20 @@ def test_the_command_computes_shape_factor_and_dispersion(
 ) -> None:
     def failing_above_half_g(X: Array, records: list[Accelerogram], *_: object) -> SimpleNamespace:
         fails = np.array([record.peak > 0.5 * GRAVITY for record in records])
-        return SimpleNamespace(outcome=np.where(fails, 2, 0), cause=np.zeros(len(records), dtype=np.int8))
+        cause, touch = np.zeros(len(records), dtype=np.int8), np.ones(len(records))
+        return SimpleNamespace(outcome=np.where(fails, 2, 0), cause=cause, margin=lambda _: touch)
 
     # The factors follow from the options, whatever the capacities are.
     monkeypatch.setattr(simulations, "simulate_records", failing_above_half_g)
     (tmp_path / "bearing.toml").write_text(TOML)
-    words = ("ida", "--records", "nearfield-no-pulse", "--bearing", tmp_path / "bearing.toml")
-    margin = ("--mce", "1.1", "--sdc", "Dmax", "--ductility", "4", "--ratings", "B,B,C")
+    words = ("ida", "--records", "farfield", "--bearing", tmp_path / "bearing.toml", "--scale-to", "p695")
+    margin = ("--sdc", "Dmax", "--ductility", "4", "--ratings", "B,B,C")
     numbers = json.loads(activefail(*words, *margin, "--json").out)
-    assert numbers["shape_factor"] == shape_factor(3.5, 4.0, "dmax", "nearfield_no_pulse")
+    assert numbers["shape_factor"] == shape_factor(3.5, 4.0, "dmax", "farfield")
     assert numbers["beta_total"] == total_dispersion("B,B,C")
-    assert numbers["acmr"] == pytest.approx(numbers["shape_factor"] * numbers["median"] / 1.1)
+    # S_MT = S_M1/T with S_M1 = 0.9 g [FEMA2009, table 6-1B].
+    assert numbers["cmr"] == pytest.approx(numbers["median"] / (0.9 / 3.5))
+    assert numbers["acmr"] == pytest.approx(numbers["shape_factor"] * numbers["cmr"])
     assert numbers["acceptable_acmr_10"] == pytest.approx(np.exp(1.2815516 * numbers["beta_total"]))
 
 
@@ -144,4 +154,38 @@ def test_a_folder_of_records_has_no_shape_factor(tmp_path: Path) -> None:
         (tmp_path / name).write_text("0\n1\n0\n")
     words = ("ida", "--records", tmp_path, "--bearing", tmp_path / "bearing.toml", "--unit", "g", "--dt", "0.01")
     margin = ("--mce", "1.1", "--sdc", "dmax", "--ductility", "4")
-    refused(activefail(*words, *margin), "--sdc: requires a set of FEMA P695", "State the shape factor with --ssf.")
+    refused(activefail(*words, *margin), "--sdc: requires --scale-to p695", "with --ssf.")
+    refused(
+        activefail(*words, *margin, "--scale-to", "p695"), "--scale-to p695: requires --records farfield or nearfield"
+    )
+
+
+def test_s_nrt_is_the_geometric_mean_spectral_acceleration_of_the_set(package: SimpleNamespace) -> None:
+    motions = [record.motion for record in read_record_set("farfield").records]
+    for period in (0.25, 1.0, 3.0, 5.0):
+        mean = np.exp(np.mean([np.log(spectral_acceleration(motion, period) / GRAVITY) for motion in motions]))
+        # The tables have three digits.
+        assert normalised_intensity(period, "farfield") == pytest.approx(mean, rel=0.015)
+
+
+def test_p695_scales_all_records_by_one_factor(package: SimpleNamespace) -> None:
+    records = read_record_set("farfield")
+    intensity = Intensity.of("p695").on(3.5, records.of_p695)
+    own = unscaled(intensity, [record.motion for record in records.records], 1.0)
+    assert set(own.tolist()) == {normalised_intensity(3.5, "farfield")}
+    for period, name, message in (
+        (0.2, "farfield", r"T_b must be from 0\.25 to 5 s"),
+        (3.5, "nearfield_pulse", "requires --records farfield or nearfield"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Intensity.of("p695").on(period, name)
+
+
+def test_p695s_factors_under_another_scaling_are_refused_or_noted() -> None:
+    with pytest.raises(InputError, match="--sdc: requires --scale-to p695"):
+        MarginRequest(mce=1.0, sdc="dmax", ductility=4.0).options(3.0, "farfield", False)
+    request = MarginRequest(mce=1.0, ssf=1.3)
+    noted, silent = (request.options(3.0, "farfield", collective) for collective in (False, True))
+    assert noted is not None
+    assert silent is not None
+    assert len(noted.note) > len(silent.note)

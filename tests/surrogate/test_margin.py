@@ -179,6 +179,39 @@ def test_hyperparameters_are_kept_until_many_margins_are_new() -> None:
     assert fit_margin(X, g, warm=first).learned_on == 130
 
 
+@pytest.mark.parametrize("truncated", [False, True])
+def test_of_many_margins_a_support_is_kept_that_is_half_nearest_the_boundary(
+    truncated: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(m, "LEARNED_ON", 60)
+    monkeypatch.setattr(m, "COARSE", 40)
+    monkeypatch.setattr(m, "EXACT", 100)
+    X = np.random.default_rng(9).standard_normal((400, 2)) * 1.6
+    g = np.maximum(four_branch(X), 0.0) if truncated else four_branch(X)
+    fitted = fit_margin(X, g)
+    assert (fitted.truncated, fitted.learned_on, fitted.size_of_support) == (truncated, 400, 100)
+    known = np.where(g > 0.0, g, np.inf) if truncated else np.abs(g)
+    assert np.isin(np.argsort(known)[:50], fitted.rows).all()
+    mean, _ = fitted.moments(FRESH)
+    assert np.mean((mean <= 0.0) != (four_branch(FRESH) <= 0.0)) < 0.02
+    # What is outside the support is predicted from the support as it is.
+    outside = np.setdiff1d(np.arange(400), fitted.rows)
+    left_out, deviation = fitted.left_out()
+    np.testing.assert_array_equal([left_out[outside], deviation[outside]], fitted.moments(X[outside]))
+    more = fit_margin(np.concatenate([X, FRESH[:5]]), np.concatenate([g, four_branch(FRESH[:5])]), truncated, fitted)
+    assert more.hyperparameters == fitted.hyperparameters
+    assert len(MarginLatent(more).model.X) == 100
+
+
+def test_ten_thousand_margins_in_thirty_variables_are_learned_from() -> None:
+    X = np.random.default_rng(10).standard_normal((12_000, 30))
+    g = 2.0 - X.sum(axis=1) / math.sqrt(30.0) + 0.3 * np.sin(2.0 * X[:, 0])
+    fitted = fit_margin(X[:10_000], g[:10_000])
+    assert fitted.solved.L.shape == (m.EXACT, m.EXACT)
+    mean, _ = fitted.moments(X[10_000:])
+    assert np.mean((mean <= 0.0) != (g[10_000:] <= 0.0)) < 0.005
+
+
 @pytest.mark.parametrize(
     ("margin", "truncated"),
     [

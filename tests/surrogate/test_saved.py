@@ -8,13 +8,14 @@ from activefail.errors import DamagedError
 from activefail.features import feature_map
 from activefail.parameter import Parameter
 from activefail.space import DesignSpace
+from activefail.surrogate import margin
 from activefail.surrogate.classifier import Latent, LearnableMargins, train
 from activefail.surrogate.covariance import Hyperparameters
 from activefail.surrogate.fitting import Fit
 from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.saved import SavedClassifier, SavedLatent
 from activefail.surrogate.sites import Sites
-from activefail.surrogate.state import classifier_state, saved_classifier
+from activefail.surrogate.state import classifier_from_state, classifier_state, saved_classifier
 
 SPACE = DesignSpace((Parameter("a", -1.0, 3.0), Parameter("b", 1.0, 20.0, distribution="log_uniform")))
 FEATURES = feature_map("design", SPACE)
@@ -34,7 +35,8 @@ def trained(kernel, truncated=None):
     if truncated is not None:
         values = np.stack([(limit - level(X))[:, None] for limit in (0.6, 1.4)])
         # A simulation that ends at failure reports 0.
-        margins = LearnableMargins(np.where(truncated & (values < 0.0), 0.0, values), (0,), required=True)
+        values = np.where(truncated & (values < 0.0), 0.0, values)
+        margins = LearnableMargins(values, np.array([[-0.6], [-1.4]]), (0,), required=True)
     given = (X, outcome, OUTCOMES, FEATURES, kernel)
     return train(*given, None, margins), (*given, margins)
 
@@ -63,6 +65,19 @@ def test_the_moments_are_those_of_the_classifier(learned):
         assert_same_moments(ours.moments(F), theirs.moments(F))
         # At the training points variances are the smallest.
         assert_same_moments(ours.moments(theirs.features), theirs.moments(theirs.features))
+
+
+@pytest.mark.parametrize("truncated", [False, True])
+def test_a_state_gives_the_bits_of_a_classifier_with_a_support(truncated, monkeypatch):
+    monkeypatch.setattr(margin, "LEARNED_ON", 50)
+    monkeypatch.setattr(margin, "COARSE", 40)
+    monkeypatch.setattr(margin, "EXACT", 80)
+    classifier, given = trained("rbf", truncated)
+    state = classifier_state(classifier)
+    assert state["hit/support"] == 80
+    restored = classifier_from_state(state, *given)
+    for one, other in zip(classifier.latents, restored.latents, strict=True):
+        assert np.stack(one.moments(FEATURES(FRESH))).tobytes() == np.stack(other.moments(FEATURES(FRESH))).tobytes()
 
 
 def test_a_state_gives_the_bits_of_the_classifier_that_was_just_trained(learned):

@@ -42,7 +42,7 @@ def search_design(
         campaign,
         designed,
         hazard,
-        designed.question.share_outside(campaign.space),
+        designed.question.outside(campaign.space),
         _at_upper_bounds(estimator, designed, hazard),
         _at_least_velocity(estimator, designed, hazard),
         chart,

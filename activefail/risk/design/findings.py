@@ -5,14 +5,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from activefail.bearing.design import GRAVITY
+from activefail.bearing.terms import Terms
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
+from activefail.campaign.question import Outside
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.design_task import LOOKS, Rate
 from activefail.risk.design.required_chart import RequiredChart
-from activefail.risk.design.search import Designed
+from activefail.risk.design.search import WORTH, Designed
 from activefail.shares import bounds_percent, percent
-from activefail.simulators.bearing import limits_of
+from activefail.simulators.bearing import limits_of, terms_of
 from activefail.visible import or_worse, visible
 
 BEARING_PERIOD = "T_b"
@@ -27,7 +29,7 @@ class DesignFindings:
         campaign: the campaign.
         designed: the result of the search.
         hazard: the hazard of the question; None for another question.
-        extrapolated: share of the question outside the campaign's design space.
+        outside: what of the question lies outside the campaign's design space.
         at_upper: classifier's probability of each target's outcome at the upper property bounds, without interval;
             empty without such bounds.
         at_least: classifier's probability of each target's outcome at the least velocity of the hazard's curve,
@@ -38,7 +40,7 @@ class DesignFindings:
     campaign: Campaign
     designed: Designed
     hazard: Hazard | None
-    extrapolated: float
+    outside: Outside
     at_upper: tuple[float, ...] = ()
     at_least: tuple[float, ...] = ()
     chart: RequiredChart | None = None
@@ -61,14 +63,29 @@ class DesignFindings:
         μ + D_tot (2π/T_b)²/g, the force of two equal dishes before a rim is touched. None if the campaign's design is
         not a bearing.
         """
-        known = {**self.campaign.space.fixed, **self.bearing}
+        known = self._at_upper_friction
         if not {BEARING_PERIOD, FRICTION, CAPACITY} <= known.keys():
             return None
-        factor = 1.0
-        if self.hazard is not None:
-            factor = self.hazard.at_bound("upper").factors.get(FRICTION, 1.0)
         stiffness = (2.0 * math.pi / known[BEARING_PERIOD]) ** 2 / GRAVITY
-        return known[FRICTION] * factor + known[CAPACITY] * stiffness
+        return known[FRICTION] + known[CAPACITY] * stiffness
+
+    @property
+    def terms(self) -> Terms | None:
+        """The bearing in the designer's terms, at the upper bound of friction; None if a value is uncertain."""
+        return terms_of(self.campaign.simulator, self._at_upper_friction)
+
+    @property
+    def friction(self) -> str:
+        """The friction of `lateral_force` and `terms`, in words."""
+        upper = self.hazard is not None and FRICTION in self.hazard.at_bound("upper").factors
+        return "at the upper bound of friction" if upper else "at the given friction (the hazard has no upper bound)"
+
+    @property
+    def _at_upper_friction(self) -> dict[str, float]:
+        known = {**self.campaign.space.fixed, **self.bearing}
+        if self.hazard is not None and FRICTION in known:
+            known[FRICTION] *= self.hazard.at_bound("upper").factors.get(FRICTION, 1.0)
+        return known
 
     @property
     def assumptions(self) -> list[str]:
@@ -94,7 +111,7 @@ class DesignFindings:
                 "campaign's."
             )
         sentences.append(
-            f"{percent(self.extrapolated)} of the question's distribution lies outside the campaign's design space, "
+            f"{percent(self.outside.share)} of the question's distribution lies outside the campaign's design space, "
             "where the classifier extrapolates. Fresh simulations are drawn there too; nothing is clipped."
         )
         sentences.append(
@@ -104,7 +121,7 @@ class DesignFindings:
             + "."
         )
         kind = "small" if task.cost_text == task.free[0] else "cheap"
-        candidate = self.designed.last.candidate
+        candidate = self.designed.result.candidate
         if not candidate.is_feasible:
             sentences.append(
                 "No design within the ranges brings the classifier's probability down to the search's goal. This "
@@ -134,7 +151,7 @@ class DesignFindings:
             sentences.append(
                 "The bounds assume that there are no failures where the classifier is sure of survival. Without this "
                 f"assumption, up to {percent(missable)} of the designs drawn could fail there without having been seen "
-                f"({100.0 * self.designed.last.of_bound:.3g} % confidence)."
+                f"({100.0 * self.designed.result.of_bound:.3g} % confidence)."
             )
         return [*sentences, *limits_of(self.campaign.simulator)]
 
@@ -144,7 +161,9 @@ class DesignFindings:
         designed = self.designed
         match designed.status:
             case "verified":
-                return "The design meets its target: the upper bound from fresh simulations lies below it."
+                return (
+                    f"The design meets its target: the upper bound from fresh simulations lies below it. {self._ending}"
+                )
             case "not verified" if designed.surprising:
                 return (
                     f"Not verified: fresh simulations ({designed.surprising} of {designed.simulations}) contradict the "
@@ -162,6 +181,20 @@ class DesignFindings:
                     "simulations confirm this for the nearest design, shown here."
                 )
 
+    @property
+    def _ending(self) -> str:
+        """Why no smaller design was looked at, or what became of it, in one sentence."""
+        designed, task = self.designed, self.designed.task
+        cost = task.cost(designed.values)
+        kind = "smaller" if task.cost_text == task.free[0] else "cheaper"
+        for look in designed.looks:
+            if task.cost(look.candidate.values) < cost:
+                values = ", ".join(f"{name} = {value:.4g}" for name, value in look.candidate.values.items())
+                return f"A {kind} one, {values}, was not verified."
+        if len(designed.looks) < len(LOOKS):
+            return f"Another look is not expected to verify one that is {kind} by {100.0 * WORTH:g} %."
+        return f"No look is left for a {kind} one."
+
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
         designed = self.designed
@@ -175,7 +208,7 @@ class DesignFindings:
                 "risk": None if task.rate is None else _risk_json(task.rate, one.target, estimate),
             }
             for one, estimate, model in zip(
-                task.requirements, designed.last.estimates, designed.last.candidate.model.tolist(), strict=True
+                task.requirements, designed.result.estimates, designed.result.candidate.model.tolist(), strict=True
             )
         ]
         return {
@@ -187,7 +220,8 @@ class DesignFindings:
             "confidence": task.confidence,
             "simulations": designed.simulations,
             "requirements": requirements,
-            "confidence_of_each_bound": designed.last.of_bound,
+            "confidence_of_each_bound": designed.result.of_bound,
+            "look": designed.number,
             "looks": [
                 {
                     "values": dict(look.candidate.values),
@@ -204,11 +238,15 @@ class DesignFindings:
                 f"{confidence:g}": None if math.isnan(value) else value for confidence, value in designed.costs.items()
             },
             "lateral_force_over_weight": self.lateral_force,
+            "terms": None if (terms := self.terms) is None else terms.as_json(),
             "classifier_probability_at_upper_bounds": list(self.at_upper) or None,
             "classifier_probability_at_least_velocity": list(self.at_least) or None,
             "uncertain": self.uncertain,
             "question": designed.question.title,
-            "outside_design_space": self.extrapolated,
+            "outside_design_space": self.outside.share,
+            "ranges_to_widen_to": [
+                {"name": name, "low": low, "high": high} for name, (low, high) in self.outside.ranges.items()
+            ],
             "assumptions": self.assumptions,
             "chart": None if self.chart is None else _chart_json(self.chart),
         }
@@ -216,14 +254,15 @@ class DesignFindings:
     def lines(self) -> list[tuple[str, str]]:
         """Titles and texts for a terminal."""
         designed, units = self.designed, {p.name: p.unit for p in self.campaign.space.parameters}
-        task, bound = designed.task, f"{100.0 * designed.last.of_bound:.3g} %"
+        task, bound = designed.task, f"{100.0 * designed.result.of_bound:.3g} %"
         outcomes = self.campaign.simulator.outcomes
-        lines = [
+        lines = [("widen", self.outside.advice)] if self.outside.advice else []
+        lines.append(
             ("design", ", ".join(_value(name, value, units.get(name, "")) for name, value in self.bearing.items()))
-        ]
+        )
         lines.append(("result", self.verdict))
         for one, estimate, model in zip(
-            task.requirements, designed.last.estimates, designed.last.candidate.model, strict=True
+            task.requirements, designed.result.estimates, designed.result.candidate.model, strict=True
         ):
             lines.append(
                 (
@@ -267,10 +306,11 @@ class DesignFindings:
             lines.append(
                 ("confidence", f"{first} that one look would need at another confidence (approximate): {shown}")
             )
-        if (force := self.lateral_force) is not None:
-            upper = self.hazard is not None and FRICTION in self.hazard.at_bound("upper").factors
-            at = "at the upper bound of friction" if upper else "at the given friction (the hazard has no upper bound)"
-            lines.append(("force", f"lateral force at D_tot over weight: {force:.3g}, {at} (formula, no interval)"))
+        if (terms := self.terms) is not None:
+            lines += terms.lines(f", {self.friction}")
+        elif (force := self.lateral_force) is not None:
+            text = f"lateral force at D_tot over weight: {force:.3g}, {self.friction} (formula, no interval)"
+            lines.append(("force", text))
         for one, share in zip(task.requirements, self.at_upper, strict=False):
             lines.append(
                 (

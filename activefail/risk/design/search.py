@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -40,6 +40,13 @@ _IMAGINED = len(LOOKS) + 1
 
 _LEAST = 1e-12
 """Least probability whose logarithm is taken."""
+
+_HALVES, _OFF, _LEAST_AIM = 1.3, 0.025, 0.2
+"""Distance of an aim from its target: half widths of the interval, which are wider where the classifier errs more than
+it expects, and a share of the target, for the classifier's own error; and least aim over its target."""
+
+WORTH = 0.05
+"""Least share of the cost that a smaller design must promise to save for a further look."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +118,9 @@ class Designed:
 
     Attributes:
         task: what was asked.
-        looks: at candidates; the last one is the result.
-        status: "verified"; "not verified" if every look's upper bound exceeded a target, or a look contradicted the
+        looks: at candidates, in the order in which they were proposed.
+        number: of the look at the result, from 1 on: the cheapest verified design, or else the last look.
+        status: "verified"; "not verified" if every look's upper bound exceeded a target, or contradicted the
             classifier where it was sure; "out of reach" if simulations show that the nearest design under the
             classifier exceeds a target.
         costs: confidence -> value of the first free variable that it would take, the others held; NaN if out of range.
@@ -120,18 +128,19 @@ class Designed:
 
     task: DesignTask
     looks: tuple[Look, ...]
+    number: int
     status: Status
     costs: Mapping[float, float]
 
     @property
-    def last(self) -> Look:
+    def result(self) -> Look:
         """The look at the result."""
-        return self.looks[-1]
+        return self.looks[self.number - 1]
 
     @property
     def values(self) -> Mapping[str, float]:
         """The values of the free variables."""
-        return self.last.candidate.values
+        return self.result.candidate.values
 
     @property
     def question(self) -> Question:
@@ -146,19 +155,19 @@ class Designed:
     @property
     def surprising(self) -> int:
         """Fresh simulations that contradict the classifier where it was sure."""
-        return self.last.surprising
+        return self.result.surprising
 
     @property
     def missable(self) -> float:
         """Largest share of the distribution that may fail unseen where the classifier is sure; 0 if all of it is known.
 
-        The confidence is that of the last look's bound.
+        The confidence is that of the result's bound.
         """
         shares = [0.0]
-        for sampled in self.last.sampled:
+        for sampled in self.result.sampled:
             if not sampled.is_complete:
                 count, share = sampled.plan.surest
-                shares.append(share * largest_unseen_share(count, self.last.of_bound))
+                shares.append(share * largest_unseen_share(count, self.result.of_bound))
         return min(1.0, max(shares))
 
     @property
@@ -196,9 +205,10 @@ def find_design(
     """Find the cheapest design that meets its targets, and verify it.
 
     The classifier proposes a design whose probabilities lie below the targets, by as much as the verification needs.
-    Fresh simulations verify it. If an upper bound exceeds its target, the ratio of the estimate to the classifier's
-    probability corrects the next proposal, which is looked at with fresh simulations of its own: those that chose a
-    design never verify it. The looks share the probability of a false result.
+    Fresh simulations verify it, or not, and correct the classifier for the next proposal, which may be larger or
+    smaller and is looked at with fresh simulations of its own: those that chose a design never verify it. The looks
+    share the probability of a false result. The search ends when they are spent, or when a design is verified and the
+    next proposal would be cheaper by less than `WORTH`. The cheapest verified design is the result.
 
     Args:
         estimator: simulates.
@@ -207,58 +217,80 @@ def find_design(
         with_costs: whether to compute what other confidences would cost.
     """
     model = _Model(task, tuple(estimator.standardised(one.outcome) for one in task.requirements))
+    columns = [estimator.campaign.simulator.outcomes.index(one.outcome) - 1 for one in task.requirements]
 
-    def question_of(candidate: Candidate, look: int) -> Question:
-        return task.question.at(candidate.values).drawn(look)
+    def exactly(candidate: Candidate) -> Candidate:
+        """A candidate with its probabilities as every other place shows them, not as the search's points gave them."""
+        integral = task.question.at(candidate.values).integral(estimator.boundaries, estimator.campaign.space)
+        return replace(candidate, model=integral.probability[columns])
 
-    def half_widths(candidate: Candidate) -> Array:
-        """Expected half widths of the intervals, (r,)."""
-        question, simulations = question_of(candidate, _IMAGINED), task.simulations_of(0)
+    def half_widths() -> Array:
+        """Expected half widths of the intervals of the next look, (r,)."""
+        confidence, simulations = 2.0 * task.of_bound(len(looks)) - 1.0, task.simulations_of(len(looks))
+        if looks:
+            # What the last look showed; the classifier would only say how unsure it is.
+            ratio = math.sqrt(task.simulations_of(len(looks) - 1) / simulations)
+            estimates = [sampled.estimate(confidence) for sampled in looks[-1].sampled]
+            return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
+        question = task.question.at(cheapest(task, model, task.targets).values).drawn(_IMAGINED)
         plans = [estimator.plan(one.outcome, simulations, question) for one in task.requirements]
-        confidence = 2.0 * task.of_bound(0) - 1.0
         return np.array([plan.expected_half_width(confidence, np.random.default_rng(0)) for plan in plans])
 
-    stage("searching for a design with the classifier")
-    candidate = cheapest(task, model, task.targets)
-    correction = np.ones(len(task.requirements))
-    half = half_widths(candidate)
     looks: list[Look] = []
-    for number, plan in enumerate(LOOKS):
-        simulations = task.simulations_of(number)
-        aims = np.maximum(task.targets - plan.safety * half, 0.2 * task.targets) / correction
+    verified: list[tuple[float, int]] = []
+    for number in range(len(LOOKS)):
         stage(f"searching for the design of look {number + 1}")
-        candidate = cheapest(task, model, aims)
+        aims = np.maximum((1.0 - _OFF) * task.targets - _HALVES * half_widths(), _LEAST_AIM * task.targets)
+        candidate = cheapest(task, model, _goals(looks, aims))
+        if verified:
+            least = min(verified)[0]
+            if not candidate.is_feasible or least - task.cost(candidate.values) < WORTH * abs(least):
+                break
+        candidate = exactly(candidate)
+        simulations = task.simulations_of(number)
         stage(f"verifying with {simulations * len(task.requirements)} simulations")
-        question = question_of(candidate, number + 1)
+        question = task.question.at(candidate.values).drawn(number + 1)
         sampled = tuple(estimator.sample(one.outcome, simulations, question) for one in task.requirements)
         look = Look(candidate, sampled, task.of_bound(number))
         looks.append(look)
-        estimates = np.array([estimate.probability for estimate in look.estimates])
-        if number + 1 < len(LOOKS):
-            half = _half_widths_of_next(task, look, number)
-        correction = np.clip(estimates / np.maximum(candidate.model, _LEAST), 0.25, 4.0)
+        if verifies(look.estimates, task.targets.tolist()):
+            verified.append((task.cost(candidate.values), number + 1))
         # What the classifier missed where it was sure, another look may miss by chance, and no design is built on it.
-        is_verified = verifies(look.estimates, task.targets.tolist())
-        if is_verified or look.surprising:
+        if look.surprising:
             break
         # The nearest design: if even its lower bound exceeds a target, another look cannot help.
         if not candidate.is_feasible and any(
             estimate.low > target for estimate, target in zip(look.estimates, task.targets, strict=True)
         ):
-            return Designed(task, tuple(looks), "out of reach", {})
-    status: Status = "verified" if is_verified else "not verified"
+            return Designed(task, tuple(looks), number + 1, "out of reach", {})
+    status: Status = "verified" if verified else "not verified"
+    designed = Designed(task, tuple(looks), min(verified)[1] if verified else len(looks), status, {})
     if not with_costs:
-        return Designed(task, tuple(looks), status, {})
+        return designed
     stage(f"computing {task.free[0]} at other confidences")
-    return Designed(task, tuple(looks), status, _costs(task, model, looks[-1]))
+    return replace(designed, costs=_costs(task, model, designed.result))
 
 
-def _half_widths_of_next(task: DesignTask, look: Look, number: int) -> Array:
-    """Expected half widths of the intervals of the look after `number`, (r,)."""
-    next_confidence = 2.0 * task.of_bound(number + 1) - 1.0
-    ratio = math.sqrt(task.simulations_of(number) / task.simulations_of(number + 1))
-    estimates = [sampled.estimate(next_confidence) for sampled in look.sampled]
-    return np.array([ratio * (estimate.high - estimate.probability) for estimate in estimates])
+def _goals(looks: Sequence[Look], aims: Array) -> Array:
+    """The classifier's probabilities at which the true ones are expected to meet the aims, (r,)."""
+    if not looks:
+        return aims
+    found = np.array([estimate.probability for estimate in looks[-1].estimates])
+    return _corrected(aims, looks[-1].candidate.model, found)
+
+
+def _corrected(aims: Array, model: Array, found: Array) -> Array:
+    """The classifier's probabilities that correspond to aims, (r,), by those at one design.
+
+    What the classifier adds is the same for all designs: it comes from parts of the distribution where it is unsure of
+    survival whatever the design. What it lacks is in proportion to its probability.
+
+    Args:
+        aims: (r,) probabilities.
+        model: (r,) of the classifier at the design.
+        found: (r,) by simulations.
+    """
+    return np.where(found < model, aims + model - found, aims * model / np.maximum(found, _LEAST))
 
 
 def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:
@@ -266,8 +298,8 @@ def _costs(task: DesignTask, model: _Model, look: Look) -> dict[float, float]:
     costs = {}
     for confidence in _CONFIDENCES:
         highs = np.array([sampled.estimate(2.0 * confidence - 1.0).high for sampled in look.sampled])
-        aims = task.targets * look.candidate.model / np.maximum(highs, _LEAST)
-        candidate = _on_line(task, model, {name: look.candidate.values[name] for name in task.free[1:]}, aims)
+        goals = _corrected(task.targets, look.candidate.model, highs)
+        candidate = _on_line(task, model, {name: look.candidate.values[name] for name in task.free[1:]}, goals)
         costs[confidence] = candidate.values[task.free[0]] if candidate.is_feasible else math.nan
     return costs
 

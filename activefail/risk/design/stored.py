@@ -55,7 +55,7 @@ def designs_text(folder: Path, designed: Designed) -> str | None:
             "outcome": one.outcome,
             "target": one.target,
             "free": {name: float(value) for name, value in designed.values.items()},
-            "look": len(designed.looks),
+            "look": designed.number,
             "confidence": designed.task.confidence,
         }
         entries = [*(other for other in entries if other != entry), entry]

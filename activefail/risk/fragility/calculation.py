@@ -200,8 +200,12 @@ def bearing_fragility(
                 parts[column],
             )
         )
-    notes = [*whole.assumptions, *_notes_of_bearing(campaign, hazard, fixed, intensity)]
-    outside = whole.share_outside(space)
+    outside = whole.outside(space)
+    notes = [
+        *filter(None, [outside.advice]),
+        *whole.assumptions,
+        *_notes_of_bearing(campaign, hazard, fixed, intensity),
+    ]
     return FragilityFindings(
         whole.title,
         curves.curves[0].ladder,
@@ -211,7 +215,7 @@ def bearing_fragility(
         fixed,
         verification.confidence,
         median,
-        outside,
+        outside.share,
         why,
         tuple(notes),
     )

@@ -53,10 +53,10 @@ def ida(
     Args:
         bearing: (7,) T_b [s], mu, D_tot [m], h_sl/D_sl, h_rim/D_sl, p [MPa], k [N/m^1.5].
         records: the set (`read_record_set`).
-        scale_to: intensity by which records are scaled: "factor", "pga" [g], "pgv" [m/s], or "sa:T" [g] with a
-            period T [s].
+        scale_to: intensity by which records are scaled: "factor", "pga" [g], "pgv" [m/s], "sa:T" [g] with a period
+            T [s], or "p695": all by one factor, to the spectral acceleration S_T(T_b) [g] of their set.
         outcome: "impact" or "failure", which is the default; worse outcomes count too.
-        to: highest level of the intensity; by default 8, 3 g, 4 m/s or 2 g.
+        to: highest level of the intensity; by default 8, 3 g, 4 m/s, 2 g, or 12 times the set's.
         margin: the collapse margin of FEMA P695; None for none.
         pulses: whether to compare the records with their equivalent pulses, and with predictions.
         run: of a campaign under pulses, whose classifier predicts the outcomes under the equivalent pulses.
@@ -75,9 +75,11 @@ def ida(
         )
     outcome = OUTCOMES[-1] if outcome is None else outcome
     intensity = Intensity.of(scale_to) if isinstance(scale_to, str) else scale_to
+    intensity = intensity.on(float(bearing[0]), records.of_p695)
     severity, model, tolerance = _severity(outcome, OUTCOMES), model or Model(), tolerance or Tolerance()
     surrogate = None if run is None else Surrogate.of(run, severity, model)
-    options = None if margin is None else margin.options(float(bearing[0]), records.of_p695)
+    collective = intensity.kind == "p695"
+    options = None if margin is None else margin.options(float(bearing[0]), records.of_p695, collective)
     motions = [record.motion for record in records.records]
     levels = ladder(intensity, to)
     intensities = unscaled(intensity, motions, float(levels[-1]))
@@ -153,7 +155,7 @@ def ida_of_campaign(
     outcome = outcomes[-1] if outcome is None else outcome
     severity, intensity = _severity(outcome, outcomes), Intensity("pgv")
     values = {**campaign.space.fixed, **asked.values}
-    options = None if margin is None else margin.options(values.get("T_b", math.nan), records.of_p695)
+    options = None if margin is None else margin.options(values.get("T_b", math.nan), records.of_p695, False)
     levels = ladder(intensity, to)
     unscaled(intensity, [record.motion for record in records.records], float(levels[-1]))
     _make(folder)

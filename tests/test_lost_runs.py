@@ -1,0 +1,149 @@
+"""What a lost run means: unknown, failure or impossible. Learner, stop rule and intervals read it from one place."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commandline import activefail
+from scipy.special import ndtr
+
+from activefail.campaign.assembly import Campaign
+from activefail.campaign.question import Question
+from activefail.campaign.settings import CampaignSettings
+from activefail.execution.local import ThreadExecutor
+from activefail.findings.lost import where_lost
+from activefail.loop.batches import run
+from activefail.loop.history import History
+from activefail.loop.learning import Learned, current
+from activefail.opening import open_run
+from activefail.record.memory import MemoryStore
+from activefail.reliability.integral import BoundariesOf, integrate
+from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
+from activefail.verification.probability_estimator import Estimator
+
+DIES_BELOW = -2.0
+IF_NONE, IF_ALL = 1.42e-3, 0.0241
+"""P(3 − x − 0.1 y ≤ 0), and the probability of that or of y < −2 (10⁸ samples)."""
+
+
+@dataclass(frozen=True)
+class Dies:
+    """A margin of two normal variables, whose solver gives up where the second one is low."""
+
+    margins: tuple[str, ...] = ("g",)
+    impossible: tuple[int, ...] = ()
+
+    outcomes = ("safe", "failure")
+    causes = ("",)
+    releases_gil = True
+
+    def run(self, X):
+        g = 3.0 - X[:, 0] - 0.1 * X[:, 1]
+        lost = X[:, 1] < DIES_BELOW
+        outcome = np.where(lost, NUMERICAL_FAILURE, g <= 0.0).astype(np.int8)
+        cause = np.where(lost, 0, 0).astype(np.int8)
+        margins = np.where(lost, np.nan, g)[:, None] if self.margins else np.empty((len(X), 0))
+        return Results(outcome, cause, margins, np.zeros(len(X)))
+
+
+def taken(simulator, **changes):
+    normal = {"distribution": "normal", "mean": 0.0, "sd": 1.0}
+    keys = {
+        "seed": 2,
+        "space": {"x": normal, "y": normal},
+        "sampling.initial": 16,
+        "sampling.batch": 4,
+        "sampling.budget": 48,
+        "classifier.features": "design",
+        "limits.numerical_failures": 1.0,
+    }
+    settings = CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
+    campaign = Campaign.of(settings, simulator=simulator)
+    store = MemoryStore(campaign.schema)
+    with ThreadExecutor(1) as executor:
+        run(campaign, store, executor, settings.sampling.budget)
+    return campaign, store, current(campaign, store, write=False)
+
+
+@pytest.fixture(scope="module")
+def unknown() -> tuple[Campaign, MemoryStore, Learned]:
+    return taken(Dies(), stop={"probability": "failure", "cov": 0.1})
+
+
+def test_the_interval_reaches_the_probability_whatever_the_lost_runs_are(
+    unknown: tuple[Campaign, MemoryStore, Learned],
+) -> None:
+    campaign, store, learned = unknown
+    assert learned.classifier.unknown is not None
+    held = 0
+    with ThreadExecutor(1) as executor:
+        estimator = Estimator(campaign, store, executor, learned.classifier, History.of(store.batches).last_iteration)
+        for draw in range(1, 7):
+            question = Question.of_space(campaign.space).drawn(draw)
+            estimate = estimator.sample("failure", 50, question).estimate(0.9)
+            held += estimate.low <= IF_NONE and estimate.high >= IF_ALL
+    assert held == 6
+
+
+def test_a_stop_rule_is_not_met_while_lost_runs_decide_the_probability(
+    unknown: tuple[Campaign, MemoryStore, Learned],
+) -> None:
+    _, store, learned = unknown
+    assert len(History.of(store.batches)) == 48
+    assert not learned.looks.is_known
+
+
+def test_where_runs_die_is_proposed_less_and_less() -> None:
+    # From outcomes the dead region would look like the most uncertain one: no run there ever has a label.
+    _, store, _ = taken(Dies(margins=()), sampling__budget=56)
+    lost = ~History.of(store.batches).answered
+    assert lost[-20:].sum() <= 0.5 * lost[:36].sum() or lost[-20:].sum() <= 1
+
+
+def test_impossible_designs_leave_the_measure() -> None:
+    campaign, _, learned = taken(Dies(impossible=(0,)), sampling__initial=40)
+    assert learned.classifier.unknown is None
+    integral = integrate(BoundariesOf(learned.classifier, campaign.features), campaign.space)
+    # x decides nearly alone, so the probability among the designs that exist is about that of all.
+    true = ndtr(-3.0 / 1.01**0.5)
+    assert integral.probability[0] == pytest.approx(true, rel=0.15)
+
+
+SIMULATOR = """
+def run(design):
+    if design["y"] < -1.0:
+        raise RuntimeError("the solver does not converge")
+    return 2.0 - design["x"] - 0.1 * design["y"]
+"""
+
+
+def test_lost_runs_that_mean_failure_are_failures_with_their_cause(tmp_path: Path) -> None:
+    (tmp_path / "limit.py").write_text(SIMULATOR)
+    (tmp_path / "made.toml").write_text(
+        'simulator = { python = "limit:run", margins = ["g"], lost = { raised = "failure" } }\n'
+        "sampling = { initial = 40, budget = 40 }\nspace.x = { distribution = 'normal', mean = 0, sd = 1 }\n"
+        "space.y = { distribution = 'normal', mean = 0, sd = 1 }\n"
+    )
+    assert activefail("run", tmp_path / "made.toml", "--out", tmp_path / "run").code == 0
+    with open_run(tmp_path / "run", code=tmp_path) as opened:
+        history = opened.history
+        died = history.designs[:, 1] < -1.0
+        assert (history.outcome[died] == 1).all()
+        assert (history.cause[died] == RAISED).all()
+        assert history.answered.all()
+        assert opened.classifier.unknown is None
+    status = json.loads(activefail("status", tmp_path / "run", "--json").out)
+    assert status["lost"] == ""
+    assert status["counts"]["all"]["numerical_failure"] == 0
+
+
+def test_the_variable_that_tells_lost_runs_from_the_others_is_named() -> None:
+    campaign = Campaign.of(CampaignSettings().changed({"seed": 1}), simulator=Dies())
+    designs = campaign.space.sobol(64, np.random.default_rng(0))
+    column = campaign.space.names.index("D_tot")
+    lost = designs[:, column] < np.quantile(designs[:, column], 0.2)
+    text = where_lost(campaign.space, designs, lost)
+    assert text.startswith(f"{lost.sum()} of 64 runs gave no result, most of them at low D_tot")
+    assert "scattered" in where_lost(campaign.space, designs, np.arange(64) % 8 == 0)
