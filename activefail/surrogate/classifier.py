@@ -134,7 +134,7 @@ class Predicted:
         z = np.column_stack([one.standardised for one in self.moments])
         if shift is not None:
             z[:, severity - 1] = self.moments[severity - 1].known(shift)
-        return np.asarray(outcome_probabilities(z, self.is_nested)[:, severity:].sum(axis=1))
+        return np.asarray(np.minimum(outcome_probabilities(z, self.is_nested)[:, severity:].sum(axis=1), 1.0))
 
 
 @dataclass(frozen=True)

@@ -232,6 +232,11 @@ class Estimator:
         """An outcome's boundary as a function of designs."""
         return boundary_of(self.classifier, self.campaign.features, outcome)
 
+    def probability(self, outcome: str, question: Question) -> float:
+        """The probability of an outcome or a more severe one by the classifier alone, as every place shows it."""
+        integral = question.integral(self.boundaries, self.campaign.space)
+        return integral.of(self.classifier.outcomes.index(outcome) - 1).probability
+
     def plan(self, outcome: str, simulations: int, question: Question) -> Plan | StratifiedPlan:
         """The fresh simulations that `sample` makes, unless it simulates all rows of a distribution."""
         common = (self.campaign, self.classifier, outcome, self.iteration, simulations)

@@ -24,7 +24,6 @@ from activefail.figures.hazard import plot_hazard
 from activefail.reliability.estimate import Doubt, Plan
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
-from activefail.risk.fragility.levels import answer
 from activefail.risk.hazard_summary import HazardSummary, Outside
 from activefail.space import Array, DesignSpace
 from activefail.verification.probability_estimator import Sampled
@@ -225,7 +224,7 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
     true = float(ndtr((-0.3 - bias) / math.hypot(0.4, added)))
     for points in (256, 1024):
         assert classifier_probability(fails, asked, points) == pytest.approx(true, abs=0.015)
-    found = answer(lambda X: fails(X)[:, None], asked, TABLE_1)
+    found = asked.integral(lambda X: fails(X)[:, None], TABLE_1)
     assert found.probability[0] == pytest.approx(true, abs=0.015)
     deaggregation = deaggregated(
         lambda X: fails(X)[:, None], lambda of: hazard_question(of, SETTINGS, TABLE_1, BEARING), read

@@ -198,7 +198,7 @@ def test_a_check_that_is_cut_short_or_fails_numerically_ends_nothing(ended, at_c
     last = whole.last_iteration
     before = History.of(store.batches[: n - 1])
     earlier = current(campaign, copied(campaign, at_check), write=False)
-    for rows, failed, known in ((8, 0, True), (8, 2, False), (3, 0, False)):
+    for rows, failed, known in ((8, 0, True), (8, 2, True), (8, 3, False), (3, 0, False)):
         outcome = store.batches[-1].results.outcome.copy()
         outcome[:failed] = -1
         batch = store.batches[-1]

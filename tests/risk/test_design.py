@@ -19,6 +19,7 @@ from activefail.opening import open_run
 from activefail.parameter import Parameter
 from activefail.reliability.strata import StratifiedPlan, plan_strata
 from activefail.report.design import render_design
+from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.design.design_task import DesignTask, Requirement, read_targets
 from activefail.risk.design.findings import DesignFindings
 from activefail.risk.design.required_chart import least_value, required_chart
@@ -250,6 +251,9 @@ class MadeEstimator:
 
     def standardised(self, outcome: str) -> Callable[[Array], Array]:
         return lambda X: (limit(X) + math.log(self.factor)) / self.sd
+
+    def probability(self, outcome: str, question: Question) -> float:
+        return classifier_probability(self.standardised(outcome), question)
 
     def plan(self, outcome: str, simulations: int, question: Question) -> StratifiedPlan:
         of_designs = self.standardised(outcome)

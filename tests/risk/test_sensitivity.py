@@ -4,7 +4,7 @@ import importlib
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +86,11 @@ def campaign(run: Run) -> Campaign:
     return run.campaign
 
 
+def alone(boundary: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """One boundary as all boundaries of a classifier."""
+    return lambda X: boundary(X)[:, None]
+
+
 def contains(estimate: Estimate, true: float) -> bool:
     return estimate.low <= true <= estimate.high
 
@@ -156,7 +161,13 @@ def test_the_indices_of_a_question_are_those_of_its_distributions(campaign: Camp
 
     counted: list[int] = []
     found = question_sensitivity(
-        campaign, additive, "failure", question, 1024, 0.99, lambda total: [counted.append(-total), counted.append][1]
+        campaign,
+        alone(additive),
+        "failure",
+        question,
+        1024,
+        0.99,
+        lambda total: [counted.append(-total), counted.append][1],
     )
     parts = {"D_tot": 0.4**2 * 0.5**2 / 12.0, "A_p": 0.5**2 * 0.05**2, "T_p": 0.0}
     assert [index.name for index in found.indices] == ["D_tot", "A_p", "T_p"]
@@ -181,7 +192,7 @@ def test_under_a_hazard_the_pulses_are_integrated_out_and_properties_have_their_
     campaign: Campaign, home: Path
 ) -> None:
     hazard = read_hazard(home / "hazard.toml")
-    found = hazard_sensitivity(campaign, additive_in_the_design, "failure", hazard, {}, 256, 0.99)
+    found = hazard_sensitivity(campaign, alone(additive_in_the_design), "failure", hazard, {}, 256, 0.99)
     # The lower bound halves friction, and with it the effect.
     parts = {"mu": 1.0**2 * 0.1**2 / 12.0, "D_tot": 0.3**2 * 0.5**2 / 12.0}
     assert [index.name for index in found.indices] == ["D_tot", "mu"]
@@ -203,11 +214,11 @@ def test_under_a_hazard_the_pulses_are_integrated_out_and_properties_have_their_
 
 def test_a_variable_with_a_value_has_no_index_and_is_still_moved_alone(campaign: Campaign, home: Path) -> None:
     hazard = read_hazard(home / "hazard.toml")
-    one = hazard_sensitivity(campaign, additive_in_the_design, "failure", hazard, {"D_tot": 0.8}, 16)
+    one = hazard_sensitivity(campaign, alone(additive_in_the_design), "failure", hazard, {"D_tot": 0.8}, 16)
     assert [index.name for index in one.indices] == ["mu"]
     assert {move.name: move.value for move in one.moves} == pytest.approx({"mu": 0.07, "D_tot": 0.8})
     assert one.probability == pytest.approx(0.5 - 0.07 - 0.24, abs=3e-3)
-    none = hazard_sensitivity(campaign, additive_in_the_design, "failure", hazard, {"D_tot": 0.8, "mu": 0.05})
+    none = hazard_sensitivity(campaign, alone(additive_in_the_design), "failure", hazard, {"D_tot": 0.8, "mu": 0.05})
     assert (none.indices, none.samples) == ((), 0)
     assert len(none.moves) == 2
     assert any("All variables of the design have values" in note for note in none.notes)
@@ -224,7 +235,7 @@ def test_many_rows_of_pulses_are_thinned_with_their_weights(campaign: Campaign, 
     def fails(X: Array) -> Array:
         return np.asarray(5.0 * np.log(velocity_of(X[:, 3], X[:, 2]) / 0.9))
 
-    found = hazard_sensitivity(campaign, fails, "failure", hazard, base)
+    found = hazard_sensitivity(campaign, alone(fails), "failure", hazard, base)
     true = classifier_probability(fails, hazard_question(hazard, campaign.settings, campaign.space, base))
     assert 0.1 < true < 0.4
     assert found.probability == pytest.approx(true, abs=2e-3)
@@ -238,14 +249,14 @@ def test_notes_warn_of_wide_intervals_impossible_estimates_and_rare_outcomes(cam
     def corner(X: Array) -> Array:
         return np.where((X[:, 0] > 0.08) & (X[:, 1] < 0.5) & (X[:, 2] > 4.0), 9.0, -9.0)
 
-    few = question_sensitivity(campaign, corner, "failure", campaign.question, 16)
+    few = question_sensitivity(campaign, alone(corner), "failure", campaign.question, 16)
     told = " ".join(few.notes)
     assert "16 samples are too few" in told
     assert "`--samples 64`" in told
     assert any(index.first.value < 0.0 for index in few.indices)
     assert "Estimates below 0 or above 1 are sampling errors" in told
     assert "of 32 sampled designs lie on the rarer side" in told
-    many = question_sensitivity(campaign, lambda X: ndtri(X[:, 0]), "failure", campaign.question, 4096)
+    many = question_sensitivity(campaign, alone(lambda X: ndtri(X[:, 0])), "failure", campaign.question, 4096)
     assert not any("too few" in note or "rarer" in note for note in many.notes)
 
 

@@ -69,9 +69,7 @@ def _probabilities(
     campaign = estimator.campaign
     values = {name: value for name, value in designed.question.fixed.items() if name in campaign.space.names}
     question = hazard_question(hazard, campaign.settings, campaign.space, values, pgv)
-    integral = question.integral(estimator.boundaries, campaign.space)
-    outcomes = campaign.simulator.outcomes
-    return tuple(float(integral.probability[outcomes.index(one.outcome) - 1]) for one in designed.task.requirements)
+    return tuple(estimator.probability(one.outcome, question) for one in designed.task.requirements)
 
 
 def chart_of(

@@ -217,12 +217,12 @@ def find_design(
         with_costs: whether to compute what other confidences would cost.
     """
     model = _Model(task, tuple(estimator.standardised(one.outcome) for one in task.requirements))
-    columns = [estimator.campaign.simulator.outcomes.index(one.outcome) - 1 for one in task.requirements]
 
     def exactly(candidate: Candidate) -> Candidate:
         """A candidate with its probabilities as every other place shows them, not as the search's points gave them."""
-        integral = task.question.at(candidate.values).integral(estimator.boundaries, estimator.campaign.space)
-        return replace(candidate, model=integral.probability[columns])
+        question = task.question.at(candidate.values)
+        model = [estimator.probability(one.outcome, question) for one in task.requirements]
+        return replace(candidate, model=np.array(model))
 
     def half_widths() -> Array:
         """Expected half widths of the intervals of the next look, (r,)."""
