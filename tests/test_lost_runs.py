@@ -19,9 +19,9 @@ from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
 from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
-from activefail.reliability.integral import BoundariesOf, integrate
+from activefail.reliability.integral import BoundariesOf, OfBoundary, integrate
 from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
-from activefail.verification.probability_estimator import Estimator
+from activefail.verification.probability_estimator import Estimator, Existing
 
 DIES_BELOW = -2.0
 IF_NONE, IF_ALL = 1.42e-3, 0.0241
@@ -102,13 +102,25 @@ def test_where_runs_die_is_proposed_less_and_less() -> None:
     assert lost[-20:].sum() <= 0.5 * lost[:36].sum() or lost[-20:].sum() <= 1
 
 
-def test_impossible_designs_leave_the_measure() -> None:
-    campaign, _, learned = taken(Dies(impossible=(0,)), sampling__initial=40)
+def test_impossible_designs_leave_the_measure_and_break_no_limit() -> None:
+    campaign, _, learned = taken(Dies(impossible=(0,)), sampling__initial=40, limits__numerical_failures=0.0)
     assert learned.classifier.unknown is None
     integral = integrate(BoundariesOf(learned.classifier, campaign.features), campaign.space)
     # x decides nearly alone, so the probability among the designs that exist is about that of all.
     true = ndtr(-3.0 / 1.01**0.5)
     assert integral.probability[0] == pytest.approx(true, rel=0.15)
+
+
+def test_the_share_of_designs_that_exist_has_an_interval_that_holds_where_the_classifier_is_wrong() -> None:
+    held = 0
+    for seed in range(40):
+        exists = np.random.default_rng(seed).random(100) < 0.7
+        known = Existing(OfBoundary(0.8, 0.0, 0.0), np.full(100, 0.8), exists, np.ones(100))
+        middle, low, high = known.share(0.9, False)
+        assert middle == pytest.approx(exists.mean())
+        held += low <= 0.7 <= high
+        assert known.share(0.9, True) == pytest.approx((exists.mean(),) * 3)
+    assert held >= 33
 
 
 SIMULATOR = """

@@ -94,11 +94,16 @@ def fantasised(latent: Latent, F: Array) -> Latent:
 def weighted(criterion: Pointwise, answers: Array | None) -> Pointwise:
     """A criterion whose values count as much as an answer is probable, (n,); the criterion itself if all are certain.
 
-    Φ(value) has the ranking of the values, and is positive.
+    Values that are never positive are ranked by Φ(value); of the others, negative ones count as nothing.
     """
     if answers is None:
         return criterion
-    return lambda mean, sd: np.asarray(ndtr(criterion(mean, sd)) * answers)
+
+    def of(mean: Array, sd: Array) -> Array:
+        value = criterion(mean, sd)
+        return np.asarray((np.maximum(value, 0.0) if value.max() > 0.0 else ndtr(value)) * answers)
+
+    return of
 
 
 def greedy_batch(mean: Array, covariance: Array, q: int, criterion: Pointwise) -> NDArray[np.intp]:
@@ -280,7 +285,8 @@ def _propose_ahead(
 ) -> Array:
     pool = _sample(space, POOL, rng, widening)
     # Not by entropy, which ignores the wide latents that look-ahead criteria prefer.
-    order = np.argsort(-bald(*latent.moments(features(pool))), kind="stable")
+    F = features(pool)
+    order = np.argsort(-weighted(bald, None if answers is None else answers(F))(*latent.moments(F)), kind="stable")
     others = rng.choice(order[_BY_BALD:], _AT_RANDOM, replace=False)
     candidates = pool[np.concatenate([order[:_BY_BALD], others])]
     references = _sample(space, REFERENCES, rng, widening)

@@ -187,11 +187,14 @@ class Outside:
                 parts.append(f"{parameter.name} down to {low:g}{unit}")
             elif high > parameter.high:
                 parts.append(f"{parameter.name} up to {high:g}{unit}")
-        return visible(
+        text = (
             f"Widen the campaign first, because {percent(self.share)} of the question's distribution lies outside its "
-            f"design space, where the classifier extrapolates: {' and '.join(parts)} would hold {100.0 * _HELD:g} %"
-            + (" each." if len(parts) > 1 else " of it.")
+            "design space, where the classifier extrapolates"
         )
+        if not parts:
+            return f"{text}, by a little of many variables."
+        ranges = f"{' and '.join(parts)} would hold {100.0 * _HELD:g} %"
+        return visible(f"{text}: {ranges}" + (" each." if len(parts) > 1 else " of it."))
 
 
 def _outwards(value: float, side: float) -> float:

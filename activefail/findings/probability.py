@@ -66,8 +66,7 @@ def bound_without_model(campaign: Campaign, history: History, outcome: str) -> B
 
     Only the initial design is a sample of the design measure.
     """
-    # Failures before the first outcome came from a simulator that has been fixed since.
-    initial = history[history.leading_failures :]
+    initial = history.without_leading_failures
     initial = initial[initial.initial]
     # A numerical failure may hide either outcome; the bound counts it as beyond.
     hits = int(((initial.outcome >= campaign.simulator.outcomes.index(outcome)) | ~initial.answered).sum())
@@ -132,8 +131,7 @@ class ProbabilityFindings:
     ) -> Self:
         """The findings of a campaign with this estimate."""
         severity = campaign.simulator.outcomes.index(outcome)
-        # Failures before the first outcome came from a simulator that has been fixed since.
-        history = history[history.leading_failures :]
+        history = history.without_leading_failures
         known = history.training
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES

@@ -146,13 +146,6 @@ class Status:
                 lines.append(("learned", text + of_rule(outcome, margin, settings.stop_outcome)))
         if self._rule_is_met:
             lines.append(("stop rule", "met"))
-        elif settings.stop_outcome and (lost := int(self.summary.counts[-1])):
-            lines.append(
-                (
-                    "stop rule",
-                    f"not met; simulator.lost says what the {lost} lost runs mean",
-                )
-            )
         return lines
 
     @property
@@ -282,10 +275,15 @@ def read_status(folder: Path) -> Status:
     from activefail.campaign.on_disk import open_campaign
     from activefail.findings.lost import where_lost
     from activefail.loop.history import History
+    from activefail.simulators.interface import is_impossible
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
         warnings, history = store.new_warnings(), History.of(store.batches)
         if summary is None:
             outcomes = campaign.simulator.outcomes
             summary = Summary.of(campaign.settings.text(), outcomes, store.batches, store.asked)
-        return Status(folder, summary, warnings, where_lost(campaign.space, history.designs, ~history.answered))
+        text = where_lost(campaign.space, history.designs, ~history.answered)
+        impossible = is_impossible(campaign.simulator, history.outcome, history.cause)
+        if text and campaign.settings.probability_rule is not None and not (history.answered | impossible).all():
+            text += "; stop.probability waits while they may decide, unless simulator.lost says what they mean"
+        return Status(folder, summary, warnings, text)

@@ -114,6 +114,12 @@ class History:
         return int(np.argmax(answered)) if answered.any() else len(answered)
 
     @property
+    def without_leading_failures(self) -> Self:
+        """The simulations without those `leading_failures`: the simulator has been fixed since."""
+        own = self.origin != GIVEN
+        return self[~own | (np.cumsum(own) > self.leading_failures)]
+
+    @property
     def first_learnable(self) -> int:
         """The first iteration with an outcome, at which learning begins; 0 if there is none."""
         return int(self.iteration[self.answered].min()) if self.answered.any() else 0

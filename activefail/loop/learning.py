@@ -80,8 +80,7 @@ def with_lost(campaign: Campaign, classifier: Classifier, history: History) -> C
 
     It is learned anew each time, so that no saved state needs it.
     """
-    # Failures before the first outcome came from a simulator that has been fixed since.
-    history = history[history.leading_failures :]
+    history = history.without_leading_failures
     if history.answered.all():
         return classifier
     impossible = is_impossible(campaign.simulator, history.outcome, history.cause)

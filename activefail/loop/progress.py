@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from activefail.campaign.assembly import Campaign
 from activefail.loop.history import History
 from activefail.record.batch import GIVEN, Batch
+from activefail.simulators.interface import is_impossible
 from activefail.verification.unseen import unseen_outcomes
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ class Progress:
         done: recorded simulations that count towards the budget, numerical failures included.
         budget: simulations in all.
         counts: (number of outcomes,) recorded simulations by outcome.
-        numerical_failures: recorded simulations without an outcome.
+        numerical_failures: recorded simulations without an outcome, of designs that may exist.
         accuracy: share of the validation set on the right side of the target boundary; None without a set.
         recall: for each outcome of the validation set, the share of its designs that are predicted to have it.
         seconds_left: estimated time to the budget; None before the first batch.
@@ -72,11 +73,12 @@ def standing(campaign: Campaign, batches: tuple[Batch, ...], budget: int) -> Pro
     history = History.of(batches)
     outcomes = campaign.simulator.outcomes
     counts = history.counts(len(outcomes))
+    impossible = is_impossible(campaign.simulator, history.outcome, history.cause)
     return Progress(
         iteration=history.last_iteration,
         done=history.asked_for,
         budget=budget,
         counts=counts,
-        numerical_failures=int((~history.answered & (history.origin != GIVEN)).sum()),
+        numerical_failures=int((~history.answered & ~impossible & (history.origin != GIVEN)).sum()),
         unseen=unseen_outcomes(outcomes, counts),
     )

@@ -169,7 +169,11 @@ class Plan:
         likely = ndtr(self.standardised)
         widths = []
         for _ in range(_IMAGINED):
-            middle, _, high = _interval(self, rng.random(len(likely)) < likely, confidence)
+            beyond = rng.random(len(likely)) < likely
+            middle, _, high = _interval(self, beyond, confidence)
+            if self.ends is not None:
+                # Where a run is probably lost, it counts as beyond.
+                _, _, high = _interval(self.ends[1], beyond | self.ends[1].predicted, confidence)
             widths.append(high - middle)
         return float(np.mean(widths))
 

@@ -86,16 +86,20 @@ class BoundariesOf:
         classifier: the classifier.
         features: map from designs to its inputs.
         lost: what a run without a known result counts as.
+        outcome: the only one whose boundary is wanted; all if None.
     """
 
     classifier: Classifier
     features: FeatureMap
     lost: Lost = "learned"
+    outcome: str | None = None
 
     def __call__(self, X: Array) -> Array:
         """The probits of P(at least as severe) of designs, (n, d) -> (n, b)."""
         F = finite(self.features, X)
         z = self.classifier.predicted(F).boundaries
+        if self.outcome is not None:
+            z = z[:, [self.classifier.outcomes.index(self.outcome) - 1]]
         if self.classifier.unknown is not None and self.lost != "learned":
             unknown = self.classifier.unknown.moments(F).side[:, None]
             z = _both(z, -unknown) if self.lost == "none" else -_both(-z, -unknown)
@@ -120,8 +124,8 @@ def _both(a: Array, b: Array) -> Array:
 
 def boundary_of(classifier: Classifier, features: FeatureMap, outcome: str, lost: Lost = "learned") -> Standardised:
     """The boundary of an outcome as a function of designs."""
-    column, boundaries = classifier.outcomes.index(outcome) - 1, BoundariesOf(classifier, features, lost)
-    return lambda X: boundaries(X)[:, column]
+    boundaries = BoundariesOf(classifier, features, lost, outcome)
+    return lambda X: boundaries(X)[:, 0]
 
 
 def integrate(
@@ -167,19 +171,27 @@ def _integrated(
 ) -> Integral:
     if isinstance(space, WeightedRows):
         return _of_rows(boundaries, space.thinned(_MOST_ROWS), contains)
+    X = sequences(space, _LENGTHS[-1]).reshape(SEQUENCES, _LENGTHS[-1], -1)
+    beyond, accurate, integral = np.empty((SEQUENCES, 0, 0)), np.zeros(1, dtype=bool), Integral(*np.zeros((3, 1)))
     for length in _LENGTHS:
-        integral = _by_sequences(boundaries, space, contains, length)
+        # The beginning of a sequence is one too.
+        new = X[:, beyond.shape[1] : length]
+        of_new = ndtr(boundaries(new.reshape(-1, new.shape[-1]))).reshape(*new.shape[:2], -1)
+        beyond = np.concatenate([beyond, of_new], axis=1) if beyond.size else of_new
+        found = _of_sequences(beyond, X[:, :length], contains)
+        # What was accurate with fewer points keeps its number, whatever else is integrated beside it.
+        integral = Integral(*(np.where(accurate, *pair) for pair in zip(integral, found, strict=True)))
         limit = np.maximum(accuracy * integral.probability, resolution)
         # A share that no point shows may be as large as three points.
         seen = (integral.probability * SEQUENCES * length >= _SEEN) | (3.0 / (SEQUENCES * length) <= resolution)
-        accurate = (integral.error <= limit) & seen
+        accurate = accurate | ((integral.error <= limit) & seen)
         if accurate.all():
-            return integral
+            break
     if resolution:
-        return integral
+        accurate = np.ones_like(accurate)
     for column in np.flatnonzero(~accurate):
-        found = _by_populations(boundaries, int(column), space, contains, accuracy)
-        for known, value in zip(integral, found, strict=True):
+        of_column = _by_populations(boundaries, int(column), space, contains, accuracy)
+        for known, value in zip(integral, of_column, strict=True):
             known[column] = value
     # Populations have their own errors, by which boundaries must not cross.
     return integral._replace(probability=np.minimum.accumulate(np.minimum(integral.probability, 1.0)))
@@ -204,12 +216,12 @@ def sequences(space: DesignSpace, length: int) -> Array:
     return np.concatenate([space.sobol(length, np.random.default_rng(number)) for number in range(SEQUENCES)])
 
 
-def _by_sequences(boundaries: Boundaries, space: DesignSpace, contains: Contains | None, length: int) -> Integral:
-    X = sequences(space, length)
-    beyond = ndtr(boundaries(X))
-    means = beyond.reshape(SEQUENCES, length, -1).mean(axis=1)
-    error = means.std(axis=0, ddof=1) / np.sqrt(SEQUENCES)
-    return Integral(means.mean(axis=0), error, _outside(beyond, X, contains))
+def _of_sequences(beyond: Array, X: Array, contains: Contains | None) -> Integral:
+    """The means over sequences of points X, (s, n, k), of their probabilities, (s, n, b)."""
+    means = beyond.mean(axis=1)
+    error = means.std(axis=0, ddof=1) / np.sqrt(len(means))
+    outside = _outside(beyond.reshape(-1, beyond.shape[-1]), X.reshape(-1, X.shape[-1]), contains)
+    return Integral(means.mean(axis=0), error, outside)
 
 
 def _by_populations(

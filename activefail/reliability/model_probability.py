@@ -8,13 +8,16 @@ from scipy.special import ndtr
 
 from activefail.acquisition.by_margin import LEAST, REFERENCES, doubt, doubtful_population
 from activefail.features import FeatureMap
-from activefail.reliability.integral import BoundariesOf, integrate
+from activefail.reliability.integral import ACCURACY, BoundariesOf, Lost, OfBoundary, integrate
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier
 from activefail.surrogate.margin import MarginLatent
 
 _PATHS = 200
 """Joint paths of the latent that give the standard deviation of the probability."""
+
+_COARSE = 0.1
+"""Relative standard error of the ends of a range."""
 
 
 class ModelProbability(NamedTuple):
@@ -44,25 +47,20 @@ def model_probability(
         n: designs of the population where the posterior is sampled.
         rng: generator of the population and the paths.
     """
-    latent, column = classifier.latent(outcome), classifier.outcomes.index(outcome) - 1
+    latent = classifier.latent(outcome)
     assert isinstance(latent, MarginLatent)
-    integral = integrate(BoundariesOf(classifier, features), space)
-    if_none, if_all = lost_ends(classifier, features, space, column)
+
+    def share(lost: Lost, accuracy: float) -> OfBoundary:
+        return integrate(BoundariesOf(classifier, features, lost, outcome), space, accuracy=accuracy).of(0)
+
+    known = share("learned", ACCURACY)
     drawn, F, standardised = doubtful_population(latent, features, space, n, rng)
     sd = posterior_sd(latent, F, standardised, drawn.weight, rng)
-    # The posterior does not know what lost runs are; half of the range counts as one standard deviation.
-    sd = math.hypot(sd, 0.5 * (if_all - if_none))
-    return ModelProbability(float(integral.probability[column]), sd, float(integral.error[column]))
-
-
-def lost_ends(classifier: Classifier, features: FeatureMap, space: DesignSpace, column: int) -> tuple[float, float]:
-    """The probability beyond a boundary if none, and if all, of the runs that are probably lost are beyond it."""
-    if classifier.unknown is None:
-        return 0.0, 0.0
-    none, everything = (
-        integrate(BoundariesOf(classifier, features, lost), space).of(column).probability for lost in ("none", "all")
-    )
-    return none, max(none, everything)
+    if classifier.unknown is not None:
+        # The posterior does not know what lost runs are; half of the range counts as one standard deviation.
+        ends = [share(lost, _COARSE).probability for lost in ("none", "all")]
+        sd = math.hypot(sd, 0.5 * max(0.0, ends[1] - ends[0]))
+    return ModelProbability(known.probability, sd, known.error)
 
 
 def posterior_sd(latent: MarginLatent, F: Array, standardised: Array, weight: Array, rng: np.random.Generator) -> float:

@@ -90,6 +90,11 @@ class StratifiedPlan:
         return np.asarray(np.bincount(self.stratum, minlength=len(self.volume)))
 
     @property
+    def ratio(self) -> Array:
+        """Density of the distribution over that of the draws, (m,)."""
+        return np.asarray(len(self.stratum) * (self.volume / np.maximum(self.counts, 1))[self.stratum])
+
+    @property
     def surest(self) -> tuple[int, float]:
         """Simulations where the classifier is surest that the outcome does not occur, and the volume of this part."""
         return int(self.counts[0]), float(self.volume[0])

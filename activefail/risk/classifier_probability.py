@@ -1,6 +1,6 @@
 """A quick probability under a question by the classifier, for searches and charts.
 
-It is the first try of `Question.integral`, and the same number wherever that is accurate.
+With `POINTS` points it is the first try of `Question.integral`, and the same number wherever that is accurate.
 """
 
 from scipy.special import ndtr

@@ -240,7 +240,8 @@ def train(
         return _choice(F, outcome, severity, margins, kernel, previous)
 
     def learned(severity: int) -> Fit | MarginFit:
-        before = None if warm is None else warm.latents[severity - 1].trained
+        own = warm is not None and learned_with(warm.choices, severity) == severity
+        before = warm.latents[severity - 1].trained if warm is not None and own else None
         if margins is None or choices[severity - 1].margin == OUTCOMES:
             start = before if isinstance(before, Fit) else None
             return fit(torch.from_numpy(F), _boundary_labels(outcome, severity), kernel, start)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Question
@@ -26,7 +27,15 @@ from activefail.reliability.estimate import (
     plan_estimate,
 )
 from activefail.reliability.hidden import ModeCheck
-from activefail.reliability.integral import Boundaries, BoundariesOf, Lost, Standardised, boundary_of, integrate
+from activefail.reliability.integral import (
+    Boundaries,
+    BoundariesOf,
+    Lost,
+    OfBoundary,
+    Standardised,
+    boundary_of,
+    integrate,
+)
 from activefail.reliability.strata import StratifiedPlan, plan_strata, plan_wide_strata
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results, is_impossible
 from activefail.space import Array
@@ -65,6 +74,37 @@ class EstimateOfRows(ProbabilityEstimate):
 
 
 @dataclass(frozen=True, eq=False)
+class Existing:
+    """What the classifier and m fresh simulations say of which designs exist.
+
+    Attributes:
+        classifier: share of the distribution that exists by the classifier, with its standard error.
+        probability: (m,) that each design exists, by the classifier.
+        exists: (m,) whether it does.
+        ratio: (m,) density of the distribution over that of the draws.
+    """
+
+    classifier: OfBoundary
+    probability: Array
+    exists: NDArray[np.bool_]
+    ratio: Array
+
+    def share(self, confidence: float, is_complete: bool) -> tuple[float, float, float]:
+        """The share that exists and its interval, which is exact if the draws are all rows of the distribution."""
+        from scipy.stats import t
+
+        if is_complete:
+            exact = float(self.ratio @ self.exists / self.ratio.sum())
+            return exact, exact, exact
+        corrections, m = (self.exists - self.probability) * self.ratio, len(self.exists)
+        doubt = float((self.ratio**2 * self.probability * (1.0 - self.probability)).mean())
+        error = math.sqrt(max(float(corrections.var(ddof=1)), doubt) / m + self.classifier.error**2)
+        half = float(t.ppf(0.5 + 0.5 * confidence, m - 1)) * error
+        middle = min(1.0, max(1.0 / m, self.classifier.probability + float(corrections.mean())))
+        return middle, max(0.5 / m, middle - half), min(1.0, middle + half)
+
+
+@dataclass(frozen=True, eq=False)
 class Sampled:
     """Fresh simulations that estimate a probability.
 
@@ -76,7 +116,7 @@ class Sampled:
         is_complete: whether the draws are all rows of the distribution.
         error: standard error of the classifier's probability, from blocks of rows that stand for a distribution.
         check: of a question; None if none was made.
-        existing: share of the distribution that the classifier takes for designs that exist; 1 if all do.
+        exists: which designs exist; None if all do.
     """
 
     plan: Plan | StratifiedPlan
@@ -86,15 +126,20 @@ class Sampled:
     is_complete: bool = False
     error: float = 0.0
     check: ModeCheck | None = None
-    existing: float = 1.0
+    exists: "Existing | None" = None
 
     def estimate(self, confidence: float) -> ProbabilityEstimate:
         """The probability among the designs that exist, with an interval of this confidence (see `_among_all`)."""
         estimate = self._among_all(confidence)
-        if self.existing == 1.0:
+        if self.exists is None:
             return estimate
-        middle, low, high = (min(1.0, p / self.existing) for p in (estimate.probability, estimate.low, estimate.high))
-        return replace(estimate, probability=middle, low=low, high=high)
+        middle, low, high = self.exists.share(confidence, self.is_complete)
+        return replace(
+            estimate,
+            probability=min(1.0, estimate.probability / middle),
+            low=min(1.0, estimate.low / high),
+            high=min(1.0, estimate.high / low),
+        )
 
     def _among_all(self, confidence: float) -> ProbabilityEstimate:
         """The probability with an interval of this confidence, which includes the error of the blocks.
@@ -177,7 +222,8 @@ class _Fresh:
         designs: (s, d) to simulate.
         first: as `Sampled.first`.
         place: (m,) the simulation of each draw; None if every draw is simulated.
-        is_complete, error, existing: as in `Sampled`.
+        is_complete, error: as in `Sampled`.
+        existing: share of the distribution that exists by the classifier; None if all does.
     """
 
     plan: Plan | StratifiedPlan
@@ -188,7 +234,7 @@ class _Fresh:
     place: NDArray[np.int_] | None
     is_complete: bool
     error: float
-    existing: float
+    existing: OfBoundary | None
 
     def sampled(self, campaign: Campaign, classifier: Classifier, results: Results, severity: int) -> Sampled:
         """The sample with the results of the s simulations."""
@@ -196,13 +242,16 @@ class _Fresh:
         if isinstance(plan, Plan) and isinstance(latent, MarginLatent):
             margin = margin_of(campaign, classifier, severity, results.outcome, results.margins)
             plan = plan.deviating(deviation_of_margins(latent, campaign.features, self.designs, margin))
-        answered = results.outcome != NUMERICAL_FAILURE
+        impossible = is_impossible(campaign.simulator, results.outcome, results.cause)
         # A design that does not exist is beyond no boundary.
-        answered |= is_impossible(campaign.simulator, results.outcome, results.cause)
-        beyond = results.outcome >= severity
-        if self.place is not None:
-            beyond, answered = beyond[self.place], answered[self.place]
-        return Sampled(plan, beyond, answered, self.first, self.is_complete, self.error, existing=self.existing)
+        answered = (results.outcome != NUMERICAL_FAILURE) | impossible
+        beyond, designs, place = results.outcome >= severity, self.designs, self.place
+        if place is not None:
+            beyond, answered, impossible, designs = beyond[place], answered[place], impossible[place], designs[place]
+        exists, boundary = None, BoundariesOf(classifier, campaign.features).exists
+        if self.existing is not None and boundary is not None:
+            exists = Existing(self.existing, ndtr(boundary(designs))[:, 0], ~impossible, plan.ratio)
+        return Sampled(plan, beyond, answered, self.first, self.is_complete, self.error, exists=exists)
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,9 +407,8 @@ def _fresh(
     designs, first, place = question.designs(plan.designs), None, None
     if isinstance(rows, WeightedRows):
         designs, first, place = np.unique(designs, axis=0, return_index=True, return_inverse=True)
-    exists, existing = BoundariesOf(classifier, campaign.features).exists, 1.0
-    if exists is not None:
-        existing = integrate(exists, rows, designs=question.designs).of(0).probability
+    exists = BoundariesOf(classifier, campaign.features).exists
+    existing = None if exists is None else integrate(exists, rows, designs=question.designs).of(0)
     names = name_of_estimate(*kept), name_of_check(*kept)
     return _Fresh(plan, *names, designs, first, place, is_complete, error, existing)
 

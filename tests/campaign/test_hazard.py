@@ -226,10 +226,14 @@ def test_many_rows_are_thinned_wherever_the_classifier_integrates_them(tmp_path:
         assert classifier_probability(fails, asked, points) == pytest.approx(true, abs=0.015)
     found = asked.integral(lambda X: fails(X)[:, None], TABLE_1)
     assert found.probability[0] == pytest.approx(true, abs=0.015)
-    deaggregation = deaggregated(
-        lambda X: fails(X)[:, None], lambda of: hazard_question(of, SETTINGS, TABLE_1, BEARING), read
-    )[0]
-    assert deaggregation.probability == pytest.approx(true, abs=0.015)
+    (deaggregation,) = deaggregated(
+        lambda X: fails(X)[:, None],
+        lambda of: hazard_question(of, SETTINGS, TABLE_1, BEARING),
+        read,
+        found.probability,
+    )
+    assert deaggregation.velocity_of_failures is not None
+    assert deaggregation.velocity_of_failures.median > deaggregation.velocity_of_pulses.median
     assert counted == [512, 2048, 4096, 4096]
 
 
