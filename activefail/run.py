@@ -154,13 +154,16 @@ class Run:
     @property
     def summary(self) -> Summary:
         """The state of the campaign in counts."""
-        # Not the file's text: an older version may have omitted settings that have defaults now.
-        return Summary.of(self.settings.text(), self.campaign.simulator.outcomes, self.store.batches, self.store.asked)
+        return self._summary_of(self.store.batches)
 
     def summary_after(self, simulations: int) -> Summary:
         """The state of the campaign after its first simulations, in counts."""
-        batches = self._first(simulations)
-        return Summary.of(self.settings.text(), self.campaign.simulator.outcomes, batches, self.store.asked)
+        return self._summary_of(self._first(simulations))
+
+    def _summary_of(self, batches: "Sequence[Batch]") -> Summary:
+        # Not the file's text: an older version may have omitted settings that have defaults now.
+        names = self.space.names, self.campaign.simulator.outcomes
+        return Summary.of(self.settings.text(), *names, batches, self.store.asked)
 
     def resume_command(
         self,

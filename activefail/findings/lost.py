@@ -1,22 +1,22 @@
 """Where the runs of a campaign give no result, in words."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.parameter import Parameter
-from activefail.space import Array, DesignSpace
 from activefail.visible import visible
 
 _TELLING = 3.0
 """Least difference between the mean ranks of lost and other runs, in standard errors, that is no chance."""
 
 
-def where_lost(space: DesignSpace, designs: Array, lost: NDArray[np.bool_]) -> str:
+def where_lost(names: Sequence[str], designs: NDArray[np.float64], lost: NDArray[np.bool_]) -> str:
     """How many runs gave no result, and which variable tells them best from the others; empty if all gave one.
 
     Args:
-        space: of the campaign.
-        designs: (n, d) of its simulations.
+        names: of the variables.
+        designs: (n, d) of the simulations.
         lost: (n,) which gave no result.
     """
     if not lost.any():
@@ -30,15 +30,9 @@ def where_lost(space: DesignSpace, designs: Array, lost: NDArray[np.bool_]) -> s
     # A rank is uniform, with a variance of 1/12.
     error = np.sqrt((1.0 / lost.sum() + 1.0 / (~lost).sum()) / 12.0)
     if abs(apart[column]) < _TELLING * error:
-        return f"{text}, scattered over the space"
-    one = space.parameters[column]
+        return f"{text}, scattered over the space; simulator.lost says what that means"
     of_lost, of_others = (float(np.median(designs[rows, column])) for rows in (lost, ~lost))
-    kind = "low" if apart[column] < 0.0 else "high"
     return (
-        f"{text}, most of them at {kind} {visible(one.name)} (median {_with_unit(of_lost, one)}, of the others "
-        f"{_with_unit(of_others, one)})"
+        f"{text}, most of them at {'low' if apart[column] < 0.0 else 'high'} {visible(names[column])} (median "
+        f"{of_lost:.3g}, of the others {of_others:.3g}); simulator.lost says what that means"
     )
-
-
-def _with_unit(value: float, parameter: Parameter) -> str:
-    return f"{value:.3g} {visible(parameter.unit)}".rstrip()

@@ -35,13 +35,11 @@ class Status:
         folder: the run folder.
         summary: of its campaign.
         warnings: of its record; empty if it is intact.
-        lost: where runs gave no result; empty if all gave one.
     """
 
     folder: Path
     summary: Summary
     warnings: tuple[str, ...] = ()
-    lost: str = ""
 
     @property
     def lines(self) -> list[tuple[str, str]]:
@@ -76,7 +74,7 @@ class Status:
             "stop_rule_met": self._rule_is_met,
             "estimates": self._estimates,
             "warnings": list(self.warnings),
-            "lost": self.lost,
+            "lost": self.summary.lost,
             "continue": [text for _, text in self.continuation],
         }
 
@@ -133,7 +131,7 @@ class Status:
     @property
     def learned(self) -> list[tuple[str, str]]:
         """Titles and texts of where runs are lost, of what each boundary is learned from, and of its stop rule."""
-        settings, lines = self.summary.settings, [("lost", self.lost)] if self.lost else []
+        settings, lines = self.summary.settings, [("lost", self.summary.lost)] if self.summary.lost else []
         candidate = candidate_of(self.summary.margins, settings.learns)
         for choice in self._choices:
             outcome, margin, *_ = choice
@@ -269,21 +267,10 @@ def read_status(folder: Path) -> Status:
         InputError: if the folder holds no campaign or its settings are invalid.
         StoreError: if the record cannot be read.
     """
-    summary = read_summary(folder)
-    if summary is not None and not summary.counts[-1]:
+    if (summary := read_summary(folder)) is not None:
         return Status(folder, summary)
     from activefail.campaign.on_disk import open_campaign
-    from activefail.findings.lost import where_lost
-    from activefail.loop.history import History
-    from activefail.simulators.interface import is_impossible
 
     with open_campaign(folder, write=False, features=False) as (campaign, store):
-        warnings, history = store.new_warnings(), History.of(store.batches)
-        if summary is None:
-            outcomes = campaign.simulator.outcomes
-            summary = Summary.of(campaign.settings.text(), outcomes, store.batches, store.asked)
-        text = where_lost(campaign.space, history.designs, ~history.answered)
-        impossible = is_impossible(campaign.simulator, history.outcome, history.cause)
-        if text and campaign.settings.probability_rule is not None and not (history.answered | impossible).all():
-            text += "; stop.probability waits while they may decide, unless simulator.lost says what they mean"
-        return Status(folder, summary, warnings, text)
+        warnings, names = store.new_warnings(), (campaign.space.names, campaign.simulator.outcomes)
+        return Status(folder, Summary.of(campaign.settings.text(), *names, store.batches, store.asked), warnings)

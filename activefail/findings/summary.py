@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from activefail.campaign.boundaries import boundary_shares
 from activefail.errors import StoreError
 from activefail.files import check_dots, read_regular
+from activefail.findings.lost import where_lost
 from activefail.record.asked import LARGEST_ASKED, NO_ROW, Asked, decode_asked, rows_with_results
 from activefail.record.batch import GIVEN, INITIAL, Batch
 from activefail.record.corrections import (
@@ -178,6 +179,7 @@ class Summary:
         margins: names of the margins, if they were read.
         known: digests of the chain after the last batch and of the corrections, if they were read.
         corrected: number of corrections.
+        lost: where runs gave no result; empty if all gave one.
     """
 
     settings: SettingsInBrief
@@ -190,6 +192,7 @@ class Summary:
     margins: tuple[str, ...] = ()
     known: tuple[str, str] = ("", "")
     corrected: int = 0
+    lost: str = ""
 
     @property
     def digest(self) -> str:
@@ -253,11 +256,14 @@ class Summary:
         return unseen_warning(unseen, int(self.counts[:-1].sum()), answered, unanswered)
 
     @classmethod
-    def of(cls, settings: str, outcomes: tuple[str, ...], batches: Sequence[Batch], asked: Asked) -> Self:
+    def of(
+        cls, settings: str, names: tuple[str, ...], outcomes: tuple[str, ...], batches: Sequence[Batch], asked: Asked
+    ) -> Self:
         """The summary of a campaign's batches and the designs that were handed out.
 
         Args:
             settings: TOML with all defaults.
+            names: of the variables.
             outcomes, batches, asked: of the record.
         """
         none = np.empty(0, dtype=np.int8)
@@ -269,6 +275,7 @@ class Summary:
             batches[-1].iteration if batches else 0,
             *_by_origin(outcome, origin, len(outcomes)),
             _in_flight(asked, batches),
+            lost=_where_lost(names, batches),
         )
 
 
@@ -338,10 +345,14 @@ def read_summary(folder: Path) -> Summary | None:
         np.concatenate([outline.origin for outline in outlines]),
         len(outcomes),
     )
-    last, margins = outlines[-1], outlines[0].schema.margins
+    last, margins, lost = outlines[-1], outlines[0].schema.margins, ""
+    if (np.concatenate(outcome) == NUMERICAL_FAILURE).any():
+        files = [(one.name, (folder / SEGMENTS / one.name).read_bytes()) for one in outlines]
+        recorded = [batch for one in files for batch in decode_segment(*one).batches]
+        lost = _where_lost(outlines[0].schema.variables, recorded)
     known = last.after, corrections.digest
     return Summary(
-        brief, _shown(outcomes), int(last.iterations[-1]), *counts, in_flight, margins, known, len(corrections)
+        brief, _shown(outcomes), int(last.iterations[-1]), *counts, in_flight, margins, known, len(corrections), lost
     )
 
 
@@ -377,6 +388,13 @@ def _in_flight(asked: Asked, batches: Sequence[Batch]) -> tuple[int, ...]:
     origin = np.concatenate([np.empty(0, dtype=np.int8), *(batch.origin for batch in batches)])
     waiting = (rows_with_results(asked, designs, origin) == NO_ROW) & (asked.dropped == 0)
     return tuple(asked.id[waiting].tolist())
+
+
+def _where_lost(names: Sequence[str], batches: Sequence[Batch]) -> str:
+    lost = [batch.results.outcome == NUMERICAL_FAILURE for batch in batches]
+    if not any(one.any() for one in lost):
+        return ""
+    return where_lost(names, np.concatenate([batch.designs for batch in batches]), np.concatenate(lost))
 
 
 def _counts(outcome: NDArray[np.int8], outcomes: int) -> NDArray[np.int64]:

@@ -380,7 +380,7 @@ def render(
         "outcomes": outcomes,
         "boundary": findings.boundary,
         "counts": {title: values.tolist() for title, values in counts.items()},
-        "lost": where_lost(campaign.space, findings.X, ~findings.answered),
+        "lost": where_lost(campaign.space.names, findings.X, ~findings.answered),
         "counts_picture": picture(
             plot_counts({title: values[:-1] for title, values in counts.items()}, outcomes),
             "counts",
@@ -399,7 +399,9 @@ def render(
         "beyond": findings.beyond,
         "missing": evidence.missing,
         "done": done,
-        "unseen": Summary.of(settings.text(), outcomes, store.batches, store.asked).unseen_warning,
+        "unseen": Summary.of(
+            settings.text(), campaign.space.names, outcomes, store.batches, store.asked
+        ).unseen_warning,
         "left": left,
         "folder": run_folder,
         "continues": continues,

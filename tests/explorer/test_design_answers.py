@@ -102,9 +102,9 @@ def test_the_median_period_is_that_of_the_acceleration_and_takes_the_place_of_th
 def test_a_target_alone_changes_no_curve_and_takes_few_new_probabilities(design):
     design.required(design.asked(REQUEST))
     known = design._probability.cache_info().misses
-    reply = design.required(design.asked(REQUEST | {"target": 0.06}))
+    reply = design.required(design.asked(REQUEST | {"target": 0.03}))
     assert known < design._probability.cache_info().misses <= known + 3
-    assert reply["text"].startswith("The target 6 % requires D_tot = ")
+    assert reply["text"].startswith("The target 3 % requires D_tot = ")
 
 
 def test_a_required_value_meets_its_target(design, monkeypatch):

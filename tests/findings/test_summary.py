@@ -41,7 +41,7 @@ def folder(made: Path, tmp_path: Path) -> Path:
 def whole(folder: Path) -> Summary:
     with FolderStore.open(folder, write=False) as store:
         assert store.schema is not None
-        return Summary.of(store.settings, store.schema.outcomes, store.batches, store.asked)
+        return Summary.of(store.settings, store.schema.variables, store.schema.outcomes, store.batches, store.asked)
 
 
 def values(summary: Summary | None) -> dict[str, object]:
