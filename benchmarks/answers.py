@@ -10,7 +10,8 @@ The parts are
                it is above 0.05 %. The campaign is one of campaigns/bearing.toml, run first if the folder does not exist
     lost       a solver that gives up where x2 < -2.5: 3 - x1 - 0.1 x2 <= 0 for normal variables. The share of nominal
                90 % intervals, each of 50 fresh simulations, that contain the probability if no lost run is a failure,
-               and if all are; and how many runs are lost among the first 20 and the last 40, from margins and outcomes
+               and if all are. And, from outcomes, a mesh that dies where x2 < 0, with failure where 0.5 - x1 - 0.1 x2
+               <= 0: how many runs are lost among the first 20 and the last 40
 
 Each line of --out is one bearing or campaign; a repeated command continues where it stopped.
 """
@@ -89,7 +90,8 @@ class GivesUp:
     releases_gil = True
 
     def run(self, X):
-        g, lost = 3.0 - X[:, 0] - 0.1 * X[:, 1], X[:, 1] < -2.5
+        at, below = (3.0, -2.5) if self.margins else (0.5, 0.0)
+        g, lost = at - X[:, 0] - 0.1 * X[:, 1], X[:, 1] < below
         outcome = np.where(lost, NUMERICAL_FAILURE, g <= 0.0).astype(np.int8)
         margins = np.where(lost, np.nan, g)[:, None] if self.margins else np.empty((len(X), 0))
         return Results(outcome, np.zeros(len(X), dtype=np.int8), margins, np.zeros(len(X)))
@@ -106,8 +108,9 @@ def lost(margins, seed, estimates=20):
         "sampling.budget": 60 if margins else 100,
         "classifier.features": "design",
         "limits.numerical_failures": 1.0,
-        "stop": {"probability": "failure", "cov": 0.1},
     }
+    if margins:
+        keys["stop"] = {"probability": "failure", "cov": 0.1}
     campaign = Campaign.of(CampaignSettings().changed(keys), simulator=GivesUp(("g",) if margins else ()))
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(1) as executor:

@@ -4,7 +4,7 @@ import itertools
 import re
 import sys
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import (
     BaseModel,
@@ -229,6 +229,17 @@ class OutcomeSettings(Section):
     levels: dict[str, list[float]] = Field(default_factory=dict)
     truncated: list[str] = Field(default_factory=list)
     lost: Lost | dict[CAUSES, Lost] = "unknown"
+
+    @field_validator("lost", mode="before")
+    @classmethod
+    def _is_a_meaning(cls, lost: object) -> object:
+        meanings, causes = get_args(Lost), get_args(CAUSES)
+        for cause, meaning in (lost if isinstance(lost, dict) else {causes[0]: lost}).items():
+            if cause not in causes:
+                raise ValueError(f"must name causes among {', '.join(causes)}, got {cause!r}")
+            if meaning not in meanings:
+                raise ValueError(f"must be one of {', '.join(meanings)}, or a table of these by cause, got {meaning!r}")
+        return lost
 
     def causes_that_mean(self, meaning: Lost) -> tuple[int, ...]:
         """Codes of the causes of lost runs that mean this; 0 is the simulator's own."""

@@ -9,7 +9,7 @@ from activefail.campaign.question import Outside, Question
 from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
-from activefail.reliability.integral import BoundariesOf, OfBoundary
+from activefail.reliability.integral import BoundariesOf, Lost, OfBoundary
 from activefail.shares import percent
 from activefail.simulators.bearing import limits_of
 from activefail.space import REACH
@@ -103,6 +103,7 @@ class ProbabilityFindings:
         question: title of the distribution; empty for the campaign's design measure.
         outside_space: what of the distribution lies outside the campaign's design space; None for the design measure.
         model: the probability by the classifier alone.
+        lost: the same if none, and if all, of the runs that are probably lost end beyond; None if none was lost.
         of_question: what the question and the simulator assume, as sentences.
     """
 
@@ -118,6 +119,7 @@ class ProbabilityFindings:
     model: OfBoundary
     of_question: tuple[str, ...] = ()
     is_clipped: bool = False
+    lost: tuple[float, float] | None = None
 
     @classmethod
     def of(
@@ -137,6 +139,11 @@ class ProbabilityFindings:
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES
         latent = classifier.latent(outcome)
         integral = question.integral(BoundariesOf(classifier, campaign.features), campaign.space)
+
+        def share(lost: Lost) -> float:
+            boundary = BoundariesOf(classifier, campaign.features, lost, outcome)
+            return question.integral(boundary, campaign.space).of(0).probability
+
         return cls(
             outcome=outcome,
             estimate=estimate,
@@ -149,6 +156,7 @@ class ProbabilityFindings:
             outside_space=question.outside(campaign.space) if question.digest else None,
             model=integral.of(severity - 1),
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
+            lost=None if classifier.unknown is None else (share("none"), share("all")),
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
 
@@ -199,6 +207,12 @@ class ProbabilityFindings:
                     if self.question
                     else "Continue the campaign for a narrower interval."
                 )
+            )
+        if self.lost is not None:
+            sentences.append(
+                f"Runs without a result are neither. By the classifier, the probability is {self.lost[0]:.3g} if none "
+                f"of them would have ended in {name}, and {self.lost[1]:.3g} if all would. The interval includes both. "
+                "simulator.lost says what they mean."
             )
         sentences.append(f"Method of the fresh simulations: {estimate.method}.")
         sentences.append(
