@@ -5,7 +5,7 @@
 
 The parts are
 
-    fragility  the curves of failure and of impact or worse of each bearing for M 5.8 to 8: the largest excess of
+    fragility  the curves of failure and of impact or worse of each bearing for M 6 to 8: the largest excess of
                failure over impact or worse, and the risk in 50 years over that of simulations of the same pulses, where
                it is above 0.05 %. The campaign is one of campaigns/bearing.toml, run first if the folder does not exist
     lost       a solver that gives up where x2 < -2.5: 3 - x1 - 0.1 x2 <= 0 for normal variables. The share of nominal
@@ -41,7 +41,7 @@ from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.surrogate.threads import one_thread
 from activefail.verification.probability_estimator import Estimator
 
-MAGNITUDES = (5.8, 6.2, 6.6, 7.0, 7.4, 8.0)
+MAGNITUDES = (6.0, 6.4, 6.8, 7.0, 7.4, 8.0)
 RATES = {"pgv_m_s": [0.2, 0.5, 1.0, 2.0], "annual_rate": [1e-2, 2e-3, 4e-4, 5e-5]}
 PULSES = 256
 IF_NONE, IF_ALL = 1.4174e-3, 7.6e-3
