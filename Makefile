@@ -73,7 +73,7 @@ reproduction: $(VENV)/.installed
 	$(BIN)/activefail paper --out docs
 
 benchmark: $(VENV)/.installed
-	$(BIN)/python benchmarks/simulator.py
+	$(BIN)/python studies/simulator.py
 
 clean:
 	rm -rf $(VENV)

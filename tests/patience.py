@@ -1,6 +1,6 @@
 """How long tests wait for an event that must happen.
 
-No test says how fast anything is: `benchmarks/` measures that. A test waits for an event, and fails after a limit
+No test says how fast anything is: `studies/` measures that. A test waits for an event, and fails after a limit
 only so that it does not hang if the event never comes.
 """
 

@@ -426,7 +426,7 @@ def references():
 LIST = {ROOT / "docs" / name for name in ("references.md", "references.bib", "references.py")}
 SOURCES = {
     path: path.read_text(encoding="utf-8")
-    for folder in ("activefail", "docs", "tests", "benchmarks", "experiments", "campaigns")
+    for folder in ("activefail", "docs", "tests", "studies", "campaigns")
     for pattern in ("*.py", "*.md", "*.toml")
     for path in ROOT.glob(f"{folder}/**/{pattern}")
     if path not in LIST

@@ -157,7 +157,7 @@ class BearingSettings(Section):
             the damper; of the plate that hits a rim see `restitution`.
         restitution: mass in the damper: "pairwise", as published, or "assembly", the mass of the plate. A plate hits a
             rim through the light slider: if "pairwise", it rebounds nearly elastically, with 0.89 of its speed in the
-            median and up to 0.97, and if "assembly" with 0.57, up to 0.71 (`python experiments/restitution.py`).
+            median and up to 0.97, and if "assembly" with 0.57, up to 0.71 (`python studies/restitution.py`).
         slider_density: density of the slider [kg/m³].
         friction_velocity: velocity over which Coulomb friction is regularised [m/s].
         loss_of_confinement: whether a slider that no rim of a plate holds any longer counts as failure.

@@ -11,7 +11,7 @@ from activefail.space import Array
 class StratifiedCount:
     """Designs sampled in parts of a design space, and how many of them were hits (for example, misclassified).
 
-    The share of hits is θ = Σ V_k p_k. `experiments/verification.py` measures the coverage of its bounds, above all
+    The share of hits is θ = Σ V_k p_k. `studies/verification.py` measures the coverage of its bounds, above all
     for few hits or none. Each bound is a quantile of the beta distribution with the mean and the variance of
     Σ V_k B_k, where B_k follows a beta distribution:
 

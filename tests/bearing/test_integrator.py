@@ -156,8 +156,8 @@ DUFFING = Oscillator(damping=0.3, linear=1.0, cubic=2.0, push=1.5, frequency=1.7
 
 
 def tableaux() -> list[Tableau]:
-    """The simulator's table and those of benchmarks/integrators.toml."""
-    text = (Path(__file__).parents[2] / "benchmarks" / "integrators.toml").read_text(encoding="utf-8")
+    """The simulator's table and those of studies/integrators.toml."""
+    text = (Path(__file__).parents[2] / "studies" / "integrators.toml").read_text(encoding="utf-8")
     others = [Tableau(name=name, **frozen(table)) for name, table in tomllib.loads(text).items() if "C" in table]
     return [RODAS, *others]
 

@@ -86,7 +86,7 @@ def fitted(below: Array, capacity: Array, events: Sequence[str]) -> Fragility | 
 
     Records of one event are not independent. The intervals therefore come from fits that leave one event out at a time
     (jackknife), with Student's t of one degree of freedom less than events: on the logarithm of the median, and on the
-    dispersion to the power -2/3, without its bias. `experiments/ida_intervals.py` measures how often they hold, also
+    dispersion to the power -2/3, without its bias. `studies/ida_intervals.py` measures how often they hold, also
     beside a bootstrap over events. They need at least three events, and a fit without any of them.
 
     Args:

@@ -1,0 +1,161 @@
+"""One probability, and runs that say nothing: what the classifier says against direct simulation.
+
+    python studies/answers.py --part fragility --campaign runs/bearing     8 bearings x 6 hazards (half an hour)
+    python studies/answers.py --part lost                                  10 campaigns x 20 estimates
+
+The parts are
+
+    fragility  the curves of failure and of impact or worse of each bearing for M 6 to 8: the largest excess of
+               failure over impact or worse, and the risk in 50 years over that of simulations of the same pulses, where
+               it is above 0.05 %. The campaign is one of campaigns/bearing.toml, run first if the folder does not exist
+    lost       a solver that gives up where x2 < -2.5: 3 - x1 - 0.1 x2 <= 0 for normal variables. The share of nominal
+               90 % intervals, each of 50 fresh simulations, that contain the probability if no lost run is a failure,
+               and if all are. And, from outcomes, a mesh that dies where x2 < 0, with failure where 0.5 - x1 - 0.1 x2
+               <= 0: how many runs are lost among the first 20 and the last 40
+
+Each line of --out is one bearing or campaign; a repeated command continues where it stopped.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from problems import Problem, standard
+from study import Rows, asked, in_memory
+
+from activefail import create_run, open_run, simulate
+from activefail.campaign.hazard import hazard_of
+from activefail.campaign.question import Question
+from activefail.execution.local import ThreadExecutor
+from activefail.reliability.integral import BoundariesOf
+from activefail.risk.fragility.curve import Curve
+from activefail.risk.fragility.levels import curves_on, intensity_ladder, question_at
+from activefail.risk.fragility.rates import risk_of
+from activefail.simulators.interface import NUMERICAL_FAILURE
+from activefail.surrogate.threads import one_thread
+from activefail.verification.probability_estimator import Estimator
+
+MAGNITUDES = (6.0, 6.4, 6.8, 7.0, 7.4, 8.0)
+RATES = {"pgv_m_s": [0.2, 0.5, 1.0, 2.0], "annual_rate": [1e-2, 2e-3, 4e-4, 5e-5]}
+PULSES = 256
+IF_NONE, IF_ALL = 1.4174e-3, 7.6e-3
+
+
+def fragility(folder, number):
+    """The ratios of one bearing under all hazards."""
+    opened = open_run(folder) if folder.exists() else create_run(folder, "campaigns/bearing.toml")
+    with opened as opened:
+        if opened.history.asked_for < opened.settings.sampling.budget:
+            opened.take()
+        space, rng, rows = opened.space, np.random.default_rng([number, 3]), []
+        bearing = {p.name: float(p.low + (p.high - p.low) * rng.random()) for p in space.parameters[:7]}
+        boundaries = BoundariesOf(opened.classifier, opened.campaign.features)
+        for M in MAGNITUDES:
+            pgv = {"median_m_s": 1.0, "dispersion": 0.25}
+            hazard = hazard_of({"magnitude": {"M": M}, "pgv": pgv, "curve": RATES}, Path("hazard.toml"))
+
+            def at(level, hazard=hazard):
+                return question_at(hazard, opened.settings, space, bearing, "pgv", level)
+
+            with one_thread():
+                curves = curves_on(boundaries, at, intensity_ladder("pgv", hazard), space).curves
+            ladder = curves[0].ladder
+            designs = [at(v).designs(at(v).space.sobol(PULSES, np.random.default_rng(1))) for v in ladder.levels]
+            outcome = simulate(np.concatenate(designs)).outcome.reshape(len(designs), PULSES)
+            excess = float(np.max(curves[1].probability - curves[0].probability))
+            outside = at(1.0).share_outside(space)
+            row = {"bearing": number, "M": M, "outside": outside, "excess": excess, "risk": [], "true": []}
+            for severity, curve in enumerate(curves, start=1):
+                true = Curve(ladder, (outcome >= severity).mean(axis=1), 0.0)
+                for key, one in (("risk", curve), ("true", true)):
+                    risk = risk_of(one, np.array(RATES["pgv_m_s"]), np.array(RATES["annual_rate"]))
+                    row[key].append(risk.in_50_years)
+            rows.append(row)
+    return rows
+
+
+class GivesUp(Problem):
+    """A limit state whose solver gives up far out: without margins nearer."""
+
+    def run(self, X):
+        results = super().run(X)
+        lost = X[:, 1] < (-2.5 if self.margins else 0.0)
+        margins = np.where(lost[:, None], np.nan, results.margins)
+        return replace(results, outcome=np.where(lost, NUMERICAL_FAILURE, results.outcome), margins=margins)
+
+
+SOLVER = GivesUp(lambda X: 3.0 - X[:, 0] - 0.1 * X[:, 1], standard(2))
+MESH = GivesUp(lambda X: 0.5 - X[:, 0] - 0.1 * X[:, 1], standard(2), shown=None)
+
+
+def lost(problem, seed, estimates=20):
+    """One campaign and its estimates; none from outcomes."""
+    margins = bool(problem.margins)
+    campaign = problem.campaign(
+        seed=seed,
+        sampling__initial=12 if margins else 24,
+        sampling__batch=4,
+        sampling__budget=60 if margins else 100,
+        limits__numerical_failures=1.0,
+        **({"stop": {"probability": "failure", "cov": 0.1}} if margins else {}),
+    )
+    learned = in_memory(campaign)
+    gone = ~learned.history.answered
+    row = {"margins": margins, "seed": seed, "simulations": len(gone), "met": learned.looks.is_known}
+    row |= {"first": gone[:20].sum(), "last": gone[-40:].sum(), "none": 0, "all": 0, "estimates": estimates}
+    with ThreadExecutor(1) as executor, one_thread():
+        last = learned.history.last_iteration
+        estimator = Estimator(campaign, learned.store, executor, learned.classifier, last)
+        for draw in range(1, estimates + 1 if margins else 1):
+            question = Question.of_space(campaign.space).drawn(draw)
+            estimate = estimator.sample("failure", 50, question).estimate(0.9)
+            row["none"] += bool(estimate.low <= IF_NONE <= estimate.high)
+            row["all"] += bool(estimate.low <= IF_ALL <= estimate.high)
+    return row
+
+
+def show_fragility(rows):
+    print(f"{len(rows)} hazards; largest excess of failure {max(row['excess'] for row in rows):.2g}")
+    for title, beyond in (("at most 10 % of the pulses outside", False), ("more of them", True)):
+        some = [row for row in rows if (row["outside"] > 0.1) == beyond]
+        pairs = [(r, t) for row in some for r, t in zip(row["risk"], row["true"], strict=True) if t > 5e-4]
+        if pairs:
+            ratios = np.array([r / t for r, t in pairs])
+            within = (np.abs(np.log(ratios)) <= np.log(1.15)).sum()
+            low, middle, high = np.quantile(ratios, (0.0, 0.5, 1.0))
+            print(f"{title}: {within} of {len(ratios)} risks within 1.15; {middle:.2f} ({low:.2f} to {high:.2f})")
+
+
+def show_lost(rows):
+    for margins in (True, False):
+        some = rows.of(margins=margins)
+        first, last, none, everything, count, met = (
+            sum(row[key] for row in some) for key in ("first", "last", "none", "all", "estimates", "met")
+        )
+        print(f"{'margins' if margins else 'outcomes'}: {len(some)} campaigns, {met} rules met")
+        print(f"  lost: {first} of the first 20 of each, {last} of the last 40")
+        if margins:
+            print(f"  of {count} intervals {none} contain P if no lost run fails, {everything} if all do")
+
+
+def main():
+    options = asked(__doc__, part="", campaign=Path("runs/bearing"), bearings=8, seeds=10, out=Path)
+    rows = Rows(options.out or Path(f"answers-{options.part}.jsonl"))
+    match options.part:
+        case "fragility":
+            for number in range(options.bearings):
+                for row in fragility(options.campaign, number) if rows.lack(bearing=number) else ():
+                    rows.add(**row)
+            show_fragility(rows.finished)
+        case "lost":
+            for seed in range(options.seeds):
+                for problem in (SOLVER, MESH):
+                    if rows.lack(seed=seed, margins=bool(problem.margins)):
+                        rows.add(**lost(problem, seed))
+            show_lost(rows)
+        case _:
+            raise SystemExit("--part: must be fragility or lost.")
+
+
+if __name__ == "__main__":
+    main()
