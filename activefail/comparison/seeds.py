@@ -7,7 +7,6 @@ that an interrupted comparison continues where it stopped.
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -28,7 +27,6 @@ from activefail.loop.learning import learn_from
 from activefail.loop.progress import Observer
 from activefail.record.layout import SETTINGS, refuse_links
 from activefail.record.run_folder import check_empty
-from activefail.sample_mean import Estimate
 from activefail.simulators.interface import NUMERICAL_FAILURE, Results
 from activefail.space import Array
 from activefail.surrogate.threads import one_thread
@@ -168,82 +166,69 @@ class ArmScore:
     measures: dict[str, float]
 
 
-@dataclass(frozen=True)
-class _Job:
-    """One arm, as sent to a worker process."""
-
-    arm: Arm
-    settings: str
-    checkpoints: tuple[int, ...]
-    folder: Path
-    test: FreshSet
-    static: History | None
-    code: Path | None
-
-
-def _campaign_rows(job: _Job, campaign: Campaign) -> Iterator[tuple[int, History]]:
-    """Run an arm's campaign to its budget; yields size and simulations at each checkpoint. Nothing if stopped."""
+def _campaign_rows(
+    folder: Path, campaign: Campaign, checkpoints: Sequence[int], code: Path | None
+) -> Iterator[tuple[int, History]]:
+    """Run a campaign to its last checkpoint; yields size and simulations at each. Nothing if stopped."""
     # Loads torch, which what draws learning curves does without.
     from activefail.loop.batches import run
 
-    folder = job.folder / _RUNS / job.arm.name
     if not (folder / SETTINGS).exists():
         create_folder(folder, campaign).close()
     with (
-        open_campaign(folder, write=True, code=job.code) as (recorded, store),
+        open_campaign(folder, write=True, code=code) as (recorded, store),
         local_executor(recorded.simulator, 1, recorded.time_limit) as executor,
     ):
-        if not run(recorded, store, executor, job.arm.size, Observer(stop=stopping)):
+        if not run(recorded, store, executor, checkpoints[-1], Observer(stop=stopping)):
             return
         history = History.of(store.batches)
-        for n in job.checkpoints:
+        for n in checkpoints:
             yield n, history[:n]
 
 
-def score_arm(job: _Job) -> list[ArmScore] | None:
-    """Score an arm in a worker process; None if stopped."""
-    campaign = Campaign.of(parse_settings(job.settings, job.arm.name), job.code)
+def score_arm(
+    arm: Arm,
+    settings: str,
+    checkpoints: Sequence[int],
+    folder: Path,
+    test: FreshSet,
+    static: History | None,
+    code: Path | None,
+) -> list[ArmScore] | None:
+    """Score an arm in a worker process; None if stopped.
+
+    Args:
+        arm, settings: the arm, and the settings of its campaign as text.
+        checkpoints: numbers of simulations at which a campaign is scored.
+        folder: of the comparison.
+        test: what scores.
+        static: the simulations of a static design.
+        code: folder of the user's code.
+    """
+    campaign = Campaign.of(parse_settings(settings, arm.name), code)
     with one_thread():
-        if job.static is None:
-            rows = _campaign_rows(job, campaign)
+        if static is None:
+            rows = _campaign_rows(folder / _RUNS / arm.name, campaign, checkpoints, code)
         else:
-            rows = iter([(job.arm.size, job.static)])
+            rows = iter([(arm.size, static)])
         scores = []
         for n, known in rows:
             if stopping():
                 return None
-            classifier = learn_from(campaign, known)
-            scores.append(ArmScore(job.arm, n, measures(classifier, campaign.severity, job.test)))
+            scores.append(ArmScore(arm, n, measures(learn_from(campaign, known), campaign.severity, test)))
     return scores or None
 
 
-def _write(path: Path, text: str) -> None:
-    """Write a file that appears under its name only when complete."""
-    with replacing(path) as file:
-        file.write(text)
-
-
 def _saved(path: Path) -> list[ArmScore] | None:
-    # An arm with an unreadable file is scored again.
-    with suppress(OSError, ValueError, TypeError, KeyError):
-        rows = json.loads(path.read_text(encoding="utf-8"))
-        return [
-            ArmScore(
-                Arm(**row["arm"]),
-                row["simulations"],
-                {name: float("nan") if value is None else value for name, value in row["measures"].items()},
-            )
-            for row in rows
-        ]
-    return None
+    if not path.exists():
+        return None
+    rows = json.loads(path.read_text(encoding="utf-8"))
+    return [ArmScore(Arm(**row["arm"]), row["simulations"], row["measures"]) for row in rows]
 
 
-def _text(scores: list[ArmScore]) -> str:
-    """Scores as JSON, with null for NaN."""
-    rows = [asdict(score) for score in scores]
-    for row in rows:
-        row["measures"] = {name: None if np.isnan(value) else value for name, value in row["measures"].items()}
-    return json.dumps(rows, indent=1, allow_nan=False)
+def _save(path: Path, scores: list[ArmScore]) -> None:
+    with replacing(path) as file:
+        json.dump([asdict(score) for score in scores], file, indent=1)
 
 
 def prepare(folder: Path, plan: ComparisonPlan) -> None:
@@ -262,12 +247,13 @@ def prepare(folder: Path, plan: ComparisonPlan) -> None:
     else:
         check_empty(folder, "comparison", "Choose another one.")
         folder.mkdir(parents=True, exist_ok=True)
-        _write(path, frozen)
+        with replacing(path) as file:
+            file.write(frozen)
     for part in (_SCORES, _RUNS):
         (folder / part).mkdir(exist_ok=True)
 
 
-def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, Any]]:
+def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None]) -> tuple[FreshSet, dict[Arm, History]]:
     """The test set and the static designs with their outcomes, stored in the folder `designs`."""
     campaign = Campaign.of(plan.settings.changed({"validation.size": 0}), plan.code, folder)
     space, first = campaign.space, plan.settings.seed
@@ -292,14 +278,12 @@ def _simulated(plan: ComparisonPlan, folder: Path, stage: Callable[[str], None])
         answered = outcome != NUMERICAL_FAILURE
         test = FreshSet(X[answered], outcome[answered], around[answered])
         static = {}
-        for seed in range(first, first + plan.seeds):
-            for size in plan.static:
-                stage(f"simulating a static design of {size}, seed {seed}")
-                hypercube = space.latin_hypercube(size, stream(seed, "static", size))
-                results = simulated(name_of_static_set(size, seed), hypercube)
-                static[seed, size] = History.of_sample(hypercube, results)
-    arms = [arm for arm in plan.arms() if arm.sampling == STATIC]
-    return test, {arm: static[arm.seed, arm.size] for arm in arms}
+        for arm in (arm for arm in plan.arms() if arm.sampling == STATIC):
+            stage(f"simulating a static design of {arm.size}, seed {arm.seed}")
+            hypercube = space.latin_hypercube(arm.size, stream(arm.seed, "static", arm.size))
+            results = simulated(name_of_static_set(arm.size, arm.seed), hypercube)
+            static[arm] = History.of_sample(hypercube, results)
+    return test, static
 
 
 def compare_seeds(
@@ -321,31 +305,33 @@ def compare_seeds(
     for arm in {(arm.features, arm.sampling): arm for arm in arms}.values():
         Campaign.of(settings[arm], plan.code)  # reject inconsistent settings before writing anything
     prepare(folder, plan)
-    scores = {arm: _saved(folder / _SCORES / f"{arm.name}.json") for arm in arms}
-    unscored = [arm for arm in arms if scores[arm] is None]
-    if unscored:
+    files = {arm: folder / _SCORES / f"{arm.name}.json" for arm in arms}
+    scores = {arm: saved for arm, path in files.items() if (saved := _saved(path)) is not None}
+    if len(scores) < len(arms):
         test, static = _simulated(plan, folder, stage)
         stage("campaigns and classifiers")
-        checkpoints = tuple(plan.checkpoints())
         with ProcessPool(jobs, "scores are kept") as pool:
-            futures = {}
-            for arm in unscored:
-                job = _Job(arm, settings[arm].text(), checkpoints, folder, test, static.get(arm), plan.code)
-                futures[pool.submit(score_arm, job)] = arm
+            futures = {
+                pool.submit(
+                    score_arm, arm, settings[arm].text(), plan.checkpoints(), folder, test, static.get(arm), plan.code
+                ): arm
+                for arm in arms
+                if arm not in scores
+            }
             pending, stop_requested = set(futures), False
             while pending and not stop_requested:
                 finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
                 for future in finished:
-                    arm, arm_scores = futures[future], future.result()
-                    if arm_scores is not None:
-                        _write(folder / _SCORES / f"{arm.name}.json", _text(arm_scores))
-                        scores[arm] = arm_scores
-                        done(sum(saved is not None for saved in scores.values()), len(arms))
+                    if (found := future.result()) is not None:
+                        arm = futures[future]
+                        _save(files[arm], found)
+                        scores[arm] = found
+                        done(len(scores), len(arms))
                 stop_requested = stop()
             pool.ask_to_stop()
-    if any(arm_scores is None for arm_scores in scores.values()):
+    if len(scores) < len(arms):
         return None
-    return [score for arm in arms for score in scores[arm] or []]
+    return [score for arm in arms for score in scores[arm]]
 
 
 @dataclass(frozen=True)
@@ -354,11 +340,6 @@ class Point:
 
     simulations: int
     values: Array  # (seeds,)
-
-    @property
-    def estimate(self) -> Estimate | None:
-        """Mean and intervals; None for a single seed."""
-        return Estimate.over(self.values) if len(self.values) > 1 else None
 
 
 def curves(scores: list[ArmScore], measure: str) -> dict[tuple[str, str], list[Point]]:

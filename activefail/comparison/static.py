@@ -139,14 +139,6 @@ def default_budgets(initial: int, done: int) -> list[int]:
     return sorted({round(float(step)) for step in steps})
 
 
-def _simulated(
-    campaign: Campaign, store: Store, executor: Executor, name: str, X: Array
-) -> tuple[Array, NDArray[np.int8]]:
-    designs_and_outcomes = simulated_set(campaign, store, executor, name, X)
-    assert designs_and_outcomes is not None  # no stop was requested
-    return designs_and_outcomes
-
-
 def _static_stream(seed: int, size: int, number: int) -> np.random.Generator:
     """The generator of a static design; number 0 has the designs that earlier versions compared with."""
     rng = stream(seed, "static", size)
@@ -200,7 +192,9 @@ def compare(
     with one_thread():
         stage(f"simulating {test_size} test designs")
         test = campaign.space.from_unit(stream(seed, "test").random((test_size, campaign.space.dimension)))
-        X_test, outcome_test = _simulated(campaign, store, executor, name_of_test_set(test_size), test)
+        test_set = simulated_set(campaign, store, executor, name_of_test_set(test_size), test)
+        assert test_set is not None  # no stop was requested
+        X_test, outcome_test = test_set
         if unanswered := test_size - len(X_test):
             stage(f"{unanswered} of {test_size} test designs failed numerically; using the other {len(X_test)}")
         scores = []

@@ -1,6 +1,7 @@
 """The paper's methods (its sections 3.1 and 3.2): logistic regression, and GP classification as in GPML."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -17,7 +18,13 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Moments
 
 Labels = NDArray[np.bool_]
-Method = Literal["laplace", "expectation propagation"]
+Method = Literal["laplace", "ep"]
+"""Laplace's method, R&W Algorithms 3.1, 3.2 and 5.1, or expectation propagation, R&W Algorithms 3.5, 3.6 and 5.2."""
+
+_POSTERIOR: dict[Method, Callable[..., GaussianApproximation]] = {
+    "laplace": gpml.laplace_posterior,
+    "ep": gpml.ep_posterior,
+}
 
 SIGNAL_VARIANCE = (1e-4, 1e4)
 """Bounds of the signal variance. For separable classes the evidence tends to a constant as the latent widens, so only a
@@ -135,19 +142,13 @@ class GaussianProcessFit:
     """A GP classifier with the probit likelihood, whose hyperparameters maximise the approximate evidence.
 
     Attributes:
-        method: approximate inference method.
         hyperparameters: mean, signal variance and length scales.
-        log_marginal_likelihood: the method's approximation of log Z [nat].
-        iterations: of L-BFGS; 0 for fixed hyperparameters.
         converged: whether both L-BFGS and the inference converged.
         features: (n, m) training features.
-        posterior: at the training features.
+        posterior: at the training features, with the approximate log evidence [nat].
     """
 
-    method: Method
     hyperparameters: SquaredExponentialPrior
-    log_marginal_likelihood: float
-    iterations: int
     converged: bool
     features: Array
     posterior: GaussianApproximation
@@ -165,10 +166,6 @@ class GaussianProcessFit:
         """P(label) = Φ(mean/√(1 + sd²)) at features, (n, m) -> (n,); R&W eq. 3.82."""
         return self.moments(F).probability
 
-    def accuracy(self, F: Array, y: Labels) -> float:
-        """Share of labels, (n,), on the right side of probability ½ at features, (n, m)."""
-        return float(np.mean((self.probability(F) > 0.5) == y))
-
 
 def condition(F: Array, y: Labels, hyperparameters: SquaredExponentialPrior, method: Method) -> GaussianProcessFit:
     """The approximate posterior of features, (n, m), and labels, (n,), for fixed hyperparameters.
@@ -178,40 +175,12 @@ def condition(F: Array, y: Labels, hyperparameters: SquaredExponentialPrior, met
     """
     _checked(F, y)
     K = gpml.covariance(F, F, hyperparameters)
-    posterior = _infer(method, K, hyperparameters.mean, _signs(y), None)
-    return GaussianProcessFit(
-        method, hyperparameters, posterior.log_evidence, 0, posterior.converged, F.copy(), posterior
-    )
-
-
-def laplace(F: Array, y: Labels) -> GaussianProcessFit:
-    """Train on scaled features, (n, m), and labels, (n,), with Laplace's method: R&W Algorithms 3.1, 3.2 and 5.1.
-
-    Raises:
-        InputError: if shapes differ, a value is not finite, or a class is missing.
-    """
-    return _train(F, y, "laplace")
-
-
-def expectation_propagation(F: Array, y: Labels) -> GaussianProcessFit:
-    """Train on scaled features, (n, m), and labels, (n,), with expectation propagation: R&W Algorithms 3.5, 3.6, 5.2.
-
-    Raises:
-        InputError: if shapes differ, a value is not finite, or a class is missing.
-    """
-    return _train(F, y, "expectation propagation")
+    posterior = _POSTERIOR[method](K, hyperparameters.mean, _signs(y))
+    return GaussianProcessFit(hyperparameters, posterior.converged, F.copy(), posterior)
 
 
 def _signs(y: Labels) -> Array:
     return np.where(y, 1.0, -1.0)
-
-
-def _infer(method: Method, K: Array, mean: float, signs: Array, start: SiteParameters | None) -> GaussianApproximation:
-    match method:
-        case "laplace":
-            return gpml.laplace_posterior(K, mean, signs, start=start)
-        case "expectation propagation":
-            return gpml.ep_posterior(K, mean, signs, start)
 
 
 def pack(hyperparameters: SquaredExponentialPrior) -> Array:
@@ -241,14 +210,18 @@ def evaluate(
     hyperparameters = unpack(packed)
     mean, s, _ = hyperparameters
     K = gpml.covariance(F, F, hyperparameters)
-    posterior = _infer(method, K, mean, signs, start)
+    posterior = _POSTERIOR[method](K, mean, signs, start=start)
     by_mean, by_signal, by_scales = gpml.evidence_gradient(F, K, hyperparameters, posterior)
     by_signal += by_mean * 0.5 * mean * s / (1.0 + s)
     return posterior, np.array([by_mean * math.sqrt(1.0 + s), by_signal, *by_scales])
 
 
-def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
-    """Type-II maximum likelihood without priors, like GPML's `minimize`: the best local maximum over `STARTS`."""
+def train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
+    """Train on scaled features, (n, m), and labels, (n,): the best local maximum of the evidence over `STARTS`.
+
+    Raises:
+        InputError: if shapes differ, a value is not finite, or a class is missing.
+    """
     _checked(F, y)
     if y.all() or not y.any():
         raise InputError(f"The training set must contain both classes, got {len(y)} labels of one.")
@@ -271,4 +244,4 @@ def _train(F: Array, y: Labels, method: Method) -> GaussianProcessFit:
 
     optimum = min((climb(*start) for start in STARTS), key=lambda end: float(end.fun))
     trained = condition(F, y, unpack(optimum.x), method)
-    return replace(trained, iterations=int(optimum.nit), converged=trained.converged and bool(optimum.success))
+    return replace(trained, converged=trained.converged and bool(optimum.success))

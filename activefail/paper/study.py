@@ -22,7 +22,7 @@ from activefail.comparison.measures import expected_calibration_error, log_score
 from activefail.execution.pool import ProcessPool
 from activefail.features import feature_map, paper_features
 from activefail.paper import published
-from activefail.paper.methods import LENGTH_SCALE, expectation_propagation, laplace, logistic_regression
+from activefail.paper.methods import LENGTH_SCALE, logistic_regression, train
 from activefail.paper.published import tilted
 from activefail.space import Array
 from activefail.surrogate.classifier import Latent
@@ -187,8 +187,8 @@ def _scaled_features(logarithmic: bool) -> Callable[[Array], Array]:
 
 def split(rng: np.random.Generator, n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Split n rows at random into training and held-out rows."""
-    train, held_out = np.split(rng.permutation(n), [round(TRAINING_SHARE * n)])
-    return train, held_out
+    training, held_out = np.split(rng.permutation(n), [round(TRAINING_SHARE * n)])
+    return training, held_out
 
 
 def calibration_slope(p: Array, y: NDArray[np.bool_]) -> float:
@@ -210,7 +210,7 @@ class _Trained:
 def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
     match method:
         case "laplace" | "ep":
-            process = (laplace if method == "laplace" else expectation_propagation)(F, failed)
+            process = train(F, failed, method)
             scales = process.hyperparameters.length_scales
             return _Trained(process.probability, scales, scales > 0.99 * LENGTH_SCALE[1], process.converged)
         case _:
@@ -219,6 +219,15 @@ def _trained(method: str, F: Array, failed: NDArray[np.bool_]) -> _Trained:
             latent = Latent(fitted)
             # Its weak prior keeps length scales finite, and its search always ends at a minimum.
             return _Trained(lambda G: latent.moments(G).probability, scales, np.zeros(len(scales), dtype=bool), True)
+
+
+def _trained_on_split(
+    method: str, F: Array, failed: NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[_Trained, float]:
+    """A classifier of random three quarters, and its accuracy on the rest."""
+    training, held_out = split(rng, len(F))
+    trained = _trained(method, F[training], failed[training])
+    return trained, float(np.mean((trained.probability(F[held_out]) > 0.5) == failed[held_out]))
 
 
 def process_of_draw(
@@ -230,13 +239,12 @@ def process_of_draw(
     y_fresh: NDArray[np.bool_],
 ) -> Process:
     """Train a GP classifier on random three quarters of a draw; test it on the rest and on fresh designs."""
-    train, held_out = split(rng, len(X))
     features = _scaled_features(method == "variational_log")
-    F, F_fresh = features(X), features(X_fresh)
-    trained = _trained(method, F[train], failed[train])
+    F_fresh = features(X_fresh)
+    trained, held_out = _trained_on_split(method, features(X), failed, rng)
     p = trained.probability(F_fresh)
     return Process(
-        held_out=float(np.mean((trained.probability(F[held_out]) > 0.5) == failed[held_out])),
+        held_out=held_out,
         fresh=float(np.mean((p > 0.5) == y_fresh)),
         log_score=log_score(probability_of_truth(p, y_fresh)),
         calibration_error=expected_calibration_error(p, y_fresh),
@@ -246,14 +254,6 @@ def process_of_draw(
         converged=trained.converged,
         probability=p,
     )
-
-
-def held_out_accuracy(X: Array, failed: NDArray[np.bool_], rng: np.random.Generator) -> float:
-    """Accuracy of the Laplace process on a random quarter of a draw, trained on the rest."""
-    train, held_out = split(rng, len(X))
-    F = _scaled_features(False)(X)
-    p = laplace(F[train], failed[train]).probability(F[held_out])
-    return float(np.mean((p > 0.5) == failed[held_out]))
 
 
 def study_draw(
@@ -285,17 +285,18 @@ def study_draw(
         X_fresh, outcome_fresh = _answered(X_fresh, outcome_fresh)
         F, F_fresh = paper_features(X), paper_features(X_fresh)
         failed, failed_fresh = outcome == 2, outcome_fresh == 2
-        train, _ = split(of_split(0), len(X))
+        training, _ = split(of_split(0), len(X))
         processes = {
             method: process_of_draw(method, X, failed, of_split(0), X_fresh, failed_fresh) for method in methods
         }
-        others = [held_out_accuracy(X, failed, of_split(number)) for number in range(1, splits)]
+        scaled = _scaled_features(False)(X)
+        others = [_trained_on_split("laplace", scaled, failed, of_split(number))[1] for number in range(1, splits)]
         return Draw(
             logistic={
                 name: logistic_of_draw(X, outcome >= least, F_fresh, outcome_fresh >= least)
                 for name, least in BOUNDARIES.items()
             },
-            three_quarters=logistic_regression(F[train], failed[train]).accuracy(F_fresh, failed_fresh),
+            three_quarters=logistic_regression(F[training], failed[training]).accuracy(F_fresh, failed_fresh),
             processes=processes,
             held_out=np.array([processes["laplace"].held_out, *others]),
         )
@@ -310,17 +311,21 @@ def study_draws(pool: ProcessPool, data: Data, seed: int, methods: tuple[str, ..
     return [future.result() for future in futures]
 
 
+def _p_values(draws: list[Draw], boundary: str) -> Array:
+    """The p-values of each draw, (draws, 6)."""
+    return np.array([draw.logistic[boundary].p_values for draw in draws])
+
+
 def median_p_values(draws: list[Draw], boundary: str) -> Array:
     """Median Wald p-values over the draws that have them, (6,); NaN if none has."""
-    p = np.array([draw.logistic[boundary].p_values for draw in draws])
+    p = _p_values(draws, boundary)
     defined = p[~np.isnan(p).any(axis=1)]
     return np.asarray(np.median(defined, axis=0)) if len(defined) else np.full(p.shape[1], np.nan)
 
 
 def significant_share(draws: list[Draw], boundary: str) -> Array:
     """Share of draws in which each feature is significant at 5 %, (6,); never in a draw without p-values."""
-    p = np.array([draw.logistic[boundary].p_values for draw in draws])
-    return np.asarray(np.mean(np.where(np.isnan(p), 1.0, p) < SIGNIFICANCE, axis=0))
+    return np.asarray(np.mean(np.nan_to_num(_p_values(draws, boundary), nan=1.0) < SIGNIFICANCE, axis=0))
 
 
 @dataclass(frozen=True)
@@ -418,8 +423,8 @@ def typical_process(study: Study) -> PaperProcess:
     """The Laplace process shown in Figures 3 to 5, of the typical draw."""
     draw = typical_draw(study)
     X, outcome = _answered(study.data.X[draw], study.data.outcome[draw])
-    train, _ = split(np.random.default_rng([study.seed, 2, draw, 0]), len(X))
-    F, failed = paper_features(X[train]), outcome[train] == 2
+    training, _ = split(np.random.default_rng([study.seed, 2, draw, 0]), len(X))
+    F, failed = paper_features(X[training]), outcome[training] == 2
     center, spread = _paper_scaling()
-    trained = laplace((F - center) / spread, failed)
+    trained = train((F - center) / spread, failed, "laplace")
     return PaperProcess(F, failed, lambda G: trained.moments((G - center) / spread))
