@@ -20,7 +20,8 @@ from activefail.campaign.settings import CampaignSettings, parse_settings, read_
 from activefail.comparison.measures import NEIGHBOURS, FreshSet, displaced, measures
 from activefail.errors import InputError
 from activefail.execution.local import local_executor
-from activefail.execution.pool import ProcessPool, stopping
+from activefail.execution.pool import ProcessPool
+from activefail.execution.processes import stopping
 from activefail.files import replacing
 from activefail.loop.history import History
 from activefail.loop.learning import learn_from

@@ -6,12 +6,13 @@ from asyncio import CancelledError
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Self
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from activefail.errors import ActivefailError, InputError, SimulationError
 from activefail.execution.answering import answer, finished
-from activefail.execution.processes import Guards
+from activefail.execution.guards import Guards
+from activefail.execution.local import taken
 from activefail.simulators.interface import WORKER_DIED, Results, Simulator, unanswered
 from activefail.space import Array
 
@@ -32,6 +33,15 @@ TRIES = 3
 
 _LOOK = 0.5
 """Seconds between checks that the scheduler is reachable."""
+
+
+class _Flight(NamedTuple):
+    """A simulation that Dask was given, for the so many-th time."""
+
+    future: "Future"
+    simulator: Simulator
+    x: Array
+    tries: int
 
 
 class DaskExecutor:
@@ -85,8 +95,7 @@ class DaskExecutor:
         self._expected = None if versions is None else (versions, tuple(sorted(versions().items())))
         self._waits_for_workers = False
         self._arrivals: _Arrivals = SimpleQueue()
-        self._in_flight: dict[str, tuple[Future, Simulator, Array]] = {}
-        self._tries: dict[bytes, int] = {}
+        self._in_flight: dict[str, _Flight] = {}
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
@@ -116,9 +125,9 @@ class DaskExecutor:
         """
         return self._collect(self._arrivals, seconds)
 
-    def _submit(self, simulator: Simulator, ticket: int, x: Array, arrivals: "_Arrivals") -> None:
+    def _submit(self, simulator: Simulator, ticket: int, x: Array, arrivals: "_Arrivals", tries: int = 1) -> None:
         future = self._client.submit(answer_on_worker, simulator, x[None], self._time_limit, self._expected, pure=False)
-        self._in_flight[future.key] = future, simulator, x
+        self._in_flight[future.key] = _Flight(future, simulator, x, tries)
 
         async def gather() -> None:
             answer: _Answer
@@ -133,13 +142,11 @@ class DaskExecutor:
         self._client.loop.add_callback(gather)
 
     def _collect(self, queue: "_Arrivals", seconds: float) -> list[tuple[int, Results]]:
-        arrivals = []
-        with suppress(Empty):
-            arrivals.append(queue.get(timeout=seconds))
-            while True:
-                arrivals.append(queue.get_nowait())
+        from distributed import KilledWorker
+
+        arrivals = taken(queue, seconds)
         # Not "lost" futures: Dask recomputes answers that were lost with their workers.
-        cancelled = any(future.status == "cancelled" for future, _, _ in self._in_flight.values())
+        cancelled = any(flight.future.status == "cancelled" for flight in self._in_flight.values())
         if cancelled or self._client.status not in ("running", "connecting"):
             raise self._lost()
         if arrivals:
@@ -149,23 +156,13 @@ class DaskExecutor:
             self._look_for_workers()
         results = []
         for ticket, key, arrived in arrivals:
-            if not self._is_tried_again(key, ticket, arrived, queue):
-                results.append((ticket, self._result(key, arrived)))
+            flight = self._in_flight.pop(key)
+            if isinstance(arrived, KilledWorker) and flight.tries < TRIES:
+                # Its workers were lost, as when an allocation ends.
+                self._submit(flight.simulator, ticket, flight.x, queue, flight.tries + 1)
+            else:
+                results.append((ticket, self._result(flight, arrived)))
         return results
-
-    def _is_tried_again(self, key: str, ticket: int, answer: "_Answer", queue: "_Arrivals") -> bool:
-        """Whether a simulation begins again because its workers were lost, as when an allocation ends."""
-        from distributed import KilledWorker
-
-        _, simulator, x = self._in_flight[key]
-        tries = self._tries.get(x.tobytes(), 1)
-        if not isinstance(answer, KilledWorker) or tries == TRIES:
-            self._tries.pop(x.tobytes(), None)
-            return False
-        self._tries[x.tobytes()] = tries + 1
-        del self._in_flight[key]
-        self._submit(simulator, ticket, x, queue)
-        return True
 
     def _look_for_workers(self) -> None:
         """Tell the user, once each time, that simulations wait because there are no workers."""
@@ -182,10 +179,10 @@ class DaskExecutor:
             f"Existing data is intact. Restart the scheduler, then resume."
         )
 
-    def _result(self, key: str, answer: "_Answer") -> Results:
+    def _result(self, flight: "_Flight", answer: "_Answer") -> Results:
         from distributed import KilledWorker
 
-        future, simulator, x = self._in_flight.pop(key)
+        future, simulator, x, _ = flight
         match answer:
             case KilledWorker():
                 fault = f"design {x.tolist()}: its workers were lost in each of {TRIES} tries: {answer}"
@@ -210,7 +207,7 @@ class DaskExecutor:
 
     def __exit__(self, *exception: object) -> None:
         # Running simulations continue to their end or time limit; their results are discarded.
-        self._client.cancel([future for future, _, _ in self._in_flight.values()], force=True)
+        self._client.cancel([flight.future for flight in self._in_flight.values()], force=True)
         self._client.close(timeout=_CONNECT)
 
 
@@ -233,10 +230,8 @@ def _check_versions(versions: Versions, expected: _Expected) -> None:
         )
 
 
-@cache
-def _guards(time_limit: float | None) -> Guards:
-    """A Dask worker's guards: one process for each of its threads."""
-    return Guards(answer, time_limit)
+_guards = cache(Guards)
+"""A Dask worker's guards, by time limit: a process for each of its threads."""
 
 
 def answer_on_worker(
@@ -251,4 +246,4 @@ def answer_on_worker(
         _check_versions(*expected)
     if simulator.releases_gil:
         return answer(simulator, X)
-    return _guards(time_limit).of_this_thread().answer(simulator, X)
+    return _guards(time_limit).answer(simulator, X)

@@ -1,15 +1,15 @@
 """Executors on this machine, and the number of workers: threads for compiled simulators, processes for all others."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
-from typing import Self
+from typing import Self, TypeVar
 
 from activefail.errors import SimulationError
 from activefail.execution.answering import answer, finished
-from activefail.execution.processes import Guards
+from activefail.execution.guards import Guards
 from activefail.simulators.interface import Results, Simulator, unanswered
 from activefail.space import Array
 
@@ -18,6 +18,24 @@ _WAIT = 0.5
 
 _ROWS_A_CALL = 16
 """Most rows per call: short calls show progress and shorten the wait after an interrupt."""
+
+T = TypeVar("T")
+
+
+def taken(queue: "SimpleQueue[T]", seconds: float) -> list[T]:
+    """All that a queue holds, in order; waits up to `seconds` for the first item.
+
+    A wait without a limit could miss a Ctrl-C that arrives just before it: Python handles it when the wait ends.
+    """
+    items = []
+    with suppress(Empty):
+        items.append(queue.get(timeout=seconds))
+        while True:
+            items.append(queue.get_nowait())
+    return items
+
+
+_Done = SimpleQueue[tuple[int, Future[Results]]]
 
 
 class ThreadExecutor:
@@ -37,7 +55,7 @@ class ThreadExecutor:
     ) -> None:
         self._workers, self._answer, self._rows_a_call = workers, answer, rows_a_call
         self._pool = ThreadPoolExecutor(workers)
-        self._done: SimpleQueue[tuple[int, Future[Results]]] = SimpleQueue()
+        self._done: _Done = SimpleQueue()
 
     def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
         """Simulate designs, (n, d) (see Executor)."""
@@ -45,43 +63,45 @@ class ThreadExecutor:
         if n == 0:
             return unanswered(simulator, 0)
         rows = max(1, min(self._rows_a_call, n // (4 * self._workers)))
-        try:
-            parts = [self._submit(simulator, X[first : first + rows]) for first in range(0, n, rows)]
-            for part in _as_completed(parts):
-                done = len(part.result())
-                if progress is not None:
-                    progress(done)
-        except BaseException:
-            self._stop()
-            raise
-        return Results.concatenate([part.result() for part in parts])
+        firsts = range(0, n, rows)
+        done: _Done = SimpleQueue()
+        parts: dict[int, Results] = {}
+        with self._stopping_after_errors():
+            for first in firsts:
+                self._submit(simulator, first, X[first : first + rows], done)
+            while len(parts) < len(firsts):
+                for first, part in taken(done, _WAIT):
+                    parts[first] = part.result()
+                    if progress is not None:
+                        progress(len(parts[first]))
+        return Results.concatenate([parts[first] for first in firsts])
 
     def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
         """Queue a design, (d,), for simulation (see AsynchronousExecutor)."""
-        future = self._submit(simulator, x[None])
-        future.add_done_callback(lambda done: self._done.put((ticket, done)))
+        self._submit(simulator, ticket, x[None], self._done)
 
     def answered(self, seconds: float) -> list[tuple[int, Results]]:
         """Tickets and results that arrived (see AsynchronousExecutor)."""
-        answers = []
-        try:
-            with suppress(Empty):
-                answers.append(self._done.get(timeout=seconds))
-                while True:
-                    answers.append(self._done.get_nowait())
-            return [(ticket, future.result()) for ticket, future in answers]
-        except BaseException:
-            self._stop()
-            raise
+        with self._stopping_after_errors():
+            return [(ticket, future.result()) for ticket, future in taken(self._done, seconds)]
 
-    def _submit(self, simulator: Simulator, X: Array) -> Future[Results]:
+    def _submit(self, simulator: Simulator, ticket: int, X: Array, done: _Done) -> None:
         try:
-            return self._pool.submit(self._simulate, simulator, X)
+            future = self._pool.submit(self._simulate, simulator, X)
         except RuntimeError as error:  # the system refuses another thread
             raise SimulationError(f"A simulation cannot be started: {error}. Try fewer --workers.") from None
+        future.add_done_callback(lambda future: done.put((ticket, future)))
 
     def _simulate(self, simulator: Simulator, X: Array) -> Results:
         return finished(simulator, self._answer(simulator, X))
+
+    @contextmanager
+    def _stopping_after_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self._stop()
+            raise
 
     def _stop(self) -> None:
         """Cancel pending simulations, without waiting."""
@@ -96,25 +116,7 @@ class ThreadExecutor:
         self._pool.shutdown(wait=exception[0] is None, cancel_futures=True)
 
 
-def _as_completed(futures: Sequence[Future[Results]]) -> Iterator[Future[Results]]:
-    """The futures in the order in which they complete.
-
-    A wait without a timeout can miss a Ctrl-C that arrives just before it: Python handles it when the wait ends.
-    """
-    completed: SimpleQueue[Future[Results]] = SimpleQueue()
-    for future in futures:
-        future.add_done_callback(completed.put)
-    for _ in futures:
-        yield _first(completed)
-
-
-def _first(completed: "SimpleQueue[Future[Results]]") -> "Future[Results]":
-    while True:
-        with suppress(Empty):
-            return completed.get(timeout=_WAIT)
-
-
-class ProcessExecutor:
+class ProcessExecutor(ThreadExecutor):
     """Spawned processes, for simulators that hold the interpreter's lock; the simulator is pickled to them.
 
     Each gets one design at a time, so that its death fails one simulation only. A thread waits for each process.
@@ -125,47 +127,21 @@ class ProcessExecutor:
     """
 
     def __init__(self, workers: int, time_limit: float | None = None) -> None:
-        self._guards = Guards(answer, time_limit)
-        self._threads = ThreadExecutor(workers, self._answer, rows_a_call=1)
+        self._guards = Guards(time_limit)
+        super().__init__(workers, self._guards.answer, rows_a_call=1)
 
-    def _answer(self, simulator: Simulator, X: Array) -> Results:
-        return self._guards.of_this_thread().answer(simulator, X)
-
-    def run(self, simulator: Simulator, X: Array, progress: Callable[[int], None] | None = None) -> Results:
-        """Simulate designs, (n, d) (see Executor)."""
-        with self._stopping_after_errors():
-            return self._threads.run(simulator, X, progress)
-
-    def start(self, simulator: Simulator, ticket: int, x: Array) -> None:
-        """Queue a design, (d,), for simulation (see AsynchronousExecutor)."""
-        self._threads.start(simulator, ticket, x)
-
-    def answered(self, seconds: float) -> list[tuple[int, Results]]:
-        """Tickets and results that arrived (see AsynchronousExecutor)."""
-        with self._stopping_after_errors():
-            return self._threads.answered(seconds)
-
-    @contextmanager
-    def _stopping_after_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except BaseException:
-            self._guards.stop()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
+    def _stop(self) -> None:
+        super()._stop()
+        self._guards.stop()
 
     def __exit__(self, *exception: object) -> None:
         self._guards.stop()
         # Nothing keeps the threads waiting any more, whatever ended the context.
-        self._threads.__exit__(None, None, None)
+        super().__exit__(None, None, None)
         self._guards.close()
 
 
-def local_executor(
-    simulator: Simulator, workers: int | None = None, time_limit: float | None = None
-) -> ThreadExecutor | ProcessExecutor:
+def local_executor(simulator: Simulator, workers: int | None = None, time_limit: float | None = None) -> ThreadExecutor:
     """The executor for a simulator on this machine; `workers=None` uses all cores.
 
     Args:

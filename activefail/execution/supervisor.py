@@ -1,27 +1,22 @@
-"""The process between the main program and a worker: it kills the worker and all processes that the worker started.
+"""The process between the program and a worker: it ends the worker with all that the worker has started.
 
 The worker runs the user's code, which may hold the interpreter for hours, start programs in new sessions, or die. The
 supervisor only waits, so that it can always act. On Linux it adopts every orphaned descendant of the worker
-(PR_SET_CHILD_SUBREAPER), so that none escapes; elsewhere it ends only the worker's process group. `processes` starts
-it. It imports little, because two processes per worker should not double the memory.
+(PR_SET_CHILD_SUBREAPER), so that none escapes; elsewhere it ends the worker's process group. `processes` starts it. It
+imports little, because two processes per worker should not double the memory.
 """
 
 import os
-import select
 import signal
 import sys
 import time
 from contextlib import suppress
-from typing import NoReturn
 
-STATUS = 4
-"""Bytes in which a supervisor reports its worker's exit status, as from `os.waitpid`."""
-
-NO_PROCESS = 72
-"""Exit code that a supervisor reports for a worker that it could not start."""
+SIGNALLED = 128
+"""Added to the number of the signal that ended a worker, in the supervisor's exit code, as shells do."""
 
 _LOOK = 1.0
-"""Seconds between checks that the main program lives: a copy of its end of the leash may outlive it."""
+"""Seconds between checks that the program lives."""
 
 _PATIENCE = 10.0
 """Seconds to wait for killed processes; one that hangs in the kernel may not end."""
@@ -30,108 +25,68 @@ _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 """From Linux's <sys/prctl.h>."""
 
 
-def main(program: int, answers: int, leash: int) -> NoReturn:
-    """Start a worker, wait until it ends or the main program closes the leash, and end all remaining processes.
+def main(program: int, connection: int) -> None:
+    """Start a worker, wait until it ends, the program ends or SIGTERM comes, and end all remaining processes.
+
+    Exits with the worker's exit code.
 
     Args:
-        program: process id of the main program.
-        answers: descriptor of the connection for questions and answers.
-        leash: descriptor of a socket whose other end only the main program holds. The worker's exit status is written
-            to it once all its processes have ended.
+        program: process id of the program.
+        connection: descriptor of the worker's end of its connection to the program.
     """
-    # A terminal sends Ctrl-C to all processes; the main program handles it. It was blocked until now.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    for descriptor in (answers, leash):
-        os.set_inheritable(descriptor, False)
-    prctl(_PR_SET_CHILD_SUBREAPER, 1)
-    woken, wake = os.pipe()
-    os.set_blocking(wake, False)
-    # Python writes a byte to the pipe on each signal that has a handler.
-    signal.signal(signal.SIGCHLD, lambda *_: None)
-    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
-    supervisor = os.getpid()
-    try:
-        worker = os.fork()
-    except OSError:
-        with suppress(OSError):
-            os.write(leash, (NO_PROCESS << 8).to_bytes(STATUS, "little"))
-        os._exit(0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the program decides what follows from Ctrl-C
+    _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    signals = {signal.SIGCHLD, signal.SIGALRM, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    worker = os.fork()
     if worker == 0:
-        signal.set_wakeup_fd(-1)
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        for descriptor in (leash, woken, wake):
-            os.close(descriptor)
-        _work(supervisor, answers)
-    os.close(answers)
-    status = _watch(worker, program, leash, woken)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+        os.setsid()  # also a new process group, which can be killed as one
+        _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        from activefail.execution.processes import serve
+
+        serve(connection)
+    os.close(connection)
+    signal.setitimer(signal.ITIMER_REAL, _LOOK, _LOOK)
+    status = None
+    while status is None and os.getppid() == program and signal.sigwait(signals) != signal.SIGTERM:
+        status = _reap(worker)
     _end(worker, status is None)
-    with suppress(OSError):
-        os.write(leash, (status or 0).to_bytes(STATUS, "little"))
-    os._exit(0)
+    code = 0 if status is None else os.waitstatus_to_exitcode(status)
+    os._exit(code if code >= 0 else SIGNALLED - code)
 
 
-def _work(supervisor: int, answers: int) -> NoReturn:
-    """Run the worker."""
-    leave, code = os._exit, 1
-    try:
-        # A new session and process group, which can be killed as one.
-        os.setsid()
-        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() == supervisor:
-            from activefail.execution.worker import serve
-
-            serve(answers)
-    except SystemExit as error:
-        code = error.code & 0xFF if isinstance(error.code, int) else int(error.code is not None)
-    except BaseException:
-        import traceback
-
-        traceback.print_exc()
-    finally:
-        # Never return: a process that the simulator forked may get here, too.
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(Exception):
-                stream.flush()
-        leave(code)
-
-
-def _watch(worker: int, program: int, leash: int, woken: int) -> int | None:
-    """The worker's exit status, as from `os.waitpid`; None if the main program closes the leash before."""
-    while True:
-        ready, _, _ = select.select([leash, woken], [], [], _LOOK)
-        if woken in ready:
-            os.read(woken, 4096)
-        # This also reaps adopted processes.
-        with suppress(ChildProcessError):
-            while (ended := os.waitpid(-1, os.WNOHANG))[0]:
-                if ended[0] == worker:
-                    return ended[1]
-        if leash in ready or os.getppid() != program:
-            return None
+def _reap(worker: int) -> int | None:
+    """Collect ended child processes, adopted ones too; the worker's status, as from `os.waitpid`, if it has ended."""
+    status = None
+    with suppress(ChildProcessError):
+        while (ended := os.waitpid(-1, os.WNOHANG))[0]:
+            if ended[0] == worker:
+                status = ended[1]
+    return status
 
 
 def _end(worker: int, alive: bool) -> None:
     """Kill all processes that a worker started, and the worker if it is alive."""
     deadline = time.monotonic() + _PATIENCE
+    processes = {worker} if alive else set()  # it may not have a group yet
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(worker, signal.SIGKILL)
-    processes = {worker} if alive else set()  # it may not have a group yet
     while time.monotonic() < deadline:
         # Children of a killed process are adopted, and appear in the next round.
-        for process in processes | children():
+        for process in processes:
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(process, signal.SIGKILL)
-        processes.clear()
         try:
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
         except ChildProcessError:
             return
         time.sleep(0.001)
+        processes = _children()
 
 
-def children() -> set[int]:
+def _children() -> set[int]:
     """The child processes of this one, if the system lists processes."""
     pids: set[int] = set()
     # Over all processes: not every kernel lists the children of one.
@@ -144,10 +99,9 @@ def children() -> set[int]:
     return pids
 
 
-def prctl(option: int, value: int) -> None:
+def _prctl(option: int, value: int) -> None:
     """Set an attribute of this process, if the system supports it."""
     if sys.platform == "linux":
-        with suppress(ImportError, OSError, AttributeError):
-            import ctypes
+        import ctypes
 
-            ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
+        ctypes.CDLL(None).prctl(option, value, 0, 0, 0)

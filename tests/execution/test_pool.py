@@ -12,7 +12,8 @@ import pytest
 from patience import until
 
 from activefail.errors import SimulationError
-from activefail.execution.pool import ProcessPool, stopping
+from activefail.execution.pool import ProcessPool
+from activefail.execution.processes import stopping
 
 
 def note(path: Path) -> None:

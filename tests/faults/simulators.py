@@ -2,22 +2,18 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import CellType, FunctionType
 from typing import Any
 
 import numpy as np
 from campaign.stub import Disc
 
 from activefail.errors import SimulationError
-from activefail.execution.frames import FrameKind, encode_frame, pack_answer
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
@@ -74,7 +70,7 @@ class Failing(Disc):
         raise AssertionError(self.how)
 
 
-# --- that come between a worker and its parent -------------------------------------------------------------------
+# --- that interfere with their worker ----------------------------------------------------------------------------
 
 DESCRIPTORS = range(3, 1024)
 """Those that a simulator has not opened itself, and a good many that it might have."""
@@ -104,31 +100,10 @@ def forks_and_returns(X: Array) -> None:
             os.execvp("no-such-program", ["x"])
 
 
-def forks_and_lies(X: Array) -> None:
-    """Both come back, and the child says that it is its parent."""
-    parent = os.getpid()
+def forks_and_raises(X: Array) -> None:
+    """As where nobody expects that: the child's error comes back."""
     if os.fork() == 0:
-        os.getpid = lambda: parent
-
-
-def forks_and_forges(X: Array) -> None:
-    """A child says that it is its parent in a frame that is right in all else, and it says so first."""
-    line = _line()
-    child = os.fork()
-    if child == 0:
-        line["connection"].sendall(_forged(line, X))
-        os._exit(0)
-    os.waitpid(child, 0)
-
-
-def forks_and_repeats(X: Array) -> None:
-    """A child writes half a frame to every descriptor, before its parent answers."""
-    line = _line()
-    child = os.fork()
-    if child == 0:
-        _to_all(lambda descriptor: os.write(descriptor, _forged(line, X)[:60]))
-        os._exit(0)
-    os.waitpid(child, 0)
+        os.execvp("no-such-program", ["x"])
 
 
 def forks_and_stays(X: Array) -> None:
@@ -139,80 +114,30 @@ def forks_and_stays(X: Array) -> None:
             time.sleep(60.0)
 
 
-def answers_late(X: Array) -> None:
-    """A child in a session of its own answers as soon as its parent, which never ends by itself, is killed."""
-    line = _line()
-    parent = os.getpid()
-    if os.fork() == 0:
-        os.setsid()
-        while os.getppid() == parent:
-            time.sleep(0.001)
-        with suppress(OSError):
-            line["connection"].sendall(_forged(line, X))
-        os._exit(0)
-    time.sleep(600.0)
-
-
-def answers_twice(X: Array) -> None:
-    """The right answer, before the one that the worker gives."""
-    line = _line()
-    line["connection"].sendall(encode_frame(*_sealing(line), pack_answer(Disc().run(X))))
-
-
-def answers_at_all_times(X: Array) -> None:
-    """A thread continues to answer the question that it read."""
-    from threading import Thread
-
-    line = _line()
-    frame = encode_frame(*_sealing(line), pack_answer(Disc().run(X)))
-
-    def repeat() -> None:
-        with suppress(OSError):
-            while True:
-                line["connection"].sendall(frame)
-
-    Thread(target=repeat, daemon=True).start()
+def reads(X: Array) -> None:
+    """What a terminal would say."""
+    if sys.stdin.read():
+        raise AssertionError("a worker has something to read")
 
 
 def writes(X: Array) -> None:
-    """Bytes that are no frame, to every descriptor."""
-    _to_all(lambda descriptor: os.write(descriptor, b"\0\0\0\5AAAAA"))
+    """Bytes that are no answer, to every descriptor."""
+    for descriptor in DESCRIPTORS:
+        with suppress(OSError):
+            os.write(descriptor, b"\0\0\0\5AAAAA")
 
 
-def writes_much(X: Array) -> None:
-    """As much as fits."""
-
-    def fill(descriptor: int) -> None:
-        while True:
-            os.write(descriptor, bytes(1 << 20))
-
-    _to_all(fill)
+def writes_a_part(X: Array) -> None:
+    """Bytes after which more of an answer would come, to every descriptor; then it hangs."""
+    for descriptor in DESCRIPTORS:
+        with suppress(OSError):
+            os.write(descriptor, b"\0\0\1\0AAAAA")
+    time.sleep(600.0)
 
 
 def closes(X: Array) -> None:
-    """Every descriptor."""
+    """Every descriptor, as daemons do."""
     os.closerange(DESCRIPTORS.start, DESCRIPTORS.stop)
-
-
-def shuts_down(X: Array) -> None:
-    """The connection itself, whatever its descriptors."""
-    _line()["connection"].shutdown(socket.SHUT_RDWR)
-
-
-def replaces(X: Array) -> None:
-    """Every descriptor by one that takes whatever is written, and says nothing."""
-    one, other = socket.socketpair()
-    os.dup2(one.fileno(), 100)
-    os.dup2(other.fileno(), 101)
-    for descriptor in DESCRIPTORS:
-        os.dup2(100, descriptor)
-
-
-def reads(X: Array) -> None:
-    """From every descriptor, and from the terminal."""
-    if sys.stdin.read():
-        raise AssertionError("a worker has something to read")
-    _to_all(lambda descriptor: os.read(descriptor, 100))
 
 
 def raises(X: Array) -> None:
@@ -235,33 +160,6 @@ def dies_after_it_raised(X: Array) -> None:
     if not _simulations:
         os._exit(3)
     raises(X)
-
-
-def _to_all(act: Callable[[int], Any]) -> None:
-    for descriptor in DESCRIPTORS:
-        with suppress(OSError):
-            act(descriptor)
-
-
-def _line() -> dict[str, Any]:
-    """What the worker's end of the connection consists of, which no simulator should ever look for."""
-    frame = sys._getframe()
-    while "reply" not in frame.f_locals or not isinstance(frame.f_locals["reply"], FunctionType):
-        assert frame.f_back is not None
-        frame = frame.f_back
-    reply = frame.f_locals["reply"]
-    cells: tuple[CellType, ...] = reply.__closure__
-    return dict(zip(reply.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True))
-
-
-def _sealing(line: dict[str, Any]) -> tuple[Any, ...]:
-    return line["secret"], line["question"], line["process"], FrameKind.ANSWERED
-
-
-def _forged(line: dict[str, Any], X: Array) -> bytes:
-    """A whole frame with an answer that the disc does not give."""
-    wrong = replace(Disc().run(X), margins=np.full((1, 1), 7.0))
-    return encode_frame(*_sealing(line), pack_answer(wrong))
 
 
 # --- that depend on the simulations before them ------------------------------------------------------------------
