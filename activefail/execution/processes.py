@@ -6,6 +6,7 @@ forks never answers.
 
 import os
 import pickle
+import select
 import socket
 import struct
 import subprocess
@@ -15,7 +16,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import spawn
 from multiprocessing.connection import Connection
-from multiprocessing.reduction import ForkingPickler
 from typing import Any, NoReturn
 
 from threadpoolctl import threadpool_limits
@@ -77,6 +77,8 @@ class Worker:
             self._connection = Connection(os.dup(self._socket.fileno()))
         except OSError as error:
             raise SimulationError(f"A worker process cannot be started: {reason_of(error)}.") from None
+        self._arrivals = select.poll()
+        self._arrivals.register(self._socket, select.POLLIN)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", int(_PATIENCE), 0))
 
     def ask(self, limit: float | None, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
@@ -89,9 +91,9 @@ class Worker:
         # The monotonic clock: setting the system clock must not change the limit.
         deadline = float("inf") if limit is None else time.monotonic() + limit
         try:
-            self._connection.send_bytes(ForkingPickler.dumps((function, args, kwargs)))
-            while not self._connection.poll(max(0.0, min(_LOOK, deadline - time.monotonic()))):
-                if self._process.poll() is not None and not self._connection.poll(0):
+            self._connection.send_bytes(pickle.dumps((function, args, kwargs)))
+            while not self._arrivals.poll(1e3 * max(0.0, min(_LOOK, deadline - time.monotonic()))):
+                if self._process.poll() is not None and not self._arrivals.poll(0):
                     raise EOFError
                 if time.monotonic() >= deadline:
                     raise LostError(TIME_LIMIT, f"it took longer than {limit:g} s")
@@ -118,8 +120,8 @@ class Worker:
         return f"its worker process died ({how}{', possibly out of memory' if how == 'SIGKILL' else ''})"
 
     def is_idle(self) -> bool:
-        """Whether the worker is alive and has sent nothing but its answers."""
-        return self._process.poll() is None and not self._connection.poll(0)
+        """Whether the worker is alive, as far as its connection shows, and has sent nothing but its answers."""
+        return not self._arrivals.poll(0)
 
     def ask_to_stop(self) -> None:
         """Make `stopping()` true in the worker; it ends after its call."""
@@ -167,7 +169,7 @@ def serve(descriptor: int) -> NoReturn:
         if os.getpid() != process:
             os._exit(0)  # a child that the user's code forked
         try:
-            connection.send_bytes(ForkingPickler.dumps(answer))
+            connection.send_bytes(pickle.dumps(answer))
         except OSError:
             os._exit(1)
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaign.stub import Disc
-from patience import until
 
 from activefail.simulators.interface import Results
 from activefail.space import Array
@@ -29,18 +28,6 @@ class Noted(Disc):
             file.write(".")
         time.sleep(self.seconds)
         return super().run(X)
-
-
-@dataclass(frozen=True)
-class Gathered(Noted):
-    """Simulations that, once a third worker was added, wait until three workers have one."""
-
-    def run(self, X: Array) -> Results:
-        results = super().run(X)
-        folder = Path(self.folder)
-        if (folder / "added").exists():
-            until(lambda: len(list(folder.glob("done-*"))) >= 3, "a simulation on each of three workers")
-        return results
 
 
 @dataclass(frozen=True)
@@ -68,17 +55,6 @@ class Ambush(Disc):
             with suppress(FileExistsError):
                 (Path(self.folder) / "ambush").touch(exist_ok=False)
                 os.kill(os.getpid(), signal.SIGKILL)
-        return super().run(X)
-
-
-class Sleeping(Disc):
-    """A disc that never answers some designs."""
-
-    releases_gil = False
-
-    def run(self, X: Array) -> Results:
-        if X[0, 0] > 2.0:
-            time.sleep(600)
         return super().run(X)
 
 

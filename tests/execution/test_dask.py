@@ -17,8 +17,7 @@ import pytest
 from campaign.stub import Disc, disc
 from cases import some
 from commandline import activefail, record, refused, started, wait_for
-from execution.sent import Ambush, Deadly, DeadlyAtFirst, Fatal, Gathered, Grave, Noted, Sleeping, Unknown, versions
-from faults.simulators import Meddling, Remembering
+from execution.sent import Ambush, Deadly, DeadlyAtFirst, Fatal, Grave, Noted, Unknown, versions
 from patience import PATIENCE
 
 from activefail.campaign.provenance import simulation_versions
@@ -190,22 +189,6 @@ def test_a_worker_that_is_killed_in_mid_batch_changes_no_bit_of_a_campaign_in_ba
 
 
 @pytest.mark.faults
-@pytest.mark.exhaustive
-def test_a_worker_that_is_added_is_given_work(cluster: Cluster, tmp_path: Path) -> None:
-    campaign = disc(Gathered(folder=str(tmp_path)), initial=12, budget=28, batch=4, asynchronous=True)
-    store = MemoryStore(campaign.schema)
-
-    def add(progress: Progress) -> None:
-        if progress.done >= 14 and "three" not in cluster.workers:
-            cluster.add("three")
-            (tmp_path / "added").touch()
-
-    with DaskExecutor(cluster.address) as executor:
-        assert run(campaign, store, executor, 28, Observer(add))
-    check_whole(campaign, store)
-
-
-@pytest.mark.faults
 def test_a_simulation_that_ends_its_process_costs_itself_and_not_the_worker(cluster: Cluster) -> None:
     X = np.array([[0.0, 20.0], [2.5, 20.0], [1.0, 20.0], [2.9, 30.0]])
     with DaskExecutor(cluster.address) as executor:
@@ -214,23 +197,6 @@ def test_a_simulation_that_ends_its_process_costs_itself_and_not_the_worker(clus
     assert sorted(results.faults) == [1, 3]
     assert all("its worker process died (SIGKILL" in fault for fault in results.faults.values())
     assert all(worker.poll() is None for worker in cluster.workers.values())
-
-
-@pytest.mark.faults
-def test_a_hung_simulation_is_ended_by_its_limit_on_the_worker(cluster: Cluster) -> None:
-    with DaskExecutor(cluster.address, time_limit=3.0) as executor:
-        results = executor.run(Sleeping(), np.array([[-1.9, 11.0], [2.5, 20.0]]))
-    assert results.outcome.tolist() == [0, -1]
-    assert "it took longer than 3 s, twice" in results.faults[1]
-
-
-def test_a_simulation_that_earlier_ones_of_its_process_spoil_is_tried_again_in_a_fresh_one(shared: Cluster) -> None:
-    X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
-    X[::4, 0] = 0.0
-    with DaskExecutor(shared.address) as executor:
-        for simulator in (Remembering(most=2), Meddling(how="forks_and_returns")):
-            results = executor.run(simulator, X)
-            assert (results.outcome.tolist(), results.faults) == (Disc().run(X).outcome.tolist(), {})
 
 
 UNRULY = """
@@ -279,20 +245,6 @@ def test_workers_as_dask_starts_them_simulate_bearings_and_functions_with_a_time
     processes = [int(path.name.removeprefix("pid-")) for path in tmp_path.glob("pid-*")]
     assert len(processes) > 2
     until(lambda: not any(map(is_running, processes)))
-
-
-def test_a_batch_is_answered_while_single_designs_are_in_flight(shared: Cluster) -> None:
-    # As a stop rule for an error does in an asynchronous campaign.
-    X = disc(initial=12).space.latin_hypercube(12, np.random.default_rng(0))
-    with DaskExecutor(shared.address) as executor:
-        for ticket in range(4):
-            executor.start(Disc(), ticket, X[ticket])
-        batch = executor.run(Disc(), X[4:])
-        single: dict[int, Results] = {}
-        while len(single) < 4:
-            single |= dict(executor.answered(5.0))
-    assert batch.outcome.tolist() == Disc().run(X[4:]).outcome.tolist()
-    assert [single[ticket].outcome[0] for ticket in range(4)] == Disc().run(X[:4]).outcome.tolist()
 
 
 @pytest.mark.faults
@@ -438,24 +390,6 @@ def hear(process: subprocess.Popen[str], start: str) -> None:
         give_up.cancel()
 
 
-def test_a_scheduler_that_hangs_holds_up_no_look_at_what_came(alone: Cluster) -> None:
-    messages: list[str] = []
-    with DaskExecutor(alone.address, report=messages.append) as executor:
-        executor.start(Disc(), 1, np.array([0.0, 20.0]))
-        until(lambda: executor.answered(0.1) == [] and len(messages) == 1)
-        alone.scheduler.send_signal(signal.SIGSTOP)
-        waker = Timer(PATIENCE, alone.scheduler.send_signal, (signal.SIGCONT,))
-        waker.start()
-        assert executor.answered(0.1) == []
-        # While it hangs, that is.
-        assert waker.is_alive()
-        waker.cancel()
-        alone.scheduler.send_signal(signal.SIGCONT)
-        alone.add("one")
-        until(lambda: [ticket for ticket, _ in executor.answered(0.1)] == [1])
-    assert len(messages) == 1
-
-
 @pytest.mark.faults
 @pytest.mark.parametrize("asynchronous", some([True, False], True))
 def test_a_cluster_without_workers_is_told_and_waited_for(alone: Cluster, tmp_path: Path, asynchronous: bool) -> None:
@@ -513,17 +447,6 @@ def test_a_cluster_that_is_not_there_is_told_and_leaves_nothing_behind(tmp_path:
     assert not (tmp_path / "run").exists()
 
 
-def test_an_address_that_cannot_be_is_told_without_a_traceback(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text("sampling = { initial = 20, budget = 30 }")
-    with started(
-        "run", tmp_path / "mine.toml", "--out", tmp_path / "run", "--executor", "dask", "--scheduler", "foo"
-    ) as process:
-        # The process ends with this message.
-        wait_for(process.stderr, "activefail: --scheduler: no Dask scheduler answers at 'foo'")
-        _, rest = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, rest) == (2, "")
-
-
 def test_what_answers_and_is_no_scheduler_is_told() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
@@ -536,21 +459,6 @@ def test_what_answers_and_is_no_scheduler_is_told() -> None:
         Thread(target=answer, daemon=True).start()
         with pytest.raises(InputError, match=f"no Dask scheduler answers at 'tcp://127.0.0.1:{port}'"):
             DaskExecutor(f"tcp://127.0.0.1:{port}")
-
-
-def test_a_campaign_in_batches_runs_on_a_cluster_and_is_the_one_of_this_machine(
-    shared: Cluster, tmp_path: Path
-) -> None:
-    (tmp_path / "mine.py").write_text(
-        "def run(design):\n    return 'failure' if design['x'] * design['y'] > 4.0 else 'safe'\n"
-    )
-    (tmp_path / "mine.toml").write_text(TOML.replace("slow:run", "mine:run").replace("true", "false"))
-    words = ("run", tmp_path / "mine.toml", "--out")
-    dask = ("--executor", "dask", "--scheduler", shared.address)
-    result = activefail(*words, tmp_path / "there", *dask)
-    assert result.code == 0, result.err
-    assert activefail(*words, tmp_path / "here").code == 0
-    assert record(tmp_path / "there") == record(tmp_path / "here")
 
 
 def test_a_stopped_analysis_under_records_continues_on_a_cluster_to_the_bytes_of_this_machine(

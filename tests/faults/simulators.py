@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from campaign.stub import Disc
 
-from activefail.errors import SimulationError
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
@@ -143,11 +142,6 @@ def closes(X: Array) -> None:
 def raises(X: Array) -> None:
     """What simulators raise."""
     raise ValueError("no convergence")
-
-
-def refuses(X: Array) -> None:
-    """What the parent is to raise."""
-    raise SimulationError("no licence: größer")
 
 
 def dies_of_a_real_time_signal(X: Array) -> None:

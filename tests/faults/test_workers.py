@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from campaign.stub import Disc
 from cases import exhaustive, some
-from commandline import activefail, record, table
+from commandline import activefail, record
 from contracts.test_executor import Acting, Exhausted, Hanging, Killed, bits, designs, given_up, wait_until, within
 from contracts.test_executor import Leaving as Exiting
 from faults.harness import Course
@@ -36,24 +36,6 @@ def on(simulator: Simulator, extra: float = 0.05) -> Campaign:
     """The campaign that faults are tried on, with another simulator."""
     settings = campaign().settings.changed({"limits.numerical_failures": extra})
     return Campaign.of(settings, simulator=simulator)
-
-
-@pytest.mark.parametrize("fault", some([Killed, Exiting, Hanging, Exhausted], Killed, Exhausted))
-def test_workers_that_die_or_hang_now_and_then_change_no_bit_of_the_campaign(
-    fault: type[Disc], uninterrupted: Course, tmp_path: Path, survived: Callable[[int], None]
-) -> None:
-    one = on(OnceAt(fault=fault(), folder=str(tmp_path), every=2))
-    with (
-        FolderStore.create(tmp_path / "run", campaign().settings.text(), one.schema) as store,
-        ProcessExecutor(2, time_limit=2.0) as executor,
-    ):
-        observer = Observer()
-        assert run(one, store, executor, BUDGET, observer)
-        assert Course.of(store) == uninterrupted
-        assert observer.faults == []
-    injected = len(list(tmp_path.glob("at-*")))
-    assert injected > 2
-    survived(injected)
 
 
 @dataclass(frozen=True)
@@ -87,26 +69,6 @@ def test_an_error_that_is_no_exception_is_a_simulation_that_raised(
         assert f"{error.__name__}: stopped" in results.faults[3]
     assert capfd.readouterr() == ("", "")
     survived(1)
-
-
-@dataclass(frozen=True)
-class Unprepared(Disc):
-    """Cannot be prepared in a worker, because of an error that is no Exception."""
-
-    def prepare(self) -> None:
-        raise asyncio.CancelledError("no licence")
-
-
-def test_a_simulator_that_cannot_be_loaded_for_an_error_that_is_no_exception_says_so(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    with (
-        within(600),
-        ProcessExecutor(1) as executor,
-        pytest.raises(SimulationError, match="could not load the simulator: CancelledError: no licence"),
-    ):
-        executor.run(Unprepared(), designs(2))
-    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
@@ -167,15 +129,22 @@ def at(rows: list[int], n: int = 40) -> Array:
     return X
 
 
+DISTURBING = [Killed(), Exhausted(), Exiting(), Hanging(), *(Meddling(how=how) for how in (*HARMLESS, *HARMFUL))]
+
+
 @LINUX
-@pytest.mark.parametrize("how", [*HARMLESS, *HARMFUL])
-def test_a_simulator_that_meddles_with_its_worker_now_and_then_changes_no_bit_of_the_campaign(
-    how: str, uninterrupted: Course, tmp_path: Path, survived: Callable[[int], None]
+@pytest.mark.parametrize(
+    "fault",
+    some(DISTURBING, *DISTURBING[:2], *DISTURBING[4:]),
+    ids=lambda fault: getattr(fault, "how", type(fault).__name__),
+)
+def test_workers_that_are_disturbed_now_and_then_change_no_bit_of_the_campaign(
+    fault: Disc, uninterrupted: Course, tmp_path: Path, survived: Callable[[int], None]
 ) -> None:
-    one = on(OnceAt(fault=Meddling(how=how), folder=str(tmp_path), every=2))
+    one = on(OnceAt(fault=fault, folder=str(tmp_path), every=2))
     with (
         FolderStore.create(tmp_path / "run", campaign().settings.text(), one.schema) as store,
-        ProcessExecutor(2) as executor,
+        ProcessExecutor(2, time_limit=2.0 if isinstance(fault, Hanging) else None) as executor,
     ):
         observer = Observer()
         assert run(one, store, executor, BUDGET, observer)
@@ -216,18 +185,6 @@ def test_an_answer_of_which_the_rest_never_comes_holds_up_nobody(survived: Calla
     survived(1)
 
 
-FORKS = """
-import os
-def run(d):
-    x = d["x"]
-    if 0.30 < x < 0.36 and os.fork() == 0:
-        try:
-            os.execvp("no-such-program", ["x"])
-        except OSError:
-            pass
-    return {"outcome": "failure" if x > 0.5 else "safe", "margins": {"m": x}}
-"""
-
 PLANE = """
 sampling = { initial = 24, budget = 40, batch = 4 }
 [simulator]
@@ -244,21 +201,6 @@ def plane(folder: Path, source: str, toml: str = PLANE) -> Path:
     (folder / "f.py").write_text(source)
     (folder / "c.toml").write_text(toml)
     return folder / "c.toml"
-
-
-def test_every_exported_row_has_its_own_answer_where_a_fork_comes_back_out_of_the_function(tmp_path: Path) -> None:
-    result = activefail("run", plane(tmp_path, FORKS), "--out", tmp_path / "run", "--workers", "1")
-    assert (result.code, result.err) == (0, "")
-    assert activefail("export", tmp_path / "run", "--csv", tmp_path / "all.csv").code == 0
-    rows = table(tmp_path / "all.csv")
-    assert len(rows) == 40
-    assert any(0.30 < float(row["x"]) < 0.36 for row in rows)
-    assert [row for row in rows if row["m"] != row["x"]] == []
-
-
-def test_an_error_of_activefail_reaches_the_caller_in_its_own_words() -> None:
-    with within(600), ProcessExecutor(1) as executor, pytest.raises(SimulationError, match=r"^no licence: größer$"):
-        executor.run(Meddling(how="refuses"), at([1], 3))
 
 
 def test_a_worker_that_cannot_be_started_is_an_error_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -329,20 +271,6 @@ def run(d):
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
     for _ in range(60):
         os.dup(0)
-    return ANSWER
-""",
-    "closes stdout": """
-import os
-def run(d):
-    print("simulating", flush=True)
-    os.close(1)
-    return ANSWER
-""",
-    "limits its descriptors": """
-import resource
-def run(d):
-    open(__file__).close()
-    resource.setrlimit(resource.RLIMIT_NOFILE, (1, 1))
     return ANSWER
 """,
     "clears its globals": """
