@@ -34,6 +34,7 @@ from activefail.bearing import outcome as o
 from activefail.bearing.barrier import Barrier, barrier
 from activefail.bearing.contact import Plate
 from activefail.bearing.dynamics import System, dfp_acceleration, dfp_linearisation, energy, equilibrium, system
+from activefail.bearing.ground import Ricker
 from activefail.bearing.pulse import HALF_DURATION, impulse_to_come
 from activefail.bearing.simulation import FREE_PERIODS, SCALE_Q, SCALE_V, simulate_one
 from activefail.bearing.tuples import axpy
@@ -57,7 +58,7 @@ def pack(constants):
 def _unpack(p):
     bottom = Plate(p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14])
     top = Plate(p[15], p[16], p[17], p[18], p[19], p[20], p[21], p[22])
-    return System(p[0], p[1], p[2], p[3], p[4], p[5], p[6], bottom, top, p[23], p[24])
+    return System(p[0], p[1], p[2], p[3], p[4], p[5], p[6], bottom, top, Ricker(p[23], p[24]))
 
 
 @njit
