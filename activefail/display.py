@@ -10,7 +10,7 @@ from html import escape
 from typing import TYPE_CHECKING, Self
 
 from activefail.screen import terminal
-from activefail.shares import interval_percent, lognormal_interval, percent
+from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
 from activefail.visible import visible
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from activefail.loop.progress import Observer, Progress
     from activefail.simulators.interface import Results, Simulator
     from activefail.space import Array
-    from activefail.verification.error import ErrorEstimate
 
 
 _log = logging.getLogger("activefail")
@@ -209,7 +208,7 @@ def _progress_line(campaign: "Campaign", progress: "Progress", bar: bool = False
     if progress.looks is not None:
         parts.append(probability_text(progress.looks, bool(progress.unseen)))
     if progress.error is not None:
-        parts.append(f"error {error_text(progress.error)}")
+        parts.append(f"error {progress.error.text}")
     if progress.accuracy is not None:
         shares = ", ".join(f"{percent(share)} {name}" for name, share in progress.recall.items())
         parts.append(f"accuracy {percent(progress.accuracy)}, recall {shares}")
@@ -224,8 +223,3 @@ def probability_text(looks: "Looks", unseen: bool) -> str:
         return f"probability {looks.probability:.2g} under the classifier, without an interval"
     low, high = lognormal_interval(looks.probability, looks.sd, REACH)
     return f"probability {looks.probability:.3g} under the classifier, 95 % interval {low:.2g} to {high:.2g}"
-
-
-def error_text(error: "ErrorEstimate") -> str:
-    """A verified error with its interval."""
-    return f"{percent(error.error, 2)} ({interval_percent(error.low, error.high)})"

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from activefail.arguments import (
-    check_confidence,
     check_whole,
-    names_of,
     path_of,
     question_asked,
     rows_named,
@@ -36,6 +34,15 @@ from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
 from activefail.record.layout import COMPARISON, CURVES, DESIGNS, ESTIMATE, REPORT, SCORES
+from activefail.request import method_of
+from activefail.requests import (
+    DesignRequest,
+    FragilityRequest,
+    ProbabilityRequest,
+    SensitivityRequest,
+    VerifyRequest,
+    estimating,
+)
 from activefail.surrogate.threads import one_thread, one_thread_of_blas
 from activefail.visible import visible
 
@@ -62,14 +69,9 @@ if TYPE_CHECKING:
     from activefail.record.run_folder import FolderStore
     from activefail.report.evidence import Evidence
     from activefail.risk.design.findings import DesignFindings
-    from activefail.risk.fragility.findings import FragilityFindings
-    from activefail.risk.fragility.levels import Intensity
-    from activefail.risk.sensitivity.findings import Begin, Sensitivity
     from activefail.space import DesignSpace
     from activefail.surrogate.classifier import Classifier
     from activefail.surrogate.saved import SavedClassifier
-    from activefail.verification.error import ErrorEstimate
-    from activefail.verification.probability_estimator import Estimator
 
 
 _LARGEST_ID = 2**53
@@ -700,224 +702,11 @@ class Run:
 
         return export_parquet(self.campaign, self.store, path_of("target", target))
 
-    def verify(
-        self, simulations: int = 200, confidence: float = 0.9, executor: "Executor | None" = None
-    ) -> "ErrorEstimate":
-        """Estimate the share of the design space that the classifier gets wrong, from fresh simulations.
-
-        Args:
-            simulations: number of fresh simulations, outside the budget.
-            confidence: of the interval.
-            executor: as for `take`.
-
-        Raises:
-            InputError: if the number is out of range or the initial design is not finished.
-        """
-        from activefail.verification.error import verify
-
-        check_whole("simulations", simulations, 1)
-        self._check_initial_design("verify")
-        classifier, iteration = self.classifier, self.history.last_iteration
-        with nullcontext(executor) if executor else self._shown_executor() as pool, one_thread():
-            return verify(self.campaign, self.store, pool, classifier, iteration, simulations, confidence)
-
-    def probability(
-        self,
-        simulations: int = 50,
-        confidence: float = 0.9,
-        outcome: str | None = None,
-        question: "Question | Path | str | None" = None,
-        executor: "Executor | None" = None,
-        fixed: "Mapping[str, float] | Path | str | None" = None,
-        hazard: "Hazard | Path | str | None" = None,
-    ) -> "ProbabilityFindings":
-        """Estimate the probability of an outcome or a more severe one, from fresh simulations.
-
-        Args:
-            simulations: number of fresh simulations, outside the budget.
-            confidence: of the interval.
-            outcome: its name; that of the (main) target boundary if None.
-            question: other distributions of the variables: a question file (docs/probability.md), a hazard file
-                (docs/hazard.md), or what `asked` returns; the campaign's question if None.
-            executor: as for `take`.
-            fixed: values of variables, which are then certain: by name, or a TOML file.
-            hazard: a hazard or its file (docs/hazard.md); cannot be combined with `question`.
-
-        Raises:
-            InputError: if a number is out of range, the initial design is not finished, the outcome has no boundary,
-                question and hazard are both given, or a file is invalid.
-        """
-        from activefail.findings.probability import ProbabilityFindings
-
-        check_whole("simulations", simulations, 2)
-        check_confidence(confidence)
-        outcome = self._boundary_named(outcome)
-        _, resolved = site_and_question(self.campaign, hazard, question, fixed)
-        with self._estimator(executor) as estimator:
-            estimate = estimator.sample(outcome, simulations, resolved, checks=True).estimate(confidence)
-            findings = ProbabilityFindings.of(
-                self.campaign, self.history, estimator.classifier, outcome, estimate, resolved
-            )
-        if self._write and question is None and fixed is None and hazard is None:
-            self._save_estimate(outcome, findings.as_json())
-        return findings
-
-    def fragility(
-        self,
-        hazard: "Hazard | Path | str | None" = None,
-        fixed: "Mapping[str, float] | Path | str | None" = None,
-        intensity: "Intensity" = "pgv",
-        against: str | None = None,
-        bounds: tuple[float, float] | None = None,
-        question: "Question | Path | str | None" = None,
-        verify: int = 0,
-        confidence: float = 0.95,
-        outcome: str | None = None,
-        executor: "Executor | None" = None,
-        stage: Callable[[str], None] = lambda _: None,
-    ) -> "FragilityFindings":
-        """The probability of each outcome, or a more severe one, against the intensity of pulses or any variable.
-
-        Args:
-            hazard: a hazard file (docs/hazard.md): curves of a bearing against the intensity of its pulses.
-            fixed: values of variables, such as those of the bearing: by name, or a TOML file.
-            intensity: with a hazard: "pgv", the peak ground velocity, or "a_p", the amplitude.
-            against: without a hazard: the variable; the question's others are integrated out.
-            bounds: of this variable's levels; those of the campaign if None.
-            question: without a hazard: other distributions of the variables, as for `probability`.
-            verify: number of fresh simulations, outside the budget, which give intervals; 0 for none.
-            confidence: of the intervals.
-            outcome: whose curve is verified; that of the (main) target boundary if None.
-            executor: as for `take`.
-            stage: called with each stage of the work.
-
-        Raises:
-            InputError: if an argument is invalid, or the initial design is not finished.
-        """
-        from activefail.campaign.question_files import check_designs_of
-        from activefail.risk.fragility.calculation import checked_ladder, fragility
-
-        check_whole("verify", verify, 0)
-        outcome = self._boundary_named(outcome)
-        check_confidence(confidence)
-        site, resolved = site_and_question(self.campaign, hazard, question, fixed)
-        ladder = checked_ladder(site, resolved, self.space, intensity, against, bounds, verify)
-        if against is not None:
-            for end in bounds or ():
-                check_designs_of(resolved.at({against: end}), self.campaign.simulator, "bounds (--range)")
-        with self._estimator(executor, stage, simulates=bool(verify)) as estimator:
-            return fragility(estimator, site, resolved, intensity, ladder, outcome, verify, confidence, stage)
-
-    def design(
-        self,
-        target: "float | str",
-        hazard: "Hazard | Path | str | None" = None,
-        question: "Question | Path | str | None" = None,
-        fixed: "Mapping[str, float] | Path | str | None" = None,
-        free: "Sequence[str]" = (),
-        cost: str = "",
-        confidence: float = 0.95,
-        simulations: int = 1000,
-        chart: bool = False,
-        stage: Callable[[str], None] = lambda _: None,
-        executor: "Executor | None" = None,
-    ) -> "DesignFindings":
-        """Find the smallest, or cheapest, design whose probabilities meet their targets, and verify it.
-
-        Args:
-            target: largest acceptable probability of the (main) target boundary's outcome, or a worse one; a risk
-                category; a risk such as "1% in 50 years", for which the hazard needs a curve of annual rates; or
-                several, such as "failure=0.05,impact=0.3".
-            hazard: a hazard, or its file.
-            question: without a hazard: other distributions of the variables, as for `probability`.
-            fixed: values of variables: by name, or a TOML file.
-            free: names of the variables that may change, within the campaign's ranges; D_tot by default. The first one
-                is made as small as the targets allow while the others are held.
-            cost: expression to minimise; the first free variable by default.
-            confidence: one-sided, that the targets are met.
-            simulations: maximum number of fresh simulations for each target; not part of the budget.
-            chart: whether to compute the chart of required values.
-            stage: called with each stage of the work.
-            executor: as for `take`.
-
-        Raises:
-            InputError: if an argument is invalid, or the initial design is not finished.
-        """
-        from activefail.risk.design.calculation import search_design
-        from activefail.risk.design.design_task import DEFAULT_FREE, design_task, read_targets
-        from activefail.risk.design.risk_target import at_risk
-        from activefail.risk.design.stored import designs_text
-
-        check_whole("simulations", simulations, 10)
-        names = names_of("free", free)
-        requirements = read_targets(str(target), self.campaign.simulator.outcomes, self.boundary)
-        site, resolved = site_and_question(self.campaign, hazard, question, fixed, names or (DEFAULT_FREE,))
-        rate = None
-        if any(one.years is not None for one in requirements):
-            site, requirements, rate = at_risk(site, requirements)
-            site, resolved = site_and_question(self.campaign, site, None, fixed, names or (DEFAULT_FREE,))
-        task = design_task(self.campaign, resolved, requirements, names, cost, confidence, simulations, rate)
-        with self._estimator(executor, stage) as estimator:
-            result = search_design(estimator, task, site, chart, stage)
-        if self._write and (text := designs_text(self.folder, result.designed)) is not None:
-            self.store.write_text(DESIGNS, text)
-        return result
-
-    def sensitivity(
-        self,
-        hazard: "Hazard | Path | str | None" = None,
-        question: "Question | Path | str | None" = None,
-        fixed: "Mapping[str, float] | Path | str | None" = None,
-        outcome: str | None = None,
-        samples: int | None = None,
-        confidence: float = 0.95,
-        begin: "Begin" = lambda _: lambda _: None,
-    ) -> "Sensitivity":
-        """Which variables affect the probability of an outcome: Sobol' indices, and one at a time.
-
-        All numbers are the classifier's; nothing is simulated. Needs SALib.
-
-        Args:
-            hazard: a hazard, or its file: the indices are then those of the probability given the design, with the
-                pulses integrated out.
-            question: other distributions of the variables, as for `probability`; the campaign's question if None.
-            fixed: values of variables, which are then certain: by name, or a TOML file.
-            outcome: its name; that of the (main) target boundary if None.
-            samples: points of the sample, a power of two; by default as many as two minutes allow for a bearing.
-            confidence: of the intervals.
-            begin: called with the number of evaluations; returns a callback for finished ones.
-
-        Raises:
-            InputError: if SALib is not installed, an argument is out of range, hazard and question are both given, a
-                file is invalid, or variables of the question are correlated.
-        """
-        from activefail.paper.p_values import variable_p_values
-        from activefail.reliability.integral import BoundariesOf
-        from activefail.risk.sensitivity.findings import (
-            hazard_sensitivity,
-            length_scales,
-            question_sensitivity,
-            with_classifier,
-        )
-
-        if samples is not None:
-            check_whole("samples", samples, 1)
-        outcome = self._boundary_named(outcome)
-        check_confidence(confidence)
-        site, resolved = site_and_question(self.campaign, hazard, question, fixed, self.space.names)
-        latent = self.classifier.latent(outcome)
-        boundaries = BoundariesOf(self.classifier, self.features)
-        with one_thread():
-            if site is None:
-                result = question_sensitivity(self.campaign, boundaries, outcome, resolved, samples, confidence, begin)
-            else:
-                values = self.fixed_values(fixed)
-                result = hazard_sensitivity(
-                    self.campaign, boundaries, outcome, site, values, samples, confidence, begin
-                )
-            severity = self.campaign.simulator.outcomes.index(outcome)
-            p_values = variable_p_values(self.space, self.history, severity)
-        return with_classifier(result, length_scales(latent, self.features), p_values)
+    verify = method_of("verify", VerifyRequest)
+    probability = method_of("probability", ProbabilityRequest)
+    fragility = method_of("fragility", FragilityRequest)
+    design = method_of("design", DesignRequest)
+    sensitivity = method_of("sensitivity", SensitivityRequest)
 
     def asked(
         self,
@@ -943,32 +732,22 @@ class Run:
         """
         return values_of(self.space, fixed)
 
-    def _save_estimate(self, outcome: str, numbers: dict[str, Any]) -> None:
-        """Save an estimate beside those of other outcomes from the same record."""
+    def _save_estimate(self, findings: "ProbabilityFindings") -> None:
+        """Save an estimate beside those of other outcomes from the same record; a run open for reading saves none."""
         from activefail.findings.status import read_estimates
 
-        outcomes = read_estimates(self.folder, self.store.digest, self.campaign.simulator.outcomes) | {outcome: numbers}
-        saved = {"record": self.store.digest, "outcomes": outcomes}
+        if not self._write:
+            return
+        estimates = read_estimates(self.folder, self.store.digest, self.campaign.simulator.outcomes)
+        saved = {"record": self.store.digest, "outcomes": estimates | {findings.outcome: findings.numbers}}
         self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
 
-    @contextmanager
-    def _estimator(
-        self,
-        executor: "Executor | None",
-        stage: Callable[[str], None] = lambda _: None,
-        simulates: bool = True,
-    ) -> "Iterator[Estimator]":
-        """What estimates probabilities with the present classifier.
+    def _save_design(self, findings: "DesignFindings") -> None:
+        """Save a verified design beside others; a run open for reading saves none."""
+        from activefail.risk.design.stored import designs_text
 
-        Raises:
-            InputError: if the initial design is not finished.
-        """
-        from activefail.verification.probability_estimator import Estimator
-
-        self._check_initial_design("estimate")
-        learned, last = self.learn(stage), self.history.last_iteration
-        with nullcontext(executor) if executor or not simulates else self._shown_executor() as pool, one_thread():
-            yield Estimator(self.campaign, self.store, pool, learned.classifier, last)
+        if self._write and (text := designs_text(self.folder, findings.designed)) is not None:
+            self.store.write_text(DESIGNS, text)
 
     def _boundary_named(self, outcome: str | None) -> str:
         """The outcome of a boundary; that of the main target boundary if None.
@@ -981,9 +760,14 @@ class Run:
             raise InputError(f"outcome: must be one of {', '.join(boundaries)}, got {outcome!r}.")
         return self.boundary if outcome is None else outcome
 
-    def _check_initial_design(self, verb: str) -> None:
+    def _check_initial_design(self) -> None:
+        """Check that fresh simulations can be weighed by what was learned.
+
+        Raises:
+            InputError: if the initial design is not finished.
+        """
         if not self.has_initial_design:
-            raise InputError(f"{self.folder}: has not finished its initial design; there is nothing to {verb} yet.")
+            raise InputError(f"{self.folder}: has not finished its initial design; there is nothing to estimate yet.")
 
     @property
     def has_initial_design(self) -> bool:
@@ -1086,7 +870,7 @@ class Run:
             options = risk_options(hazard, fixed, design_target, self.campaign.simulator.outcomes, self.boundary)
             site, question = site_and_question(self.campaign, hazard, None, fixed)
             assert site is not None
-            with self._estimator(None, stage, simulates=False) as estimator:
+            with estimating(self, stage=stage, simulates=False) as estimator:
                 risk = risk_findings(estimator, self.folder, site, question, options, stage)
         failure = self.failure(stage)
         with one_thread():
@@ -1098,6 +882,7 @@ class Run:
         return evidence
 
     def _shown_executor(self) -> ShownExecutor:
+        """All cores of this machine, with a progress bar."""
         return ShownExecutor(self._local_executor())
 
     def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
@@ -1109,7 +894,6 @@ class Run:
     @property
     def _verified(self) -> list[tuple[str, str]]:
         """Title and text of the classifier's error, if it was verified after the last batch."""
-        from activefail.display import error_text
         from activefail.verification.error import verified
         from activefail.verification.stored_sets import verified_sizes
 
@@ -1121,7 +905,7 @@ class Run:
             error = verified(self.campaign, self.store, self.classifier, iteration, _CONFIDENCE)
         if error is None:
             return []
-        text = f"{error_text(error)} of the design space with {100 * _CONFIDENCE:g} % confidence, {error.in_words}"
+        text = f"{error.text} of the design space with {100 * _CONFIDENCE:g} % confidence, {error.in_words}"
         return [("error", text)]
 
     def _repr_html_(self) -> str:

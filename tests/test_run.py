@@ -93,7 +93,7 @@ def test_the_classifier_follows_the_record(file: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("without_pictures")
 def test_a_run_verifies_compares_predicts_and_reports(taken: Path, file: Path, tmp_path: Path) -> None:
     with af.open_run(taken, write=True, code=file.parent) as run:
-        error = run.verify(60)
+        error = run.verify(60).estimate
         assert 0.0 <= error.low <= error.error <= error.high <= 1.0
         (shown,) = re.findall("<th>error</th><td>(.*?)</td>", run._repr_html_())
         assert shown.startswith(f"{percent(error.error, 2)} (")

@@ -2,20 +2,24 @@
 
 from collections.abc import Callable
 
+from activefail.cli.analyses import command_of
 from activefail.cli.app import Command, app, ends_on_ctrl_c, main, program, with_verbosity
-from activefail.cli.campaigns import campaigns, export, predict, resume, run, status, verify
-from activefail.cli.design import design
+from activefail.cli.campaigns import campaigns, export, predict, resume, run, status
 from activefail.cli.doctor import doctor
 from activefail.cli.elsewhere import add, ask, create, drop, tell
 from activefail.cli.explore import explore
-from activefail.cli.fragility import fragility
 from activefail.cli.hazard import hazard
 from activefail.cli.ida import ida
-from activefail.cli.probability import probability
 from activefail.cli.report import report
-from activefail.cli.sensitivity import sensitivity
 from activefail.cli.simulate import simulate
 from activefail.cli.studies import compare, paper
+from activefail.requests import (
+    DesignRequest,
+    FragilityRequest,
+    ProbabilityRequest,
+    SensitivityRequest,
+    VerifyRequest,
+)
 
 _EXAMPLES: dict[Callable[..., None], str] = {
     simulate: "--t-b 4 --mu 0.06 --d-tot 0.6 --h-sl-ratio 0.6 --h-rim-ratio 0.1 --p 45 --k 2e9 --t-p 2.5 --a-p 0.5",
@@ -29,12 +33,12 @@ _EXAMPLES: dict[Callable[..., None], str] = {
     drop: "runs/laboratory --ids 12,15",
     add: "runs/laboratory --csv last_year.csv",
     predict: "runs/first --csv designs.csv --out predictions.csv",
-    verify: "runs/first --simulations 400",
-    probability: "runs/first --question question.toml",
+    command_of("verify", VerifyRequest): "runs/first --simulations 400",
+    command_of("probability", ProbabilityRequest): "runs/first --question question.toml",
     hazard: "hazard.toml runs/first --out figures",
-    design: "runs/first --hazard hazard.toml --target 0.02 --free D_tot",
-    sensitivity: "runs/first --hazard hazard.toml --out figures",
-    fragility: "runs/first --hazard hazard.toml --bearing bearing.toml --out figures",
+    command_of("design", DesignRequest): "runs/first --hazard hazard.toml --target 0.02 --free D_tot",
+    command_of("sensitivity", SensitivityRequest): "runs/first --hazard hazard.toml --out figures",
+    command_of("fragility", FragilityRequest): "runs/first --hazard hazard.toml --bearing bearing.toml --out figures",
     ida: "--records farfield --bearing bearing.toml --out figures",
     export: "runs/first --csv simulations.csv",
     compare: "runs/first --static 500,1000,2000",

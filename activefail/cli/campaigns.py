@@ -1,4 +1,4 @@
-"""Commands on campaigns: run, resume, status, predict, verify, export."""
+"""Commands on campaigns: run, resume, status, predict, export."""
 
 import shlex
 import sys
@@ -25,11 +25,10 @@ from activefail.cli.common import (
     table_input,
     table_output,
 )
-from activefail.display import campaign_display, error_text, progress_bar
+from activefail.display import campaign_display, progress_bar
 from activefail.errors import InputError
 from activefail.interrupts import INTERRUPTED, stop_on_signals
 from activefail.record.layout import check_output
-from activefail.shares import percent
 from activefail.visible import visible
 
 if TYPE_CHECKING:
@@ -194,38 +193,6 @@ def predict(
             lie = "design lies" if outside == 1 else "designs lie"
             show_warnings([f"{outside} {lie} outside the design space, where the classifier extrapolates"])
         print(f"written to {name_of(out)}")
-
-
-def verify(
-    folder: RunFolder,
-    simulations: Annotated[
-        int, typer.Option(help="Fresh simulations, outside the budget.", min=10, max=1_000_000)
-    ] = 200,
-    confidence: Annotated[float, typer.Option(help="Confidence of the interval.", min=0.5, max=0.999)] = 0.9,
-    as_json: AsJson = False,
-    code: Code = None,
-) -> None:
-    """Estimate the classifier's error over the design space.
-
-    Fresh simulations give the estimate and its interval.
-    """
-    with opened_run(folder, write=True, code=code) as opened:
-        error = opened.verify(simulations, confidence)
-        show_warnings(opened.store.new_warnings())
-        summary = opened.summary
-    if as_json:
-        of_campaign = {"campaign_simulations": summary.done, "iteration": summary.iteration}
-        print_json({"boundary": opened.boundary, **error.as_json(), **of_campaign})
-        show_unseen(summary)
-        return
-    print(f"campaign   {summary.done} simulations, iteration {summary.iteration}")
-    print(f"error      {error_text(error)} of the design space on the wrong side of the boundary of {opened.boundary}")
-    print(
-        f"           {100 * confidence:g} % interval from {error.in_words}, {error.wrong} of them misclassified; "
-        "the error is their weighted share"
-    )
-    print(f"expected   {percent(error.expected, 2)} by the classifier's own probabilities, without an interval")
-    show_unseen(summary)
 
 
 def export(

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Self
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.question import Outside, Question
+from activefail.findings.lines import titled
 from activefail.findings.quantities import words
 from activefail.loop.history import History
 from activefail.reliability.estimate import LARGEST_RATIO, ProbabilityEstimate
@@ -18,7 +19,7 @@ from activefail.surrogate.margin import MarginLatent
 from activefail.surrogate.margin_choice import OUTCOMES
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.probability_estimator import EstimateOfRows
-from activefail.visible import visible
+from activefail.visible import or_worse, visible
 
 BOUND_CONFIDENCE = 0.9
 """One-sided confidence of the bounds without a model."""
@@ -93,6 +94,7 @@ class ProbabilityFindings:
 
     Attributes:
         outcome: its name.
+        outcomes: of the simulator, the least severe first.
         estimate: from fresh simulations with the classifier frozen.
         learned_from: the margin that the boundary was learned from; empty if from the outcomes alone.
         is_clipped: whether this margin is clipped at a largest value.
@@ -108,6 +110,7 @@ class ProbabilityFindings:
     """
 
     outcome: str
+    outcomes: tuple[str, ...]
     estimate: ProbabilityEstimate
     learned_from: str
     learned: int
@@ -146,6 +149,7 @@ class ProbabilityFindings:
 
         return cls(
             outcome=outcome,
+            outcomes=tuple(campaign.simulator.outcomes),
             estimate=estimate,
             learned_from="" if choice == OUTCOMES else campaign.simulator.margins[choice],
             learned=len(history),
@@ -159,6 +163,52 @@ class ProbabilityFindings:
             lost=None if classifier.unknown is None else (share("none"), share("all")),
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
+
+    exit_code = 0
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        estimate, sure = self.estimate, f"with {100 * self.estimate.confidence:g} % confidence"
+        name = or_worse(self.outcome, self.outcomes)
+        learned = f"the margin {self.learned_from}" if self.learned_from else "the outcomes"
+        failed = f"; {estimate.unanswered} failed numerically" if estimate.unanswered else ""
+        interval = f"{estimate.low:.3g} to {estimate.high:.3g}"
+        if self.is_extrapolated:
+            interval = f"0 to {rounded_up(self.high)}, without a model; {interval} under the classifier"
+        else:
+            interval += f", {sure}"
+        rows = [
+            ("interval", interval),
+            (
+                "from",
+                f"{self.learned} simulations of the campaign ({self.seen} ended in {name}) and "
+                f"{estimate.simulations} fresh simulations ({estimate.beyond} ended in {name}{failed})",
+            ),
+            (
+                "classifier",
+                f"{self.model.probability:.3g}, learned from {learned}, without an interval; contradictions by fresh "
+                f"simulations: {estimate.wrong}",
+            ),
+        ]
+        if check := estimate.check:
+            designs = f"{check.simulations} more designs under the question, far from all others"
+            rows.append(("check", f"{designs}; contradictions: {check.contradictions}"))
+        rows += [
+            (
+                "recall",
+                f"{percent(estimate.recall)} of the estimated probability lies where {name} is predicted; at least "
+                f"{percent(estimate.recall_low)} {sure}",
+            ),
+            (
+                "bound",
+                f"{rounded_up(self.bound.high)} without a model, one-sided at 90 %, from the {self.bound.in_words} "
+                "alone",
+            ),
+            *(("note", sentence) for sentence in self.assumptions),
+        ]
+        under = f" under {self.question}" if self.question else ""
+        return [f"probability of {name}{under}: {estimate.probability:.3g}", *titled(rows)]
 
     @property
     def extrapolated(self) -> float:
@@ -263,6 +313,11 @@ class ProbabilityFindings:
 
     def as_json(self) -> dict[str, Any]:
         """The findings as JSON values."""
+        return {"outcomes": {self.outcome: self.numbers}}
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The numbers of the outcome, as JSON values."""
         estimate, check = self.estimate, self.estimate.check
         return {
             "probability": estimate.probability,

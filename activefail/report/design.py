@@ -94,6 +94,6 @@ def render_design(findings: DesignFindings) -> str:
                 for one in designed.task.requirements
             ],
             chart=chart,
-            lines=[line for line in findings.lines() if line[0] not in ("widen", "design", "result", "note")],
+            lines=[line for line in findings.rows if line[0] not in ("widen", "design", "result", "note")],
         )
     )

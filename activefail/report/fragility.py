@@ -1,6 +1,5 @@
 """The page of `activefail fragility --out`, with its files; `fragility_section` shows the same curves in the report."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +12,24 @@ from activefail.findings.quantities import quantity
 from activefail.report.environment import page_environment
 from activefail.report.picture import picture
 from activefail.risk.fragility.curve_files import write_files
-from activefail.risk.fragility.findings import FragilityFindings
-from activefail.risk.fragility.wording import fixed_in_words, heading, of_boundary, why_no_risk
+from activefail.risk.fragility.findings import (
+    FragilityFindings,
+    fixed_in_words,
+    heading,
+    of_boundary,
+    why_no_risk,
+)
 from activefail.visible import or_worse, visible
 
 PAGE, PICTURE = "fragility.html", "fragility"
 """Names of the page, and of the picture without its suffix."""
 
 
-def write_fragility(findings: FragilityFindings, outcomes: Sequence[str], folder: Path) -> list[Path]:
+def write_fragility(findings: FragilityFindings, folder: Path) -> list[Path]:
     """Write the page, the findings as JSON, tables, pictures and files for other programs; returns the files.
 
     Args:
         findings: the findings.
-        outcomes: of the simulator, the least severe first.
         folder: is made if it is missing.
 
     Raises:
@@ -37,14 +40,14 @@ def write_fragility(findings: FragilityFindings, outcomes: Sequence[str], folder
     make_folder(folder)
     files = [folder / PAGE]
     with replacing(target_of(files[0])) as file:
-        file.write(render_fragility(findings, outcomes))
+        file.write(render_fragility(findings))
     files += write_files(findings, folder)
     return files + save_png_and_svg(plot_fragility_findings(findings), folder, PICTURE)
 
 
-def render_fragility(findings: FragilityFindings, outcomes: Sequence[str]) -> str:
+def render_fragility(findings: FragilityFindings) -> str:
     """The page."""
-    shown = curves_shown(findings, outcomes)
+    shown = curves_shown(findings)
     return (
         page_environment()
         .get_template("fragility.html.j2")
@@ -52,12 +55,12 @@ def render_fragility(findings: FragilityFindings, outcomes: Sequence[str]) -> st
     )
 
 
-def curves_shown(findings: FragilityFindings, outcomes: Sequence[str]) -> dict[str, Any]:
+def curves_shown(findings: FragilityFindings) -> dict[str, Any]:
     """The texts and the picture of the curves, for the template `curves.html.j2`."""
     title = heading(findings)
     title = title[0].upper() + title[1:]
     rows = [
-        (visible(or_worse(one.outcome, outcomes)), _rows(of_boundary(findings, one)))
+        (visible(or_worse(one.outcome, findings.outcomes)), _rows(of_boundary(findings, one)))
         for one in reversed(findings.boundaries)
     ]
     return {

@@ -125,7 +125,7 @@ def risk_findings(
     return RiskFindings(request, campaign.space, curves, chart, "", tuple(designs))
 
 
-def fragility_section(findings: RiskFindings | None, outcomes: Sequence[str]) -> dict[str, Any] | None:
+def fragility_section(findings: RiskFindings | None) -> dict[str, Any] | None:
     """The numbers and pictures of the section; None without a hazard."""
     if findings is None:
         return None
@@ -140,7 +140,7 @@ def fragility_section(findings: RiskFindings | None, outcomes: Sequence[str]) ->
         "target": findings.request.target or findings.request.requirement.target,
         "targets": [] if chart is None else [f"{100.0 * target:g} %" for target in chart.targets.tolist()],
         "outcome": findings.request.requirement.outcome,
-        "curves": curves_shown(findings.fragility, outcomes),
+        "curves": curves_shown(findings.fragility),
         "required": DEFAULT_FREE,
         "chart": drawn,
         "why_no_chart": findings.why_no_chart,

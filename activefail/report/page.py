@@ -387,7 +387,7 @@ def render(
             "Shares of the outcomes",
         ),
         "failure": failure_section(findings, failure),
-        "risk": fragility_section(risk, outcomes),
+        "risk": fragility_section(risk),
         "has_pulse": has_pulse(campaign.space),
         "curve": _curve(findings, evidence),
         "pairs": _pairs(findings, scales),

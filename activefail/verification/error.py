@@ -17,6 +17,7 @@ from activefail.campaign.random_streams import stream
 from activefail.execution.executor import Executor
 from activefail.features import FeatureMap
 from activefail.record.store import Store
+from activefail.shares import interval_percent, percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
 from activefail.space import Array, DesignSpace
 from activefail.surrogate.classifier import Classifier, Latent, Moments
@@ -69,6 +70,11 @@ class ErrorEstimate:
         """Number of fresh simulations with an outcome, and of all of them if some failed."""
         total = "" if self.simulations == self.requested else f"of {self.requested} "
         return f"{self.simulations} {total}fresh simulations"
+
+    @property
+    def text(self) -> str:
+        """The error with its interval."""
+        return f"{percent(self.error, 2)} ({interval_percent(self.low, self.high)})"
 
     def as_json(self) -> dict[str, float | int]:
         """The estimate as JSON values; `docs/reference/json.md` describes the keys."""

@@ -22,6 +22,7 @@ from activefail.campaign.settings import parse_settings
 from activefail.errors import InputError
 from activefail.figures.hazard import plot_hazard
 from activefail.reliability.estimate import Doubt, Plan
+from activefail.requests import estimating
 from activefail.risk.classifier_probability import classifier_probability
 from activefail.risk.fragility.deaggregation import deaggregated
 from activefail.risk.hazard_summary import HazardSummary, Outside
@@ -755,7 +756,7 @@ def test_a_plan_for_many_rows_predicts_a_sample_of_them_and_reads_its_simulation
     with package.open_run(learned / "run", code=learned, write=True) as run:
         found = run.probability(60, 0.95, question=path, fixed={"strength": 1.5})
         question = run.asked(path, {"strength": 1.5})
-        with run._estimator(None, lambda _: None) as estimator:
+        with estimating(run) as estimator:
             plan = estimator.plan("failure", 60, question)
             assert estimator.stored("failure", question, 0.95) == found.estimate
     assert isinstance(question.space, WeightedRows)

@@ -17,6 +17,7 @@ from activefail.campaign.hazard import read_hazard
 from activefail.errors import InputError
 from activefail.opening import open_run
 from activefail.report.fragility_section import risk_findings, risk_options
+from activefail.requests import estimating
 from activefail.risk.design.design_task import Requirement
 from activefail.risk.design.stored import stored_designs
 
@@ -186,7 +187,7 @@ def test_a_design_is_shown_only_with_its_simulations(verified: Path, tmp_path: P
     with open_run(folder, code=verified) as opened:
         hazard = read_hazard(verified / "site.toml")
         _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
-        with opened._estimator(None, simulates=False) as estimator:
+        with estimating(opened, simulates=False) as estimator:
             assert len(stored_designs(estimator, folder, question, "D_tot", wanted)) == 1
             assert not stored_designs(estimator, folder, question.at({"mu": 0.07}), "D_tot", wanted)
             designs = folder / "designs.json"
@@ -198,7 +199,7 @@ def test_a_target_has_a_chart_of_its_own(verified: Path) -> None:
     with open_run(verified / "run", code=verified) as opened:
         asked = risk_options(Path("a site.toml"), None, 0.2, ("safe", "damage", "failure"), "failure")
         hazard = read_hazard(verified / "site.toml")
-        with opened._estimator(None, simulates=False) as estimator:
+        with estimating(opened, simulates=False) as estimator:
             _, question = site_and_question(opened.campaign, hazard, None, verified / "bearing.toml")
             found = risk_findings(estimator, verified / "run", hazard, question, asked)
             assert found.chart is not None

@@ -9,6 +9,7 @@ from activefail.bearing.terms import Terms
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.hazard import CAPACITY, FRICTION, Hazard
 from activefail.campaign.question import Outside
+from activefail.findings.lines import titled
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.design_task import LOOKS, Rate
 from activefail.risk.design.required_chart import RequiredChart
@@ -16,6 +17,9 @@ from activefail.risk.design.search import WORTH, Designed
 from activefail.shares import bounds_percent, percent
 from activefail.simulators.bearing import limits_of, terms_of
 from activefail.visible import or_worse, visible
+
+OUT_OF_REACH = 3
+"""Exit code if no design was shown to meet its targets."""
 
 BEARING_PERIOD = "T_b"
 """Variable of a bearing that gives the stiffness of its lateral force."""
@@ -251,8 +255,19 @@ class DesignFindings:
             "chart": None if self.chart is None else _chart_json(self.chart),
         }
 
-    def lines(self) -> list[tuple[str, str]]:
-        """Titles and texts for a terminal."""
+    @property
+    def exit_code(self) -> int:
+        """`OUT_OF_REACH` if no design was shown to meet its targets."""
+        return 0 if self.designed.status == "verified" else OUT_OF_REACH
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        return titled(self.rows)
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Titles and texts."""
         designed, units = self.designed, {p.name: p.unit for p in self.campaign.space.parameters}
         task, bound = designed.task, f"{100.0 * designed.result.of_bound:.3g} %"
         outcomes = self.campaign.simulator.outcomes

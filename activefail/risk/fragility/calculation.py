@@ -31,7 +31,7 @@ from activefail.risk.fragility.levels import (
     variable_ladder,
 )
 from activefail.risk.fragility.rates import risk_of
-from activefail.simulators.bearing import limits_of
+from activefail.simulators.bearing import limits_of, terms_of
 from activefail.space import DesignSpace
 from activefail.verification.probability_estimator import Estimator
 
@@ -218,6 +218,8 @@ def bearing_fragility(
         outside.share,
         why,
         tuple(notes),
+        tuple(campaign.simulator.outcomes),
+        terms_of(campaign.simulator, fixed),
     )
 
 
@@ -273,6 +275,8 @@ def general_fragility(
         None,
         why,
         tuple(notes),
+        tuple(campaign.simulator.outcomes),
+        terms_of(campaign.simulator, question.fixed),
     )
 
 

@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from activefail.bearing.terms import Terms
+from activefail.findings.lines import titled
 from activefail.risk.fragility.band import (
     NOT_VERIFIED,
     Interval,
@@ -19,6 +21,7 @@ from activefail.risk.fragility.lognormal import Lognormal, fit_lognormal, why_no
 from activefail.risk.fragility.rates import YEARS, Risk
 from activefail.shares import percent
 from activefail.space import Array
+from activefail.visible import or_worse
 
 Bound = Literal["lower", "nominal", "upper"]
 
@@ -76,6 +79,8 @@ class FragilityFindings:
         outside_hazard: share of the whole hazard outside the design space; None without a hazard.
         why_no_risk: empty if there is a risk.
         notes: what was assumed, as sentences.
+        outcomes: of the simulator, the least severe first.
+        terms: the bearing in the designer's terms; None without a bearing, or if a value is uncertain.
     """
 
     title: str
@@ -89,6 +94,31 @@ class FragilityFindings:
     outside_hazard: float | None
     why_no_risk: str
     notes: tuple[str, ...]
+    outcomes: tuple[str, ...]
+    terms: Terms | None = None
+
+    exit_code = 0
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        text = [heading(self)]
+        if self.fixed:
+            text.append(f"given      {fixed_in_words(self)}")
+        for one in reversed(self.boundaries):
+            text.append(f"{or_worse(one.outcome, self.outcomes)}:")
+            for title, line in of_boundary(self, one):
+                text.append(f"  {title:>6}    {line}" if title.endswith("%") else f"  {title:<9} {line}")
+        if why := why_no_risk(self):
+            text.append(f"risk       none: {why}")
+        text.append(
+            "intervals  shown where fresh simulations give one; every other number is the classifier's, without an "
+            "interval"
+            if self.has_verification
+            else "intervals  none: every number is the classifier's; --verify N gives intervals from fresh simulations"
+        )
+        text += titled(("note", sentence) for sentence in self.assumptions)
+        return text + ([] if self.terms is None else titled(self.terms.lines()))
 
     @property
     def has_verification(self) -> bool:
@@ -238,3 +268,105 @@ def _of_level(verified: VerifiedLevel, curve: Curve) -> dict[str, Any]:
         "contradictions_where_sure": estimate.surprising,
         "classifier_probability": float(curve.at(verified.level)),
     }
+
+
+def heading(findings: FragilityFindings) -> str:
+    """What the curves are of."""
+    variable = f"{findings.ladder.name} [{findings.ladder.unit}]" if findings.ladder.unit else findings.ladder.name
+    return f"fragility against {variable}, under {findings.title}"
+
+
+def fixed_in_words(findings: FragilityFindings) -> str:
+    """The values of variables."""
+    return ", ".join(f"{name} {value:g}" for name, value in findings.fixed.items())
+
+
+def why_no_risk(findings: FragilityFindings) -> str:
+    """Why there is no risk; empty if there is one, or if an assumption says it."""
+    is_noted = any("annual rates" in note for note in findings.notes)
+    return findings.why_no_risk if findings.median is not None and not is_noted else ""
+
+
+def of_boundary(findings: FragilityFindings, one: BoundaryFragility) -> list[tuple[str, str]]:
+    """Titles and texts of one boundary; the capacities' titles are probabilities, a continued title is empty."""
+    unit = f" {findings.ladder.unit}" if findings.ladder.unit else ""
+    rows = [(percent(p), _capacity(*one.capacity(p), unit)) for p in CAPACITIES]
+    fit = one.lognormal
+    if fit is None:
+        rows.append(("lognormal", f"none is fitted: {why_not_fitted(one.curve)}"))
+    else:
+        text = (
+            f"median {fit.median:.3g}{unit}, dispersion {fit.dispersion:.3g}; it differs from the curve by up to "
+            f"{100.0 * fit.misfit:.2g} points, at {fit.misfit_at:.3g}{unit}"
+        )
+        rows.append(("lognormal", text))
+    if one.alone is not None:
+        levels = [one.alone.capacity(p).level for p in CAPACITIES]
+        shown = ", ".join("none" if level is None else f"{level:.3g}" for level in levels)
+        rows.append(("not added", f"capacities without the added uncertainty: {shown}{unit}"))
+    if (fall := one.curve.fall) is not None:
+        text = (
+            f"the curve falls by {100.0 * fall.size:.2g} points between {fall.start:.3g} and {fall.end:.3g}{unit}; a "
+            "capacity is the level at which the curve first exceeds its probability"
+        )
+        rows.append(("falls", text))
+    if one.at_median is not None and findings.median is not None:
+        bounds = ", ".join(
+            f"{percent(p)} ({bound} bound)" if bound != "nominal" else f"{percent(p)} (nominal)"
+            for bound, p in one.at_median.items()
+        )
+        ratio = findings.margin_ratio(one)
+        tail = "" if ratio is None else f"; the 50 % capacity is {ratio:.3g} times this median (margin ratio)"
+        rows.append(("hazard", f"at its median of {findings.median:.3g}{unit}: {bounds}{tail}"))
+    if one.risk is not None:
+        text = (
+            f"{percent(one.risk.in_50_years, 2)} in {YEARS:g} years ({one.risk.annual_rate:.2g} a year); "
+            f"{percent(one.risk.outside)} of the rate comes from velocities outside the hazard curve, where the curve "
+            "is extrapolated"
+        )
+        rows.append(("risk", text))
+    for level in one.verified:
+        estimate = level.estimate
+        text = (
+            f"{level.level:.3g}{unit}: {percent(estimate.probability)}, {percent(estimate.low)} to "
+            f"{percent(estimate.high)} with {100.0 * estimate.confidence:g} % confidence; {estimate.simulations} fresh "
+            f"simulations, contradictions: {estimate.wrong}"
+        )
+        rows.append(("verified", text))
+    if one.deaggregation is not None:
+        rows += _of_pulses(one.deaggregation)
+    return rows
+
+
+def _capacity(capacity: Capacity, interval: Interval, unit: str) -> str:
+    if capacity.level is None:
+        return f"none: {capacity.reason}"
+    shown = f"{capacity.level:.3g}{unit}"
+    if interval.low is None and interval.high is None:
+        return shown
+    if interval.low is not None and interval.high is not None:
+        ends = f"interval {interval.low:.3g} to {interval.high:.3g}"
+    elif interval.high is not None:
+        ends = f"interval up to {interval.high:.3g}, the lower end is unknown"
+    else:
+        ends = f"interval from {interval.low:.3g}, the upper end is unknown"
+    unknown = f" ({interval.reason})" if interval.reason else ""
+    middle = "" if interval.middle is None else f"; {interval.middle:.3g} after correction by the simulations"
+    return f"{shown}{middle}, {ends}{unknown}"
+
+
+def _of_pulses(parts: Deaggregation) -> list[tuple[str, str]]:
+    whole = f"{percent(parts.probability)} under the whole hazard"
+    if parts.period_of_failures is None or parts.velocity_of_failures is None:
+        return [("pulses", f"{whole}: failure is too rare to be attributed to pulses")]
+    rows = [("pulses", whole)]
+    for title, period, velocity in (
+        ("of the failures", parts.period_of_failures, parts.velocity_of_failures),
+        ("of all pulses", parts.period_of_pulses, parts.velocity_of_pulses),
+    ):
+        text = (
+            f"{title}: T_p {period.median:.3g} s ({period.low:.3g} to {period.high:.3g}), PGV "
+            f"{velocity.median:.3g} m/s ({velocity.low:.3g} to {velocity.high:.3g}); medians and 90 % ranges"
+        )
+        rows.append(("", text))
+    return rows

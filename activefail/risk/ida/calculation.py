@@ -14,6 +14,7 @@ from activefail.bearing.design import TABLE_1, Model, Tolerance
 from activefail.bearing.outcome import OUTCOMES
 from activefail.errors import InputError
 from activefail.files import writing_to
+from activefail.progress import Begin, uncounted
 from activefail.risk.ida.capacity import BISECTIONS, LEVELS, Capacities, Simulate, capacities, ladder, on_ladder
 from activefail.risk.ida.collapse import Fragility, fitted
 from activefail.risk.ida.equivalent_pulse import EquivalentPulse, compare_pulses, equivalent_pulse
@@ -27,7 +28,6 @@ from activefail.space import Array
 
 if TYPE_CHECKING:
     from activefail.execution.executor import Executor
-    from activefail.risk.sensitivity.findings import Begin
 
 KEPT, KEPT_OF_PULSES = "simulations.json", "simulations-of-pulses.json"
 """Files of an analysis from which it continues."""
@@ -45,7 +45,7 @@ def ida(
     model: Model | None = None,
     tolerance: Tolerance | None = None,
     workers: int | None = None,
-    begin: "Begin" = lambda _: lambda _: None,
+    begin: Begin = uncounted,
     folder: str | Path | None = None,
 ) -> IdaFindings:
     """Find the intensity at which a bearing fails, for each record of a set.
@@ -130,7 +130,7 @@ def ida_of_campaign(
     margin: MarginRequest | None = None,
     workers: int | None = None,
     executor: "Executor | None" = None,
-    begin: "Begin" = lambda _: lambda _: None,
+    begin: Begin = uncounted,
     folder: str | Path | None = None,
 ) -> IdaFindings:
     """Find the peak ground velocity at which what a campaign simulates, such as a building, fails, for each record.

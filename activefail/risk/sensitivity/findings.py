@@ -1,53 +1,20 @@
-"""Which variables affect a probability: its Sobol' indices by the classifier, and its change with one at a time.
+"""What a probability depends on: findings in numbers and words."""
 
-Two functions have indices. Without a hazard, the probability of the outcome given all variables of a question, which is
-almost 0 or 1. With a hazard, the probability given the bearing alone: the pulses are integrated out.
-"""
-
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
-import numpy as np
-from scipy.special import ndtr, ndtri
-
-from activefail.acquisition.population import integration_points
-from activefail.campaign.assembly import Campaign
-from activefail.campaign.hazard import Hazard, hazard_question
-from activefail.campaign.question import AMPLITUDE, PERIOD, Question
-from activefail.errors import InputError
-from activefail.features import FeatureMap
-from activefail.reliability.integral import Boundaries, Standardised
-from activefail.risk.fragility.levels import RESOLUTION
-from activefail.risk.sensitivity.sobol import Decomposition, Index, check_samples, decomposed, require_salib
-from activefail.simulators.bearing import limits_of
-from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Latent
-from activefail.surrogate.margin import MarginLatent
-from activefail.weighted import WeightedRows
-
-PULSES = 128
-"""Pulses that integrate the probability of each design; a power of two."""
+from activefail.csv_table import Target, writing
+from activefail.findings.lines import aligned, titled
+from activefail.findings.quantities import significant
+from activefail.risk.sensitivity.sobol import Estimate, Index
+from activefail.shares import percent
+from activefail.visible import or_worse
 
 LOW, HIGH = 0.1, 0.9
 """Shares of a variable's distribution below the values to which it is moved."""
 
-WIDE = 0.2
-"""Width of an interval from which more samples are advised."""
-
-_FEW = 50.0
-"""Points on the rarer side of ½ below which the indices and their intervals mean little."""
-
-_EVALUATIONS = 600_000
-"""Evaluations of the classifier by default: two minutes at 0.2 ms, of features and prediction for a bearing."""
-
-_LEAST, _MOST = 64, 8192
-"""Least and largest number of samples by default."""
-
-_AT_ONCE = 4096
-"""Most rows of a prediction at once, which limits its memory."""
-
-Begin = Callable[[int], Callable[[int], None]]
-"""Called with the number of evaluations; returns a callback for finished ones."""
+_NONE = "–"
 
 
 @dataclass(frozen=True)
@@ -70,11 +37,12 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class SensitivityFindings:
     """What a probability depends on, by the classifier alone.
 
     Attributes:
         outcome: its name; the probability is that of this outcome or a more severe one.
+        outcomes: of the simulator, the least severe first.
         title: of the question or the hazard.
         mean, sd: of the probability over the sampled variables; without an interval. NaN without a sample.
         indices: Sobol' indices, by decreasing total index; empty if nothing is to be explained.
@@ -92,6 +60,7 @@ class Sensitivity:
     """
 
     outcome: str
+    outcomes: tuple[str, ...]
     title: str
     mean: float
     sd: float
@@ -113,293 +82,164 @@ class Sensitivity:
         """Whether the probability is one of designs, with the pulses of a hazard integrated out."""
         return self.pulses > 0
 
+    exit_code = 0
 
-def default_samples(variables: int, points: int = 1) -> int:
-    """The number of samples that keeps the evaluations of the classifier within two minutes for a bearing.
-
-    Args:
-        variables: number of variables d.
-        points: evaluations for each of the (d + 2) values that a sample takes.
-    """
-    affordable = max(1, _EVALUATIONS // ((variables + 2) * points))
-    return int(np.clip(2 ** (affordable.bit_length() - 1), _LEAST, _MOST))
-
-
-def question_sensitivity(
-    campaign: Campaign,
-    boundaries: Boundaries,
-    outcome: str,
-    question: Question,
-    samples: int | None = None,
-    confidence: float = 0.95,
-    begin: Begin = lambda _: lambda _: None,
-) -> Sensitivity:
-    """The Sobol' indices of the classifier's probability Φ(m/s) given the uncertain variables of a question.
-
-    Args:
-        campaign: of the classifier.
-        boundaries: of the campaign's designs.
-        outcome: of the boundary.
-        question: the distribution of the variables.
-        samples: points of the sample; a power of two. By default as many as two minutes allow.
-        confidence: of the intervals.
-        begin: as `Begin`.
-
-    Raises:
-        InputError: if the question's variables are correlated, or rows of a file; if `samples` is invalid; or if SALib
-            is not installed.
-    """
-    space = question.space
-    if isinstance(space, WeightedRows):
-        raise InputError(
-            "question: must have independent variables, got a table of pulses. Use `--hazard`, which averages over the "
-            "pulses."
-        )
-    if correlated := [pair for pair in space.correlation if pair[2] != 0.0]:
-        one, other, rho = correlated[0]
-        raise InputError(
-            f"question: {one} and {other} have the correlation {rho:g}, and the variance cannot be divided among "
-            "correlated variables. Set `correlation = []` in the question file, or give one of the two a value with "
-            "`--fixed`."
-        )
-    require_salib()
-    samples = default_samples(space.dimension) if samples is None else samples
-    check_samples(samples)
-    evaluations = samples * (space.dimension + 2)
-    column = campaign.simulator.outcomes.index(outcome) - 1
-    probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
-    decomposition = decomposed(
-        lambda U: probability(question.designs(space.from_unit(U))), space.names, samples, confidence
-    )
-    return Sensitivity(
-        outcome=outcome,
-        title=question.title,
-        mean=decomposition.mean,
-        sd=decomposition.sd,
-        indices=_by_total(decomposition),
-        confidence=confidence,
-        samples=samples,
-        evaluations=evaluations,
-        units={one.name: one.unit for one in space.parameters},
-        outside=question.share_outside(campaign.space),
-        notes=(
-            *question.assumptions,
-            f"The indices divide the variance of the classifier's probability of {outcome} given all variables.",
-            *_notes_on_indices(decomposition, samples),
-            *_notes_on_rareness(decomposition, samples),
-            *limits_of(campaign.simulator),
-        ),
-    )
-
-
-def hazard_sensitivity(
-    campaign: Campaign,
-    boundaries: Boundaries,
-    outcome: str,
-    hazard: Hazard,
-    fixed: Mapping[str, float],
-    samples: int | None = None,
-    confidence: float = 0.95,
-    begin: Begin = lambda _: lambda _: None,
-) -> Sensitivity:
-    """Which variables affect the probability of a design under a hazard.
-
-    Args:
-        campaign: of the classifier.
-        boundaries: of the campaign's designs.
-        outcome: of the boundary.
-        hazard: whose pulses are integrated out.
-        fixed: values of variables of the bearing, which then have no indices. They are moved one at a time like the
-            others, which have their medians.
-        samples, confidence, begin: as for `question_sensitivity`.
-
-    Raises:
-        InputError: if the campaign has no pulse or nothing else, `fixed` names no variable of the bearing, `samples` is
-            invalid, or SALib is not installed.
-    """
-    design = [one for one in campaign.space.parameters if one.name not in (PERIOD, AMPLITUDE)]
-    base = {one.name: float(one.quantile(0.5, ndtri)) for one in design} | dict(fixed)
-    question = hazard_question(hazard, campaign.settings, campaign.space, base)
-    if not design:
-        raise InputError("hazard: all variables of the campaign belong to the pulse, so no design can be varied.")
-    free = [one for one in design if one.name not in fixed]
-    X, weight = _pulses(question.space, PULSES)
-    pulses = len(X)
-    if free:
-        require_salib()
-        samples = default_samples(len(free), pulses) if samples is None else samples
-        check_samples(samples)
-    else:
-        samples = 0
-    evaluations = samples * (len(free) + 2) * pulses
-    column = campaign.simulator.outcomes.index(outcome) - 1
-    probability = _probability(lambda X: boundaries(X)[:, column], begin(evaluations))
-
-    def moved(name: str, value: float) -> float:
-        integral = question.at({name: value}).integral(boundaries, campaign.space, RESOLUTION)
-        return float(integral.probability[column])
-
-    at_base = moved(design[0].name, base[design[0].name])
-    moves = []
-    for one in design:
-        low, high = (float(one.quantile(share, ndtri)) for share in (LOW, HIGH))
-        moves.append(Move(one.name, base[one.name], low, high, moved(one.name, low), moved(one.name, high)))
-    moves.sort(key=lambda move: -_effect(move, at_base))
-    decomposition = Decomposition(float("nan"), float("nan"), float("nan"), ())
-    outside = question.share_outside(campaign.space)
-    notes = [*hazard.assumptions]
-    if free:
-        names = tuple(one.name for one in free)
-        # Independent: who chooses a design may choose any combination.
-        space = DesignSpace(tuple(free))
-        decomposition = decomposed(
-            lambda U: _mean_over_pulses(probability, question, names, space.from_unit(U), X, weight),
-            names,
-            samples,
-            confidence,
-        )
-        outside = _share_outside(campaign.space, question, names, space.sobol(256, np.random.default_rng(0)), X, weight)
-        notes.append(
-            f"The indices divide the variance of the classifier's probability of {outcome} given the design, "
-            f"averaged over {pulses} fixed pulses. The variables of the design are independent and have "
-            "the campaign's distributions."
-        )
-    else:
-        notes.append("All variables of the design have values, so there are no Sobol' indices.")
-    notes.append(
-        f"One variable at a time moves to its {100 * LOW:g} % and {100 * HIGH:g} % quantiles in the campaign. The "
-        "other variables have the given values, or else their medians. These probabilities are the classifier's and "
-        "have no interval; `activefail probability` estimates a probability with an interval."
-    )
-    return Sensitivity(
-        outcome=outcome,
-        title=hazard.title,
-        mean=decomposition.mean,
-        sd=decomposition.sd,
-        indices=_by_total(decomposition),
-        confidence=confidence,
-        samples=samples,
-        evaluations=evaluations,
-        units={one.name: one.unit for one in design},
-        outside=outside,
-        notes=(*notes, *(_notes_on_indices(decomposition, samples) if samples else ()), *limits_of(campaign.simulator)),
-        pulses=pulses,
-        probability=at_base,
-        moves=tuple(moves),
-    )
-
-
-def _by_total(decomposition: Decomposition) -> tuple[Index, ...]:
-    return tuple(sorted(decomposition.indices, key=lambda index: -index.total.value))
-
-
-def _notes_on_indices(decomposition: Decomposition, samples: int) -> list[str]:
-    """What the indices and their intervals mean."""
-    if not decomposition.indices:
-        return ["The classifier's probability does not change with these variables, so there are no Sobol' indices."]
-    notes = [
-        "The indices are those of the classifier's function. Their intervals cover the sampling of the indices alone, "
-        "not the classifier's error. The first indices add up to at most 1; a total index includes all interactions "
-        "of its variable."
-    ]
-    estimates = [estimate for index in decomposition.indices for estimate in (index.first, index.total)]
-    widest = max(estimate.high - estimate.low for estimate in estimates)
-    if widest > WIDE:
-        notes.append(
-            f"The widest interval is {widest:.2f} wide, so {samples} samples are too few. `--samples {4 * samples}` "
-            "would halve the width, roughly."
-        )
-    if any(not 0.0 <= estimate.value <= 1.0 for estimate in estimates):
-        notes.append("Estimates below 0 or above 1 are sampling errors. They are not clipped.")
-    return notes
-
-
-def _notes_on_rareness(decomposition: Decomposition, samples: int) -> list[str]:
-    """A warning if the sample holds few designs of either side; the bootstrap cannot know of those that it lacks."""
-    if not decomposition.indices or decomposition.rarer >= _FEW:
-        return []
-    return [
-        f"Only about {decomposition.rarer:.1f} of {2 * samples} sampled designs lie on the rarer side of the boundary. "
-        "The indices and their intervals are unreliable: take more samples, or a question under which the outcome is "
-        "less rare."
-    ]
-
-
-def length_scales(latent: Latent | MarginLatent, features: FeatureMap) -> dict[str, float]:
-    """Length scales of a boundary's latent by feature, in standard deviations of the feature over the design space."""
-    scales = np.exp(latent.trained.hyperparameters.log_lengthscale)
-    return dict(zip(features.names, scales.tolist(), strict=True))
-
-
-def with_classifier(
-    sensitivity: Sensitivity, length_scales: Mapping[str, float], p_values: Mapping[str, float]
-) -> Sensitivity:
-    """The sensitivity with the length scales and p-values that stand beside the indices."""
-    notes = sensitivity.notes
-    if length_scales and sensitivity.indices:
-        notes += (
+    def with_length_scales(self, length_scales: Mapping[str, float]) -> Self:
+        """The same with the length scales that stand beside the indices."""
+        note = (
             "A length scale is in standard deviations of the feature over the campaign's space: short where the "
-            "classifier changes quickly. It has no interval.",
+            "classifier changes quickly. It has no interval."
         )
-    if p_values and sensitivity.indices:
-        notes += (
+        notes = (*self.notes, note) if length_scales and self.indices else self.notes
+        return replace(self, length_scales=length_scales, notes=notes)
+
+    def with_p_values(self, p_values: Mapping[str, float]) -> Self:
+        """The same with the p-values that stand beside the indices."""
+        note = (
             "A p-value is that of Wald's test in a logistic regression of the initial design on the variables. It "
-            "detects monotone effects only. A large p-value does not show that a variable has no effect.",
+            "detects monotone effects only. A large p-value does not show that a variable has no effect."
         )
-    return replace(sensitivity, length_scales=length_scales, p_values=p_values, notes=notes)
+        notes = (*self.notes, note) if p_values and self.indices else self.notes
+        return replace(self, p_values=p_values, notes=notes)
+
+    @property
+    def heading(self) -> str:
+        """What the numbers are about."""
+        name = or_worse(self.outcome, self.outcomes)
+        return f"sensitivity of the probability of {name} under {self.title}, by the classifier"
+
+    @property
+    def index_rows(self) -> list[list[str]]:
+        """The table of indices, with its header; empty without indices."""
+        if not self.indices:
+            return []
+        interval = f"({100 * self.confidence:g} % interval)"
+        rows = [["variable", f"first index {interval}", f"total index {interval}", "length scale", "p-value"]]
+        for name, first, total in self.indices:
+            scale = f"{self.length_scales[name]:.3g}" if name in self.length_scales else _NONE
+            p_value = _p_value(self.p_values[name]) if name in self.p_values else _NONE
+            rows.append([self._label(name), _in_words(first), _in_words(total), scale, p_value])
+        return rows
+
+    @property
+    def move_rows(self) -> list[list[str]]:
+        """The table of one variable at a time, with its header; empty without a hazard."""
+        if not self.moves:
+            return []
+        low, high = f"{100 * LOW:g} %", f"{100 * HIGH:g} %"
+        rows = [["variable", "base value", f"at its {low} quantile", f"at its {high} quantile"]]
+        for move in self.moves:
+            at_low = f"{percent(move.at_low)} at {significant(move.low)}"
+            at_high = f"{percent(move.at_high)} at {significant(move.high)}"
+            rows.append([self._label(move.name), significant(move.value), at_low, at_high])
+        return rows
+
+    def _label(self, name: str) -> str:
+        unit = self.units[name]
+        return f"{name} [{unit}]" if unit else name
+
+    @property
+    def about(self) -> list[tuple[str, str]]:
+        """Titles and sentences beside the tables."""
+        rows = []
+        if self.samples:
+            over = "designs" if self.is_given_designs else "the distribution"
+            spread = f"standard deviation {percent(self.sd)}; no interval"
+            rows.append(("mean", f"{percent(self.mean)} over {over}; {spread}"))
+        if others := {name: x for name, x in self.length_scales.items() if name not in self.units}:
+            scales = ", ".join(f"{name} {scale:.3g}" for name, scale in others.items())
+            rows.append(("features", f"length scales of other features: {scales}"))
+        sampled = f"{self.samples} samples, " if self.samples else ""
+        rows.append(("from", f"{sampled}{self.evaluations} evaluations of the classifier, no simulation"))
+        lie = "of the sampled designs lie outside the campaign's space, where the classifier extrapolates"
+        rows.append(("outside", f"{percent(self.outside)} {lie}"))
+        return rows
+
+    @property
+    def lines(self) -> list[str]:
+        """The findings as lines of a terminal."""
+        text = [self.heading]
+        if self.moves:
+            at_base = f"probability {percent(self.probability)} with all variables at their base values"
+            text += ["", f"{at_base}, without an interval", *aligned(self.move_rows)]
+        if self.indices:
+            text += ["", "Sobol' indices", *aligned(self.index_rows)]
+        return [*text, "", *titled(self.about), *titled(("note", note) for note in self.notes)]
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values."""
+        return {
+            "outcome": self.outcome,
+            "question": self.title,
+            "output": "probability given the design" if self.is_given_designs else "probability given all variables",
+            "mean": self.mean,
+            "standard_deviation": self.sd,
+            "confidence": self.confidence,
+            "samples": self.samples,
+            "evaluations": self.evaluations,
+            "pulses": self.pulses,
+            "outside_design_space": self.outside,
+            "indices": [
+                {
+                    "variable": name,
+                    "unit": self.units[name],
+                    "first": dict(first._asdict()),
+                    "total": dict(total._asdict()),
+                }
+                for name, first, total in self.indices
+            ],
+            "probability": self.probability,
+            "one_at_a_time": [
+                {
+                    "variable": move.name,
+                    "unit": self.units[move.name],
+                    "value": move.value,
+                    "low": move.low,
+                    "high": move.high,
+                    "probability_at_low": move.at_low,
+                    "probability_at_high": move.at_high,
+                }
+                for move in self.moves
+            ],
+            "length_scales": dict(self.length_scales),
+            "p_values": dict(self.p_values),
+            "interval": None,
+            "interval_reason": "the classifier's values, without simulation; the intervals of indices cover their "
+            "sampling",
+            "notes": list(self.notes),
+        }
 
 
-def _effect(move: Move, at_base: float) -> float:
-    return max(move.at_low, move.at_high, at_base) - min(move.at_low, move.at_high, at_base)
+def _in_words(estimate: Estimate) -> str:
+    return f"{estimate.value:.3f} ({estimate.low:.3f} to {estimate.high:.3f})"
 
 
-def _probability(standardised: Standardised, advance: Callable[[int], None]) -> Callable[[Array], Array]:
-    """The probability Φ(m/s) of designs, (n, d) -> (n,), a part of them at a time."""
-
-    def probability(X: Array) -> Array:
-        parts = [np.empty(0)]
-        for first in range(0, len(X), _AT_ONCE):
-            part = X[first : first + _AT_ONCE]
-            parts.append(ndtr(standardised(part)))
-            advance(len(part))
-        return np.concatenate(parts)
-
-    return probability
+def _p_value(p: float) -> str:
+    return "< 0.001" if p < 1e-3 else f"{p:.3f}"
 
 
-def _designs_under_pulses(question: Question, names: tuple[str, ...], designs: Array, pulses: Array) -> Array:
-    """Designs of the campaign, (n p, d): each of n designs, values of `names`, under each of p pulses."""
-    rows = np.tile(question.designs(pulses), (len(designs), 1))
-    for column, name in enumerate(names):
-        values = np.repeat(designs[:, column], len(pulses))
-        rows[:, question.variables.index(name)] = values * question.factors.get(name, 1.0)
-    return rows
+_COLUMNS = (
+    *("variable", "unit", "first", "first_low", "first_high", "total", "total_low", "total_high"),
+    *("length_scale", "p_value", "value", "low", "high", "probability_at_low", "probability_at_high"),
+)
 
 
-def _mean_over_pulses(
-    probability: Callable[[Array], Array],
-    question: Question,
-    names: tuple[str, ...],
-    designs: Array,
-    pulses: Array,
-    weight: Array,
-) -> Array:
-    """The probability of each of n designs, values of `names`, under weighted pulses, (n,)."""
-    means, at_once = np.empty(len(designs)), max(1, _AT_ONCE // len(pulses))
-    for first in range(0, len(designs), at_once):
-        part = designs[first : first + at_once]
-        values = probability(_designs_under_pulses(question, names, part, pulses))
-        means[first : first + len(part)] = values.reshape(len(part), -1) @ weight / weight.sum()
-    return means
+def write_csv(sensitivity: SensitivityFindings, target: Target) -> None:
+    """Write a row for each variable; what a variable does not have is an empty cell.
 
-
-def _share_outside(
-    space: DesignSpace, question: Question, names: tuple[str, ...], designs: Array, pulses: Array, weight: Array
-) -> float:
-    outside = ~space.contains(_designs_under_pulses(question, names, designs, pulses))
-    return float((outside.reshape(len(designs), -1) @ weight).mean() / weight.sum())
-
-
-def _pulses(space: DesignSpace | WeightedRows, n: int) -> tuple[Array, Array]:
-    """At most n fixed pulses, (p, k), with weights, (p,)."""
-    return integration_points(space.thinned(n) if isinstance(space, WeightedRows) else space, n)
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    indices = {index.name: index for index in sensitivity.indices}
+    moves = {move.name: move for move in sensitivity.moves}
+    with writing(target, _COLUMNS) as write:
+        for name in dict.fromkeys([*indices, *moves, *sensitivity.units]):
+            cells: dict[str, object] = {"variable": name, "unit": sensitivity.units[name]}
+            if index := indices.get(name):
+                cells |= zip(_COLUMNS[2:8], (*index.first, *index.total), strict=True)
+            if move := moves.get(name):
+                values = (move.value, move.low, move.high, move.at_low, move.at_high)
+                cells |= zip(_COLUMNS[10:], values, strict=True)
+            cells["length_scale"] = sensitivity.length_scales.get(name, "")
+            cells["p_value"] = sensitivity.p_values.get(name, "")
+            write([[cells.get(column, "") for column in _COLUMNS]])

@@ -1,0 +1,166 @@
+"""The shape of every analysis: a request, whose options are declared once, and its findings, which are data.
+
+The command line (`cli/analyses.py`), the methods of `Run` and the reference pages are made from the declarations.
+"""
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Concatenate, Generic, NamedTuple, ParamSpec, Protocol, TypeVar
+
+from activefail.arguments import check_whole
+from activefail.csv_table import Target
+from activefail.errors import InputError
+from activefail.progress import Begin, Stage, silent, uncounted
+
+if TYPE_CHECKING:
+    from activefail.execution.executor import Executor
+    from activefail.run import Run
+
+P = ParamSpec("P")
+
+
+class Findings(Protocol):
+    """What an analysis found: data that prints itself."""
+
+    @property
+    def lines(self) -> Sequence[str]:
+        """The findings as lines of a terminal."""
+
+    @property
+    def exit_code(self) -> int:
+        """Of the command: 0 if the question has an answer."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The findings as JSON values; docs/reference/json.md describes the keys."""
+
+
+F = TypeVar("F", bound=Findings)
+F_co = TypeVar("F_co", bound=Findings, covariant=True)
+
+
+class Option(NamedTuple):
+    """An option of a request.
+
+    Attributes:
+        help: what it is, for the command line and for Python.
+        kind: type of its words on the command line.
+        low, high: its least and largest value; None without a limit.
+        names: on the command line, if they are not the field's.
+        metavar: what stands for its value there, if it is not the type.
+        parse: makes the value of a word.
+        with_out: whether it is for the pages alone, and so off without `--out`.
+    """
+
+    help: str
+    kind: Any
+    low: float | None = None
+    high: float | None = None
+    names: tuple[str, ...] = ()
+    metavar: str | None = None
+    parse: Callable[[str], Any] | None = None
+    with_out: bool = False
+
+
+def option(default: Any, help: str, kind: Any = None, **more: Any) -> Any:
+    """A field of a request that is an option (see `Option`); without a default it is required."""
+    return field(default=default, metadata={"option": Option(help, kind or type(default), **more)})
+
+
+REQUIRED: Any = MISSING
+"""The default of an option that must be given."""
+
+
+@dataclass(frozen=True)
+class Request(Generic[F_co]):
+    """A question to a run folder.
+
+    Attributes:
+        executor: runs fresh simulations; all cores of this machine by default.
+        stage: called with each stage of the work.
+        begin: called with the number of steps of the work; returns a callback for finished ones.
+
+    Raises:
+        InputError: naming the option, the rule and the value.
+    """
+
+    executor: "Executor | None" = field(default=None, kw_only=True, repr=False)
+    stage: Stage = field(default=silent, kw_only=True, repr=False)
+    begin: Begin = field(default=uncounted, kw_only=True, repr=False)
+
+    records: ClassVar[bool] = True
+    """Whether it simulates or saves, so that the run folder is opened for writing."""
+
+    table: ClassVar[str] = ""
+    """What the table of `--csv` holds; empty if there is none."""
+
+    pages: ClassVar[str] = ""
+    """What the folder of `--out` gets; empty if nothing."""
+
+    counts: ClassVar[str] = ""
+    """Title of the progress bar that `begin` moves; empty if there is none."""
+
+    def __post_init__(self) -> None:
+        for one, declared in options(type(self)):
+            _check(one.name, getattr(self, one.name), declared)
+
+    def answer(self, run: "Run") -> F_co:
+        """The findings.
+
+        Raises:
+            InputError: if an option is invalid for this run, or its initial design is not finished.
+        """
+        raise NotImplementedError
+
+    def write_table(self, findings: Any, target: Target) -> None:
+        """Write the table of `--csv`."""
+
+    def write_pages(self, findings: Any, run: "Run", out: Path) -> list[Path]:
+        """Write the files of `--out` into a folder; returns them."""
+        return []
+
+
+def options(request: type[Request[Any]]) -> list[tuple[Field[Any], Option]]:
+    """The options of a request, in the order in which they are declared."""
+    return [(one, one.metadata["option"]) for one in fields(request) if "option" in one.metadata]
+
+
+def _check(name: str, value: Any, declared: Option) -> None:
+    if value is None or declared.kind not in (int, float):
+        return
+    if declared.kind is int:
+        check_whole(name, value, int(declared.low or 0))
+    elif isinstance(value, bool) or not isinstance(value, float | int):
+        raise InputError(f"{name}: must be a number, got {value!r}.")
+    if declared.low is not None and not value >= declared.low:
+        raise InputError(f"{name}: must be at least {declared.low:g}, got {value}.")
+    if declared.high is not None and not value <= declared.high:
+        raise InputError(f"{name}: must be at most {declared.high:g}, got {value}.")
+
+
+def method_of(name: str, request: Callable[P, Request[F]]) -> "Callable[Concatenate[Run, P], F]":
+    """The method of `Run` that asks: its arguments are the fields of the request, and it returns the findings."""
+
+    def method(run: "Run", /, *arguments: P.args, **keywords: P.kwargs) -> F:
+        return request(*arguments, **keywords).answer(run)
+
+    assert isinstance(request, type)
+    itself = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    signature = inspect.signature(request)
+    method.__name__, method.__qualname__, method.__doc__ = name, f"Run.{name}", _docstring(request)
+    method.__signature__ = signature.replace(parameters=[itself, *signature.parameters.values()])  # type: ignore[attr-defined]
+    return method
+
+
+def _docstring(request: type[Request[Any]]) -> str:
+    declared = "\n".join(f"    {one.name}: {_lowered(of.help)}" for one, of in options(request))
+    common = (Request.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    shared = "\n".join(line[4:] for line in common.splitlines())
+    raises = "Raises:\n    InputError: if an option is invalid, or the initial design is not finished."
+    return f"{inspect.cleandoc(request.__doc__ or '')}\n\nArgs:\n{declared}\n{shared}\n\n{raises}\n"
+
+
+def _lowered(help: str) -> str:
+    """A help text as the meaning of an argument."""
+    return help[:1].lower() + help[1:]
