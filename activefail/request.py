@@ -7,7 +7,18 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Concatenate, Generic, NamedTuple, ParamSpec, Protocol, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Concatenate,
+    Generic,
+    NamedTuple,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    get_args,
+)
 
 from activefail.arguments import check_whole
 from activefail.csv_table import Target
@@ -149,7 +160,10 @@ def method_of(name: str, request: Callable[P, Request[F]]) -> "Callable[Concaten
     itself = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
     signature = inspect.signature(request)
     method.__name__, method.__qualname__, method.__doc__ = name, f"Run.{name}", _docstring(request)
-    method.__signature__ = signature.replace(parameters=[itself, *signature.parameters.values()])  # type: ignore[attr-defined]
+    (findings,) = get_args(request.__orig_bases__[0])  # type: ignore[attr-defined]
+    method.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[itself, *signature.parameters.values()], return_annotation=findings.__forward_arg__
+    )
     return method
 
 

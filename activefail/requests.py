@@ -198,7 +198,7 @@ class DesignRequest(Request["DesignFindings"]):
     simulations: int = option(
         1000, "Maximum number of fresh simulations for each target; not part of the budget.", low=10, high=1_000_000
     )
-    chart: bool = option(True, "Compute the chart of required values, with --out.", with_out=True)
+    chart: bool = option(False, "Compute the chart of required values, with --out.", with_out=True)
 
     pages: ClassVar = "Folder for the page design.html, its pictures, and design.json and design.toml."
 

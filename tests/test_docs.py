@@ -207,12 +207,13 @@ def test_the_guide_lists_every_method_and_property_of_a_run_with_its_arguments()
     first_cells = re.findall(r"^\| (`.*?`) \|", section(GUIDE, "## From Python"), re.MULTILINE)
     listed = [entry for cell in first_cells for entry in re.findall(r"`([^`]+)`", cell)]
     arguments = dict(re.findall(r"^(\w+)\((.*)\)$", entry)[0] for entry in listed if entry.endswith(")"))
-    functions = {"create_run", "open_run"}
+    functions, requests = {"create_run", "open_run"}, ("verify", "probability", "design", "sensitivity", "fragility")
     public = {name for name in dir(activefail.Run) if not name.startswith("_")} | {"campaign", "store"}
     assert {entry.partition("(")[0] for entry in listed} - functions == public
     for name, stated in arguments.items():
         signature = inspect.signature(getattr(activefail if name in functions else activefail.Run, name))
-        parameters = [parameter for parameter in signature.parameters.values() if parameter.name != "self"]
+        shared = {"self"} | ({"executor", "stage", "begin"} if name in requests else set())
+        parameters = [parameter for parameter in signature.parameters.values() if parameter.name not in shared]
         texts = stated.split(", ") if stated else []
         assert [text.partition("=")[0] for text in texts] == [one.name for one in parameters], name
         for text, one in zip(texts, parameters, strict=True):

@@ -83,7 +83,7 @@ def _declare(command: Callable[..., None], request: type[Request[Any]]) -> None:
     parameters: dict[str, tuple[Any, Any]] = {"folder": (RunFolder, inspect.Parameter.empty)}
     for one, of in options(request):
         required = one.default is REQUIRED
-        default = None if of.parse is not None or required else one.default
+        default = None if of.parse is not None or required else of.with_out or one.default
         names = of.names or ()
         shown = typer.Option(
             *names, help=of.help, min=of.low, max=of.high, metavar=of.metavar, show_default=default not in (None, "")
