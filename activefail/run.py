@@ -91,7 +91,7 @@ class Taken(NamedTuple):
         finished: whether the campaign reached its budget or its stop rule; False if it was stopped before.
         progress: of the campaign.
         first_fault: why the first abandoned simulation failed, with its design; empty if there is none.
-        stop_rule: how the stop rule ended the campaign before its budget; empty if it did not.
+        stop_rule: how the stop rule ended the campaign before its budget, or why it cannot; empty otherwise.
     """
 
     finished: bool
@@ -495,7 +495,7 @@ class Run:
         observer: Observer,
         executor_options: str,
     ) -> Taken:
-        from activefail.findings.ending import how_stop_rule_was_met
+        from activefail.findings.ending import how_stop_rule_was_met, too_small_for_rule
         from activefail.loop.batches import run
 
         target = self.settings.sampling.budget if budget is None else budget
@@ -518,6 +518,9 @@ class Run:
                 self._learned = self._predicts = self._memory = None
         progress = standing(self.campaign, self.store.batches, target)
         stop_rule = how_stop_rule_was_met(self.settings, progress.done) if finished and progress.done < target else ""
+        if finished and not stop_rule and self.settings.probability_rule is not None:
+            looks = self.learn().looks
+            stop_rule = too_small_for_rule(self.settings, looks.probability) if len(looks.table) else ""
         return Taken(finished, progress, next(iter(observer.faults), ""), stop_rule)
 
     @property

@@ -293,7 +293,7 @@ def test_a_probability_that_no_design_reaches_is_not_certified(tmp_path: Path) -
     (tmp_path / "far.toml").write_text("seed = 2\n" + text)
     result = activefail("run", tmp_path / "far.toml", "--out", tmp_path / "run")
     assert result.code == 0, result.err
-    assert "stop rule" not in result.out
+    assert "stop rule  cannot be met: the probability of failure, " in result.out
     result = activefail("probability", tmp_path / "run", "--code", tmp_path, "--simulations", "20", "--json")
     numbers = json.loads(result.out)["outcomes"]["failure"]
     assert numbers["low"] <= ndtr(-6.8) <= numbers["high_under_classifier"]

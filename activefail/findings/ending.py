@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from activefail.campaign.settings import CampaignSettings
+from activefail.loop.probability_rule import least_known
 from activefail.shares import percent
 from activefail.verification.confidence_bounds import largest_unseen_share
 from activefail.verification.error import confidence_of_look, least_simulations
@@ -43,6 +44,20 @@ def stop_rule_warning(settings: CampaignSettings, learns_from_margins: bool) -> 
     return (
         f"stop.simulations: with {rule.simulations} simulations the first look cannot show an error below "
         f"{percent(bound)}, even if none is misclassified; an error of {100 * rule.error:g} % requires at least {least}"
+    )
+
+
+def too_small_for_rule(settings: CampaignSettings, probability: float) -> str:
+    """Why a probability under the classifier is too small for the stop rule; empty if it is not.
+
+    Designs beyond a probability of `REACH` are not searched, so nothing much smaller is ever known.
+    """
+    rule = settings.probability_rule
+    if rule is None or not probability < (least := least_known(rule.cov)):
+        return ""
+    return (
+        f"cannot be met: the probability of {rule.probability}, {probability:.2g} under the classifier, is below "
+        f"{least:.2g}, the least that the rule can know with stop.cov = {rule.cov:g}. `activefail probability` bounds it"
     )
 
 

@@ -33,6 +33,11 @@ _SURE = 0.5
 """Largest posterior sd of the probability, in units of the stated one: the posterior is too narrow near kinks."""
 
 
+def least_known(cov: float) -> float:
+    """The least probability that a rule with this coefficient of variation can know."""
+    return REACH / (_SURE * cov)
+
+
 @dataclass(frozen=True)
 class Looks:
     """What a campaign with a stop rule for a probability knows of it.
