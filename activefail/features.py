@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.bearing.collision import COLLISION_FEATURES, collision_features
 from activefail.bearing.design import GRAVITY, TABLE_1, Model
@@ -60,6 +61,8 @@ class FeatureMap:
         formula: `raw` as differentiable arithmetic on the columns of a design array of any library, list of d -> list
             of m; None if there is no such formula.
         known: `scaling`, if it is known; it is computed at first use otherwise.
+        harmless: which designs, (n, d) -> (n,), have the least severe outcome for certain, as the simulator's physics
+            says; None if that is known of none.
     """
 
     names: tuple[str, ...]
@@ -68,6 +71,11 @@ class FeatureMap:
     space: DesignSpace
     formula: Callable[[Sequence[Any]], list[Any]] | None = None
     known: tuple[Array, Array] | None = None
+    harmless: Callable[[Array], NDArray[np.bool_]] | None = None
+
+    def certain(self, X: Array) -> NDArray[np.bool_]:
+        """Which designs, (n, d), have the least severe outcome for certain, (n,)."""
+        return np.zeros(len(X), dtype=bool) if self.harmless is None else self.harmless(X)
 
     def __call__(self, X: Array) -> Array:
         """Scaled features of designs, (n, d) -> (n, m)."""

@@ -92,6 +92,8 @@ class Campaign:
         _check_learning(settings, simulator)
         features, source = _features(settings, code, run, custom_features)
         mapped = feature_map(features, space, settings.bearing.model(), check_features)
+        if isinstance(simulator, DfpSimulator):
+            mapped = replace(mapped, harmless=simulator.harmless)
         return cls(settings, space, simulator, mapped, question_of(settings, space), sources | source, code)
 
     @property

@@ -198,7 +198,7 @@ class Answers:
         """Probabilities of the outcomes, and of each boundary with its 95 % interval."""
         classifier = self.findings.classifier
         with self.turn():
-            predicted = classifier.predicted(self.campaign.features(np.array([point])))
+            predicted = classifier.predicted(np.array([point]))
         probabilities = predicted.probabilities[0]
         boundaries = []
         for severity, name in enumerate(self.outcomes[1:], start=1):

@@ -57,7 +57,8 @@ def too_small_for_rule(settings: CampaignSettings, probability: float) -> str:
         return ""
     return (
         f"cannot be met: the probability of {rule.probability}, {probability:.2g} under the classifier, is below "
-        f"{least:.2g}, the least that the rule can know with stop.cov = {rule.cov:g}. `activefail probability` bounds it"
+        f"{least:.2g}, the least that the rule can know with stop.cov = {rule.cov:g}. `activefail probability` bounds "
+        "it"
     )
 
 

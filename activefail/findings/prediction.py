@@ -57,7 +57,7 @@ def information(predicted: Predicted, severity: int) -> Array:
 
 def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
     """Predict the outcomes of designs, (n, d)."""
-    predicted = classifier.predicted(campaign.features(X))
+    predicted = classifier.predicted(X)
     moments = predicted.moments[campaign.severity - 1]
     return Prediction(
         predicted.probabilities,
@@ -70,6 +70,6 @@ def predict(campaign: Campaign, classifier: Classifier, X: Array) -> Prediction:
 
 def predicted_values(campaign: Campaign, classifier: SavedClassifier, X: Array) -> Array:
     """The values of `predicted_columns` for designs, (n, d) -> (n, number of outcomes + 2)."""
-    predicted = classifier.predicted(classifier.features(X))
+    predicted = classifier.predicted(X)
     moments = predicted.moments[campaign.severity - 1]
     return np.column_stack([predicted.probabilities, moments.mean, moments.sd])

@@ -17,7 +17,7 @@ from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import around, finite, first_parents, next_parents
 from activefail.features import FeatureMap
 from activefail.space import REACH, Array, DesignSpace
-from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.classifier import Classifier, predicted
 from activefail.weighted import WeightedRows
 
 Standardised = Callable[[Array], Array]
@@ -97,7 +97,7 @@ class BoundariesOf:
     def __call__(self, X: Array) -> Array:
         """The probits of P(at least as severe) of designs, (n, d) -> (n, b)."""
         F = finite(self.features, X)
-        z = self.classifier.predicted(F).boundaries
+        z = predicted(self.classifier.latents, self.features, X, F).boundaries
         if self.outcome is not None:
             z = z[:, [self.classifier.outcomes.index(self.outcome) - 1]]
         if self.classifier.unknown is not None and self.lost != "learned":

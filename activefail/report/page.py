@@ -201,7 +201,7 @@ def _scales(findings: Findings, scales: NDArray[np.float64]) -> dict[str, Any]:
 
 def _uncertain(findings: Findings) -> list[dict[str, Any]]:
     prediction, campaign = findings.pool_prediction, findings.campaign
-    bits = information(findings.classifier.predicted(campaign.features(findings.pool)), campaign.severity)
+    bits = information(findings.classifier.predicted(findings.pool), campaign.severity)
     rows = np.argsort(-bits, kind="stable")[:LISTED]
     return [
         {

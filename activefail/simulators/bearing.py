@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from activefail.bearing import outcome as o
 from activefail.bearing.design import TABLE_1, Bearing, Model, Pulse, Tolerance
@@ -82,6 +83,14 @@ class DfpSimulator:
         """Simulate designs, (n, d), on the calling thread."""
         answers = simulate(self.space.table(X, TABLE_1.names), self.model, self.tolerance, threads=1)
         return Results(answers.outcome, answers.cause, answers.columns, answers.seconds)
+
+    def harmless(self, X: Array) -> NDArray[np.bool_]:
+        """Designs, (n, d), whose pulse has an amplitude of at most the friction: nothing slides, and no rim is touched.
+
+        What creeps in the regularised friction stays below a tenth of the capacity.
+        """
+        mu, A_p = self.space.table(X, ("mu", "A_p")).T
+        return np.asarray(A_p <= mu)
 
     def check(self, X: Array) -> None:
         """Check that designs, (n, d), can be built and shaken.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,10 @@ def is_nested(latents: Sequence[object]) -> bool:
     return len(regressions) == len(latents) and all(trained is regressions[0] for trained in regressions)
 
 
+CERTAIN = 38.0
+"""Probit of what is certain: a probability of 10⁻³¹⁶, the least that a float holds."""
+
+
 @dataclass(frozen=True)
 class Predicted:
     """What a classifier says of n designs: the one source of every probability of an outcome.
@@ -102,10 +106,12 @@ class Predicted:
     Attributes:
         moments: of each boundary's latent.
         is_nested: whether the boundaries are levels of one latent (see `outcome_probabilities`).
+        harmless: (n,) which designs have the least severe outcome for certain, whatever the latents say.
     """
 
     moments: tuple[Moments, ...]
     is_nested: bool
+    harmless: NDArray[np.bool_]
 
     @property
     def probabilities(self) -> Array:
@@ -114,7 +120,12 @@ class Predicted:
         The outcomes that a boundary is learned from count as noisy, which allows for structure too fine to learn: the
         probit is mean/√(1 + sd²). That of a margin's boundary is mean/sd.
         """
-        return outcome_probabilities(np.column_stack([one.standardised for one in self.moments]), self.is_nested)
+        return outcome_probabilities(self._probits([one.standardised for one in self.moments]), self.is_nested)
+
+    def _probits(self, of_boundaries: Sequence[Array]) -> Array:
+        z = np.column_stack(of_boundaries)
+        z[self.harmless] = -CERTAIN
+        return z
 
     @property
     def boundaries(self) -> Array:
@@ -122,7 +133,7 @@ class Predicted:
 
         The simulator is deterministic, and the noise of labels would put a floor under a small probability.
         """
-        return nested_probits(np.column_stack([one.side for one in self.moments]), self.is_nested)
+        return nested_probits(self._probits([one.side for one in self.moments]), self.is_nested)
 
     def beyond(self, severity: int, shift: float | None = None) -> Array:
         """P(at least as severe as outcome `severity`) of one simulation, (n,).
@@ -131,10 +142,18 @@ class Predicted:
             severity: number of the outcome.
             shift: of the boundary's latent from its mean, in standard deviations, if it were known.
         """
-        z = np.column_stack([one.standardised for one in self.moments])
+        one = self.moments[severity - 1]
+        of_boundaries = [of.standardised for of in self.moments]
         if shift is not None:
-            z[:, severity - 1] = self.moments[severity - 1].known(shift)
+            of_boundaries[severity - 1] = one.known(shift)
+        z = self._probits(of_boundaries)
         return np.asarray(np.minimum(outcome_probabilities(z, self.is_nested)[:, severity:].sum(axis=1), 1.0))
+
+
+def predicted(latents: Sequence[Any], features: FeatureMap, X: Array, F: Array | None = None) -> Predicted:
+    """What latents say of designs, (n, d), whose scaled features, (n, m), are F if the caller has them already."""
+    F = features(X) if F is None else F
+    return Predicted(tuple(latent.moments(F) for latent in latents), is_nested(latents), features.certain(X))
 
 
 @dataclass(frozen=True)
@@ -171,13 +190,13 @@ class Classifier:
         """The latent of the boundary below the named outcome."""
         return self.latents[self.outcomes.index(outcome) - 1]
 
-    def predicted(self, F: Array) -> "Predicted":
-        """Probabilities at scaled features, (n, m)."""
-        return Predicted(tuple(latent.moments(F) for latent in self.latents), is_nested(self.latents))
+    def predicted(self, X: Array) -> "Predicted":
+        """Probabilities of designs, (n, d)."""
+        return predicted(self.latents, self.features, X)
 
     def probabilities(self, X: Array) -> Array:
         """Probabilities of the outcomes of designs, (n, d) -> (n, number of outcomes); rows sum to 1."""
-        return self.predicted(self.features(X)).probabilities
+        return self.predicted(X).probabilities
 
 
 def _boundary_labels(outcome: NDArray[np.int8], severity: int) -> "Tensor":

@@ -13,7 +13,7 @@ from scipy.linalg import cho_solve, cholesky, eigh, solve_triangular
 
 from activefail.features import FeatureMap
 from activefail.space import Array
-from activefail.surrogate.classifier import Classifier, Latent, Predicted, is_nested
+from activefail.surrogate.classifier import Classifier, Latent, Predicted, predicted
 from activefail.surrogate.covariance import JITTER, SavedHyperparameters, covariance_array
 from activefail.surrogate.margin import LARGEST_FEATURE, ROWS_AT_ONCE, MarginFit, MarginLatent
 from activefail.surrogate.moments import Moments
@@ -120,9 +120,9 @@ class SavedClassifier:
         )
         return cls(classifier.outcomes, classifier.features, tuple(latents))
 
-    def predicted(self, F: Array) -> Predicted:
+    def predicted(self, X: Array) -> Predicted:
         """As for `Classifier`."""
-        return Predicted(tuple(latent.moments(F) for latent in self.latents), is_nested(self.latents))
+        return predicted(self.latents, self.features, X)
 
 
 def _regression(latent: MarginLatent) -> MarginFit:
