@@ -1,15 +1,20 @@
 """Evidence of a classifier's accuracy, read from the run folder for the report. The folder is not changed."""
 
-from collections.abc import Callable
+import csv
+import io
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.assembly import Campaign
-from activefail.comparison.static import Score, default_budgets, read_scores, score
+from activefail.comparison.static import Recall, Score, default_budgets, score
 from activefail.errors import InputError
+from activefail.files import read_regular
 from activefail.loop.history import History
 from activefail.loop.initial import initial_sets
 from activefail.loop.learning import learn_from
@@ -19,7 +24,9 @@ from activefail.space import Array
 from activefail.surrogate.classifier import Classifier
 from activefail.verification.error import ErrorEstimate, verified
 from activefail.verification.stored_sets import VALIDATION, name_of_test_set, sizes_of_test_sets, stored_set
+from activefail.visible import visible
 
+_LARGEST_TABLE = 10_000_000
 _BUDGETS = 5
 
 
@@ -53,6 +60,84 @@ class Reliability:
     probability: Array
     beyond: NDArray[np.bool_]
     source: str
+
+
+def read_scores(path: Path, outcomes: Sequence[str]) -> tuple[list[Score], int]:
+    """Read the table that `activefail compare DIR` wrote.
+
+    Args:
+        path: of the table.
+        outcomes: of the campaign.
+
+    Returns:
+        The scores, and the number of numerical failures in the test set.
+
+    Raises:
+        InputError: naming the file, the row and the fault.
+    """
+    other = {"sampling": str, "simulations": int, "test_designs": int}
+    kinds = {name: other.get(name, float) for name in Score.columns()}
+    scores, unanswered = [], 0
+    try:
+        # A run folder from someone else may contain a pipe or an endless table.
+        text = read_regular(path, _LARGEST_TABLE).decode()
+        with io.StringIO(text, newline="") as file:
+            for number, row in enumerate(csv.DictReader(file), start=1):
+                try:
+                    numbers: dict[str, Any] = {name: kind(row[name]) for name, kind in kinds.items()}
+                    # Older versions wrote neither recall nor the columns after it.
+                    has_recall = Score.recall_columns(outcomes)[0] in row
+                    recall = {
+                        name: Recall(int(row[f"recalled_{name}"]), int(row[f"test_{name}"]))
+                        for name in (outcomes if has_recall else ())
+                    }
+                    given, hypercube = (int(row.get(name) or 0) for name in ("given", "hypercube"))
+                    scores.append(_plausible(Score(**numbers, recall=recall, given=given, hypercube=hypercube)))
+                    unanswered = max(unanswered, int(row.get("test_unanswered") or 0))
+                except (KeyError, TypeError, ValueError) as error:
+                    raise InputError(
+                        f"{path}: row {number}: was not written by `activefail compare`: {error}."
+                    ) from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
+    except InputError:
+        raise
+    except (csv.Error, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}.") from None
+    if not scores:
+        raise InputError(f"{path}: has no rows.")
+    return scores, unanswered
+
+
+_MOST_DESIGNS = 1_000_000
+"""Largest plausible number of designs or simulations in a score."""
+
+
+def _plausible(score: Score) -> Score:
+    """The score, if a comparison could have produced it.
+
+    Raises:
+        ValueError: naming the fault.
+    """
+    shares = (0.0, score.low, score.accuracy, score.high, 1.0)
+    if not all(one <= other for one, other in pairwise(shares)):
+        raise ValueError(f"`0 <= low <= accuracy <= high <= 1` must hold, got {shares[1:-1]}")
+    if not 0.0 <= score.outcome_accuracy <= 1.0 or not score.log_score <= 0.0:
+        raise ValueError(
+            f"`0 <= outcome_accuracy <= 1` and `log_score <= 0` must hold, got {score.outcome_accuracy} and "
+            f"{score.log_score}"
+        )
+    if score.sampling not in ("active", "static"):
+        raise ValueError(f"sampling: must be active or static, got {visible(score.sampling)!r}")
+    recalled = [number for one in score.recall.values() for number in (one.recalled, one.total)]
+    if not all(
+        0 <= n <= _MOST_DESIGNS
+        for n in (score.simulations, score.test_designs, score.given, score.hypercube, *recalled)
+    ):
+        raise ValueError(f"numbers of designs must be between 0 and {_MOST_DESIGNS}")
+    if any(one.recalled > one.total for one in score.recall.values()):
+        raise ValueError("`recalled <= test` must hold for each outcome")
+    return score
 
 
 def _curve(

@@ -8,16 +8,7 @@ from campaign.stub import Counting, Disc, disc
 
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.random_streams import stream
-from activefail.comparison.static import (
-    Score,
-    compare,
-    default_budgets,
-    read_scores,
-    recalls,
-    score,
-    score_lines,
-    write_scores,
-)
+from activefail.comparison.static import Score, compare, default_budgets, recalls, score, score_lines, write_scores
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.loop.asking import add
@@ -25,6 +16,7 @@ from activefail.loop.batches import run
 from activefail.loop.learning import current_classifier
 from activefail.loop.progress import Observer, standing
 from activefail.record.memory import MemoryStore
+from activefail.report.evidence import read_scores
 from activefail.space import Array
 from activefail.surrogate.classifier import train
 from activefail.surrogate.threads import one_thread

@@ -21,7 +21,8 @@ from activefail.bearing.design import TABLE_1
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.on_disk import create_folder, open_campaign
 from activefail.campaign.settings import parse_settings
-from activefail.comparison.static import Recall, Score, read_scores, write_scores
+from activefail.comparison.static import Recall, Score
+from activefail.csv_table import writing
 from activefail.errors import InputError
 from activefail.execution.local import ThreadExecutor
 from activefail.features import paper_features
@@ -41,7 +42,6 @@ SECTIONS = (
     *("run", "outcomes", "learning", "samples", "boundaries"),
     *("reliability", "scales", "uncertain", "gallery", "reproduce"),
 )
-OUTCOMES = ("no_impact", "impact", "failure")
 SCRIPT = "<script>alert(1)</script> & $\\frac{"
 TINY = """
 description = '''{description}'''
@@ -208,29 +208,31 @@ def test_the_first_box_says_what_to_do_next(html, folder):
 def test_a_comparison_in_the_folder_is_shown_with_its_very_numbers(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
-    recall = dict.fromkeys(OUTCOMES, Recall(10, 20))
     written = [
-        Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41, 400, recall),
-        Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21, 400, recall),
-        Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125, 400, recall),
+        Score("active", 20, 0.8125, 0.79, 0.83, 0.7, -0.41, 400),
+        Score("active", 30, 0.9125, 0.89, 0.93, 0.8, -0.21, 400),
+        Score("static", 30, 0.8875, 0.86, 0.91, 0.75, -0.3125, 400),
     ]
-    write_scores(written, OUTCOMES, 400, copy / "compare" / "scores.csv")
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
+        write([[*score.row(), 0] for score in written])
     with open_campaign(copy, write=False) as (campaign, store):
         text = made(campaign, copy, store)
     rows = Page(text).tables["scores"][1:]
-    assert rows[2][:6] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
+    assert rows[2] == ["30", "static Latin hypercube", "88.75 %", "86.00 to 91.00 %", "75.00 %", "−0.3125"]
     assert "91.2 % of 400 fresh designs (89.00 to 93.00 % with 95 % confidence), after 30 simul" in Page(text).text
+    assert "recall of" not in Page(text).text  # an older program wrote none
     assert "adds the curve of static" not in text
     (copy / "compare" / "scores.csv").write_text("sampling,simulations\nactive,many\n")
     with open_campaign(copy, write=False) as (campaign, store):
         text = made(campaign, copy, store)
-    assert "scores.csv: was not written by" in Page(text).text
+    assert "scores.csv: row 1: was not written by" in Page(text).text
 
 
 @pytest.mark.usefixtures("without_pictures")
 def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
+    outcomes = ("no_impact", "impact", "failure")
     active, static = (
         {"no_impact": Recall(1800, 1800), "impact": Recall(134, 134), "failure": Recall(hits, 66)} for hits in (64, 2)
     )
@@ -238,7 +240,8 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
         Score("active", 30, 0.9995, 0.9972, 0.9999, 0.999, -0.01, 2000, active),
         Score("static", 30, 0.968, 0.96, 0.975, 0.968, -0.1, 2000, static),
     ]
-    write_scores(written, OUTCOMES, 2000, copy / "compare" / "scores.csv")
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), *Score.recall_columns(outcomes)]) as write:
+        write([score.row() for score in written])
     with open_campaign(copy, write=False) as (campaign, store):
         parsed = Page(made(campaign, copy, store))
     assert "99.95 % of 2000 fresh designs (99.72 to 99.99 % with 95 % confidence)" in parsed.text
@@ -251,18 +254,31 @@ def test_static_sampling_that_missed_nearly_all_failures_does_not_read_as_right(
 
 @pytest.mark.parametrize(
     ("column", "value"),
-    [("recalled_failure", "70"), ("simulations", "x"), ("accuracy", "nan"), ("low", "0.99"), ("given", "")],
+    [
+        ("recalled_failure", "70"),
+        ("recalled_failure", "-7"),
+        ("test_failure", str(10**30)),
+        ("simulations", "1" + 400 * "0"),
+        ("accuracy", "nan"),
+        ("low", "0.99"),
+        ("sampling", "<b>"),
+        ("log_score", "inf"),
+    ],
 )
-def test_a_table_that_no_comparison_could_have_written_is_refused(tmp_path, column, value):
-    good = Score("active", 30, 0.9, 0.8, 0.95, 0.7, -0.4, 60, dict.fromkeys(OUTCOMES, Recall(10, 20)))
+def test_scores_that_no_comparison_could_have_had_are_refused_by_row(tmp_path, column, value):
+    outcomes = ("no_impact", "impact", "failure")
+    recall = dict.fromkeys(outcomes, Recall(10, 20))
+    good = Score("active", 30, 0.9, 0.8, 0.95, 0.7, -0.4, 60, recall)
+    columns = [*Score.columns(), *Score.recall_columns(outcomes)]
     path = tmp_path / "scores.csv"
-    write_scores([good], OUTCOMES, 64, path)
-    assert read_scores(path, OUTCOMES) == ([good], 4)
-    header, row = (line.split(",") for line in path.read_text().splitlines())
-    row[header.index(column)] = value
-    path.write_text(f"{','.join(header)}\n{','.join(row)}\n")
-    with pytest.raises(InputError, match=r"scores\.csv: was not written by `activefail compare`"):
-        read_scores(path, OUTCOMES)
+    with writing(path, columns) as write:
+        write([good.row()])
+    assert evidence.read_scores(path, outcomes) == ([good], 0)
+    spoilt = [value if name == column else cell for name, cell in zip(columns, good.row(), strict=True)]
+    with writing(path, columns) as write:
+        write([spoilt])
+    with pytest.raises(InputError, match=r"scores\.csv: row 1"):
+        evidence.read_scores(path, outcomes)
 
 
 def test_the_length_scales_in_the_page_are_the_classifier_s(html, folder):
@@ -504,10 +520,9 @@ def test_powers_in_units_are_raised():
 def test_the_page_names_the_commands_that_judged_it(folder, tmp_path):
     copy = Path(shutil.copytree(folder, tmp_path / "run"))
     (copy / "compare").mkdir()
-    recall = dict.fromkeys(OUTCOMES, Recall(10, 20))
-    row = (0.9, 0.8, 0.95, 0.7, -0.4, 388, recall)
-    written = [Score(name, n, *row) for n in (20, 30) for name in ("active", "static")]
-    write_scores(written, OUTCOMES, 400, copy / "compare" / "scores.csv")
+    written = [Score(name, n, 0.9, 0.8, 0.95, 0.7, -0.4, 388) for n in (20, 30) for name in ("active", "static")]
+    with writing(copy / "compare" / "scores.csv", [*Score.columns(), "test_unanswered"]) as write:
+        write([[*score.row(), 12] for score in written])
     with open_campaign(copy, write=False) as (campaign, store):
         parsed = Page(made(campaign, copy, store))
     run = f"activefail run campaign.toml --out {copy}"
@@ -523,6 +538,16 @@ def test_numbers_are_written_as_people_read_them():
         "−0.500",
         "1234",
     ]
+
+
+def test_a_table_that_compare_did_not_write_is_refused_by_row(tmp_path):
+    path = tmp_path / "scores.csv"
+    path.write_text(",".join([*Score.columns(), "test_unanswered"]) + "\nactive,x,1,1,1,1,1,1\n")
+    with pytest.raises(InputError, match=r"scores\.csv: row 1"):
+        evidence.read_scores(path, ("no_impact", "impact", "failure"))
+    path.write_text("")
+    with pytest.raises(InputError, match="has no rows"):
+        evidence.read_scores(path, ("no_impact", "impact", "failure"))
 
 
 # --- colours -----------------------------------------------------------------------------------------------------
