@@ -25,7 +25,7 @@ from activefail.arguments import (
 )
 from activefail.campaign.assembly import Campaign
 from activefail.campaign.continuing import how_to_continue, resume_command
-from activefail.display import campaign_display, shown_executor
+from activefail.display import ShownExecutor, campaign_display
 from activefail.errors import InputError, StoreError
 from activefail.files import writing_to
 from activefail.findings.summary import Summary
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from activefail.campaign.settings import CampaignSettings
     from activefail.comparison.static import Score
     from activefail.csv_table import Source, Target
-    from activefail.execution.executor import AsynchronousExecutor, CountingExecutor, Executor
+    from activefail.execution.executor import AsynchronousExecutor, Executor
     from activefail.features import FeatureMap
     from activefail.findings.ending import StopMessages
     from activefail.findings.failure import FailureFindings
@@ -884,9 +884,9 @@ class Run:
             write_report(page, target)
         return evidence
 
-    def _shown_executor(self) -> "CountingExecutor":
+    def _shown_executor(self) -> ShownExecutor:
         """All cores of this machine, with a progress bar."""
-        return shown_executor(self._local_executor())
+        return ShownExecutor(self._local_executor())
 
     def _local_executor(self, workers: int | None = None) -> "AsynchronousExecutor":
         from activefail.execution.local import local_executor
