@@ -4,6 +4,7 @@ import pytest
 from golden.outputs import HERE, NAMES, differences, sections, transcript_of
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", NAMES)
 def test_commands_print_what_the_transcript_says(name: str) -> None:
     former = (HERE / f"{name}.txt").read_text(encoding="utf-8")
