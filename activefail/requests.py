@@ -289,6 +289,6 @@ def estimating(
     from activefail.verification.probability_estimator import Estimator
 
     run._check_initial_design()
-    learned, last = run.learn(stage), run.history.last_iteration
     with nullcontext(executor) if executor or not simulates else run._shown_executor() as pool, one_thread():
+        learned, last = run.learn(stage), run.history.last_iteration
         yield Estimator(run.campaign, run.store, pool, learned.classifier, last)

@@ -143,6 +143,8 @@ class ProbabilityFindings:
         latent = classifier.latent(outcome)
         integral = question.integral(BoundariesOf(classifier, campaign.features), campaign.space)
 
+        by_classifier = integral.of(severity - 1).probability
+
         def share(lost: Lost) -> float:
             boundary = BoundariesOf(classifier, campaign.features, lost, outcome)
             return question.integral(boundary, campaign.space).of(0).probability
@@ -160,7 +162,9 @@ class ProbabilityFindings:
             outside_space=question.outside(campaign.space) if question.digest else None,
             model=integral.of(severity - 1),
             of_question=(*question.assumptions, *limits_of(campaign.simulator)),
-            lost=None if classifier.unknown is None else (share("none"), share("all")),
+            lost=None
+            if classifier.unknown is None
+            else (min(by_classifier, share("none")), max(by_classifier, share("all"))),
             is_clipped=isinstance(latent, MarginLatent) and latent.trained.is_clipped,
         )
 

@@ -17,7 +17,7 @@ from activefail.acquisition.by_margin import doubt
 from activefail.acquisition.population import around, finite, first_parents, next_parents
 from activefail.features import FeatureMap
 from activefail.space import REACH, Array, DesignSpace
-from activefail.surrogate.classifier import Classifier, predicted
+from activefail.surrogate.classifier import Classifier, Latent, predicted
 from activefail.weighted import WeightedRows
 
 Standardised = Callable[[Array], Array]
@@ -101,10 +101,10 @@ class BoundariesOf:
         if self.outcome is not None:
             z = z[:, [self.classifier.outcomes.index(self.outcome) - 1]]
         if self.classifier.unknown is not None and self.lost != "learned":
-            unknown = self.classifier.unknown.moments(F).side[:, None]
+            unknown = _probit_lost(self.classifier.unknown, F)
             z = _both(z, -unknown) if self.lost == "none" else -_both(-z, -unknown)
         if self.classifier.impossible is not None:
-            impossible = self.classifier.impossible.moments(F).side[:, None]
+            impossible = _probit_lost(self.classifier.impossible, F)
             z = _both(z, -impossible)
         return z
 
@@ -114,7 +114,12 @@ class BoundariesOf:
         impossible = self.classifier.impossible
         if impossible is None:
             return None
-        return lambda X: -impossible.moments(finite(self.features, X)).side[:, None]
+        return lambda X: -_probit_lost(impossible, finite(self.features, X))
+
+
+def _probit_lost(latent: Latent, F: Array) -> Array:
+    """The probits of P(lost), (n, 1): with the noise of labels, because runs may also be lost at random."""
+    return latent.moments(F).standardised[:, None]
 
 
 def _both(a: Array, b: Array) -> Array:
