@@ -14,6 +14,7 @@ from activefail.campaign.question import Question
 from activefail.campaign.settings import CampaignSettings
 from activefail.execution.local import ThreadExecutor
 from activefail.findings.lost import where_lost
+from activefail.findings.probability import ProbabilityFindings
 from activefail.loop.batches import run
 from activefail.loop.history import History
 from activefail.loop.learning import Learned, current
@@ -21,6 +22,8 @@ from activefail.opening import open_run
 from activefail.record.memory import MemoryStore
 from activefail.reliability.integral import BoundariesOf, OfBoundary, integrate
 from activefail.simulators.interface import NUMERICAL_FAILURE, RAISED, Results
+from activefail.surrogate.classifier import Classifier, lost_latent
+from activefail.surrogate.margin import MarginLatent, fit_margin
 from activefail.verification.probability_estimator import Estimator, Existing
 
 DIES_BELOW = -2.0
@@ -49,7 +52,7 @@ class Dies:
         return Results(outcome, np.zeros(len(X), dtype=np.int8), margins, np.zeros(len(X)))
 
 
-def taken(simulator, **changes):
+def settings_of(**changes):
     normal = {"distribution": "normal", "mean": 0.0, "sd": 1.0}
     keys = {
         "seed": 2,
@@ -60,7 +63,11 @@ def taken(simulator, **changes):
         "classifier.features": "design",
         "limits.numerical_failures": 1.0,
     }
-    settings = CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
+    return CampaignSettings().changed(keys | {key.replace("__", "."): value for key, value in changes.items()})
+
+
+def taken(simulator, **changes):
+    settings = settings_of(**changes)
     campaign = Campaign.of(settings, simulator=simulator)
     store = MemoryStore(campaign.schema)
     with ThreadExecutor(1) as executor:
@@ -88,12 +95,46 @@ def test_the_interval_reaches_the_probability_whatever_the_lost_runs_are(
     assert held == 6
 
 
+def test_an_estimate_counts_the_runs_of_the_campaign_as_status_does_though_the_first_were_lost(
+    unknown: tuple[Campaign, MemoryStore, Learned],
+) -> None:
+    campaign, store, learned = unknown
+    history, question = History.of(store.batches), Question.of_space(campaign.space)
+    lost_first = history[np.argsort(history.answered, kind="stable")]
+    assert lost_first.leading_failures > 0
+    with ThreadExecutor(1) as executor:
+        estimator = Estimator(campaign, store, executor, learned.classifier, history.last_iteration)
+        estimate = estimator.sample("failure", 10, question).estimate(0.9)
+    findings = ProbabilityFindings.of(campaign, lost_first, learned.classifier, "failure", estimate, question)
+    assert findings.learned == len(history)
+
+
 def test_a_stop_rule_is_not_met_while_lost_runs_decide_the_probability(
     unknown: tuple[Campaign, MemoryStore, Learned],
 ) -> None:
     _, store, learned = unknown
     assert len(History.of(store.batches)) == 48
     assert not learned.looks.is_known
+
+
+def test_runs_lost_at_random_widen_the_range_by_their_share_and_its_ends_are_in_order() -> None:
+    campaign = Campaign.of(settings_of(), simulator=Dies())
+    X = campaign.space.latin_hypercube(200, np.random.default_rng(0))
+    lost = np.random.default_rng(1).random(200) < 0.15
+    F, g = campaign.features(X), 2.0 - X[:, 0]
+    classifier = Classifier(
+        ("safe", "failure"),
+        campaign.features,
+        (MarginLatent(fit_margin(F[~lost], g[~lost])),),
+        unknown=lost_latent(F, lost, "rbf"),
+    )
+    none, learned, every = (
+        float(integrate(BoundariesOf(classifier, campaign.features, ends), campaign.space).probability[0])
+        for ends in ("none", "learned", "all")
+    )
+    assert learned == pytest.approx(ndtr(-2.0), rel=0.05)
+    assert none == pytest.approx(0.85 * ndtr(-2.0), rel=0.1)
+    assert every - none == pytest.approx(lost.mean(), abs=0.02)
 
 
 def test_where_runs_die_is_proposed_less_and_less() -> None:

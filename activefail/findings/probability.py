@@ -136,7 +136,6 @@ class ProbabilityFindings:
     ) -> Self:
         """The findings of a campaign with this estimate."""
         severity = campaign.simulator.outcomes.index(outcome)
-        history = history.without_leading_failures
         known = history.training
         beyond = known.outcome >= severity
         choice = classifier.choices[severity - 1].margin if classifier.choices else OUTCOMES

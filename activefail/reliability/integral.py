@@ -102,10 +102,10 @@ class BoundariesOf:
             z = z[:, [self.classifier.outcomes.index(self.outcome) - 1]]
         if self.classifier.unknown is not None and self.lost != "learned":
             unknown = _probit_lost(self.classifier.unknown, F)
-            z = _both(z, -unknown) if self.lost == "none" else -_both(-z, -unknown)
+            z = both(z, -unknown) if self.lost == "none" else -both(-z, -unknown)
         if self.classifier.impossible is not None:
             impossible = _probit_lost(self.classifier.impossible, F)
-            z = _both(z, -impossible)
+            z = both(z, -impossible)
         return z
 
     @property
@@ -122,7 +122,7 @@ def _probit_lost(latent: Latent, F: Array) -> Array:
     return latent.moments(F).standardised[:, None]
 
 
-def _both(a: Array, b: Array) -> Array:
+def both(a: Array, b: Array) -> Array:
     """The probits of Φ(a) Φ(b)."""
     return np.asarray(ndtri_exp(log_ndtr(a) + log_ndtr(b)))
 

@@ -8,9 +8,9 @@ from scipy.special import ndtr
 
 from activefail.acquisition.by_margin import LEAST, REFERENCES, doubt, doubtful_population
 from activefail.features import FeatureMap
-from activefail.reliability.integral import ACCURACY, BoundariesOf, Lost, OfBoundary, integrate
+from activefail.reliability.integral import ACCURACY, BoundariesOf, Lost, OfBoundary, both, integrate
 from activefail.space import Array, DesignSpace
-from activefail.surrogate.classifier import Classifier
+from activefail.surrogate.classifier import Classifier, Latent
 from activefail.surrogate.margin import MarginLatent
 
 _PATHS = 200
@@ -55,7 +55,7 @@ def model_probability(
 
     known = share("learned", ACCURACY)
     drawn, F, standardised = doubtful_population(latent, features, space, n, rng)
-    sd = posterior_sd(latent, F, standardised, drawn.weight, rng)
+    sd = posterior_sd(latent, F, standardised, drawn.weight, rng, classifier.impossible)
     if classifier.unknown is not None:
         # The posterior does not know what lost runs are; half of the range counts as one standard deviation.
         ends = [share(lost, _COARSE).probability for lost in ("none", "all")]
@@ -63,8 +63,15 @@ def model_probability(
     return ModelProbability(known.probability, sd, known.error)
 
 
-def posterior_sd(latent: MarginLatent, F: Array, standardised: Array, weight: Array, rng: np.random.Generator) -> float:
-    """Standard deviation of the probability under the latent's posterior, from joint paths.
+def posterior_sd(
+    latent: MarginLatent,
+    F: Array,
+    standardised: Array,
+    weight: Array,
+    rng: np.random.Generator,
+    impossible: Latent | None = None,
+) -> float:
+    """Standard deviation of the probability, among designs that exist, under the latents' posteriors, from joint paths.
 
     The paths are drawn at points that are chosen in proportion to weight times doubt.
 
@@ -74,13 +81,25 @@ def posterior_sd(latent: MarginLatent, F: Array, standardised: Array, weight: Ar
         standardised: (n,) the latent's mean/sd there.
         weight: (n,) of the population.
         rng: generator of the points and the paths.
+        impossible: positive where a design probably does not exist; None if all do.
     """
+    share = 1.0
+    if impossible is not None:
+        lost = impossible.moments(F).standardised
+        standardised, share = both(standardised, -lost), float((weight * ndtr(-lost)).mean() / weight.mean())
     uncertain = doubt(standardised)
     part = weight * uncertain + LEAST
     rows = rng.choice(len(F), REFERENCES, p=part / part.sum())
-    mean, covariance = latent.joint(F[rows])
+    beyond = (_paths(latent, F[rows], rng) > 0.0).astype(np.float64)
+    if impossible is not None:
+        beyond *= ndtr(-_paths(impossible, F[rows], rng))
+    deviations = (beyond - ndtr(standardised[rows])) / np.maximum(uncertain[rows], LEAST)
+    return float(part.mean()) * float(deviations.mean(axis=1).std()) / share
+
+
+def _paths(latent: Latent | MarginLatent, F: Array, rng: np.random.Generator) -> Array:
+    """Joint paths of a latent at scaled features, (n, m) -> (paths, n)."""
+    mean, covariance = latent.joint(F)
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    paths = mean + rng.standard_normal((_PATHS, len(rows))) @ root.T
-    deviations = ((paths > 0.0) - ndtr(standardised[rows])) / np.maximum(uncertain[rows], LEAST)
-    return float(part.mean()) * float(deviations.mean(axis=1).std())
+    return np.asarray(mean + rng.standard_normal((_PATHS, len(F))) @ root.T)

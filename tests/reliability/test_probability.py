@@ -8,22 +8,25 @@ from activefail.features import feature_map
 from activefail.parameter import Parameter
 from activefail.reliability.hidden import OUTSIDE, hidden_places
 from activefail.reliability.model_probability import model_probability
-from activefail.space import DesignSpace, radius
-from activefail.surrogate.classifier import Classifier
+from activefail.space import Array, DesignSpace, radius
+from activefail.surrogate.classifier import Classifier, Latent, lost_latent
 from activefail.surrogate.margin import MarginLatent, fit_margin
 
 SPACE = DesignSpace(tuple(Parameter(name, -6.4, 6.4, distribution="normal", mean=0.0, sd=1.0) for name in ("x", "y")))
 FEATURES = feature_map("design", SPACE)
 
 
-def trained(n: int) -> Classifier:
+def trained(n: int, exists_below: float = np.inf) -> Classifier:
     X = np.clip(2.0 * SPACE.latin_hypercube(n, np.random.default_rng(n)), -6.4, 6.4)
     latent = MarginLatent(fit_margin(FEATURES(X), 3.0 - X[:, 0] + 0.3 * np.sin(3.0 * X[:, 1])))
-    return Classifier(("safe", "failure"), FEATURES, (latent,))
+    lost = X[:, 0] > exists_below
+    impossible = lost_latent(FEATURES(X), lost, "rbf") if lost.any() else None
+    return Classifier(("safe", "failure"), FEATURES, (latent,), impossible=impossible)
 
 
-def test_the_posterior_of_the_probability_is_that_of_paths_everywhere() -> None:
-    classifier, rng = trained(8), np.random.default_rng(1)
+@pytest.mark.parametrize(("n", "exists_below"), [(8, np.inf), (20, 3.5)])
+def test_the_posterior_of_the_probability_is_that_of_paths_everywhere(n: int, exists_below: float) -> None:
+    classifier, rng = trained(n, exists_below), np.random.default_rng(1)
     mean, sd, error = model_probability(classifier, FEATURES, SPACE, "failure", 20_000, rng)
     assert error < 0.03 * mean
     latent = classifier.latents[0]
@@ -32,10 +35,15 @@ def test_the_posterior_of_the_probability_is_that_of_paths_everywhere() -> None:
     grid = np.stack([one.ravel() for one in np.meshgrid(axis, axis)], axis=1)
     weight = np.exp(-0.5 * (grid**2).sum(axis=1))
     weight /= weight.sum()
-    center, covariance = latent.joint(FEATURES(grid))
-    values, vectors = np.linalg.eigh(covariance)
-    paths = center + rng.standard_normal((400, len(grid))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    shares = (paths > 0.0) @ weight
+
+    def paths(latent: Latent | MarginLatent) -> Array:
+        center, covariance = latent.joint(FEATURES(grid))
+        values, vectors = np.linalg.eigh(covariance)
+        return center + rng.standard_normal((400, len(grid))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+
+    beyond = paths(latent) > 0.0
+    exists = 1.0 if classifier.impossible is None else ndtr(-paths(classifier.impossible))
+    shares = (beyond * exists) @ weight / np.mean((np.ones(beyond.shape) * exists) @ weight)
     assert mean == pytest.approx(shares.mean(), rel=0.15)
     assert sd == pytest.approx(shares.std(), rel=0.25)
 
