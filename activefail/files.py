@@ -20,9 +20,6 @@ _NEW = ".new-"
 WRITE_BYTES = 1 << 20
 """Most bytes in one system call that writes."""
 
-NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK)
-"""The system's errors where a file system has no hard links."""
-
 _NO_RIGHT_TO_SYNC = (errno.EACCES, errno.EPERM, errno.EINVAL, errno.ENOTSUP)
 """The system's errors where a folder cannot be synchronised, whatever the disk."""
 
@@ -114,7 +111,7 @@ def read_regular(path: Path, most: int, follow: bool = False, private: bool = Fa
             raise ValueError("is not a file that only this user may write")
         with open(descriptor, "rb", closefd=False) as file:
             # One byte more than allowed: the file may grow meanwhile.
-            data = b"" if status.st_size > most else file.read(most + 1)
+            data = b"" if status.st_size > most else file.read(min(most, max(status.st_size, 1 << 20)) + 1)
     finally:
         os.close(descriptor)
     if status.st_size > most or len(data) > most:
@@ -148,40 +145,14 @@ def end_of(path: Path, most: int) -> bytes:
         return file.read(most)
 
 
-def publish(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -> None:
-    """Write a new file durably; os.link makes it appear as a whole.
+def replace(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -> None:
+    """Write a file durably; it appears as a whole, in place of an older one.
 
     Args:
         path: path of the file.
         data: its content.
-        check: called between the writing and the link; may raise StoreError. If it checks that the folder is still the
-            right one, no file appears in another folder: there the temporary file does not exist.
-
-    Raises:
-        SyncError: if fsync failed.
-        StoreError: if the file already exists or cannot be written.
-    """
-    temporary = _write_temporary(path, data)
-    try:
-        check()
-        # Unlike a rename, a link fails if the name exists: it stops a second writer even without the lock.
-        os.link(temporary, path)
-    except FileExistsError:
-        raise StoreError(f"{path} already exists: another writer created it. Resume the campaign.") from None
-    except OSError as error:
-        hint = " The folder's file system must support hard links." if error.errno in NO_LINKS else ""
-        raise StoreError(_refused(path, error) + hint) from error
-    finally:
-        with suppress(OSError):
-            os.unlink(temporary)
-    sync_folder(path.parent)
-
-
-def replace(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -> None:
-    """Write a file durably in place of an older one, for content that can be rebuilt.
-
-    Args:
-        path, data, check: as for `publish`.
+        check: called between the writing and the rename; may raise StoreError. If it checks that the folder is still
+            the right one, no file appears in another folder: there the temporary file does not exist.
 
     Raises:
         SyncError: if fsync failed.
@@ -195,7 +166,7 @@ def replace(path: Path, data: bytes, check: Callable[[], None] = lambda: None) -
         with suppress(OSError):
             os.unlink(temporary)
         if isinstance(error, OSError):
-            raise StoreError(_refused(path, error)) from error
+            raise StoreError(refused(path, error)) from error
         raise
     sync_folder(path.parent)
 
@@ -249,7 +220,7 @@ def _write_temporary(path: Path, data: bytes) -> Path:
     try:
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         try:
-            _write_all(descriptor, data)
+            write_all(descriptor, data)
             sync_file(descriptor, path)
             size = os.fstat(descriptor).st_size
         finally:
@@ -260,12 +231,17 @@ def _write_temporary(path: Path, data: bytes) -> Path:
         with suppress(OSError):
             os.unlink(temporary)
         if isinstance(error, OSError):
-            raise StoreError(_refused(path, error)) from error
+            raise StoreError(refused(path, error)) from error
         raise
     return temporary
 
 
-def _write_all(descriptor: int, data: bytes) -> None:
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all of some bytes to an open file.
+
+    Raises:
+        OSError: if the system does not take them; a part may be written.
+    """
     rest = memoryview(data)
     while rest:
         written = os.write(descriptor, rest[:WRITE_BYTES])
@@ -286,7 +262,8 @@ def sync_file(descriptor: int, path: Path) -> None:
         raise SyncError(_unsynced(path, error)) from error
 
 
-def _refused(path: Path, error: OSError) -> str:
+def refused(path: Path, error: OSError) -> str:
+    """The message for a file that cannot be written."""
     return f"Cannot write {path}: {error.strerror or error}. Existing data is intact. Fix the problem, then resume."
 
 

@@ -1,6 +1,5 @@
 """`Run`: a run folder, open; the commands on run folders are its methods."""
 
-import json
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -33,7 +32,7 @@ from activefail.interrupts import stop_on_signals
 from activefail.loop.history import History, first_simulations
 from activefail.loop.progress import Observer, Progress, standing
 from activefail.record.batch import INITIAL
-from activefail.record.layout import COMPARISON, CURVES, DESIGNS, ESTIMATE, REPORT, SCORES
+from activefail.record.layout import COMPARISON, CURVES, REPORT, SCORES
 from activefail.request import method_of
 from activefail.requests import (
     DesignRequest,
@@ -164,8 +163,7 @@ class Run:
 
     def _summary_of(self, batches: "Sequence[Batch]") -> Summary:
         # Not the file's text: an older version may have omitted settings that have defaults now.
-        names = self.space.names, self.campaign.simulator.outcomes
-        return Summary.of(self.settings.text(), *names, batches, self.store.asked)
+        return Summary.of(self.settings.text(), self.campaign.schema, batches, self.store.asked)
 
     def resume_command(
         self,
@@ -736,21 +734,18 @@ class Run:
         return values_of(self.space, fixed)
 
     def _save_estimate(self, findings: "ProbabilityFindings") -> None:
-        """Save an estimate beside those of other outcomes from the same record; a run open for reading saves none."""
-        from activefail.findings.status import read_estimates
+        """Save an estimate from the present record; a run open for reading saves none."""
+        from activefail.findings.status import estimate_of
 
-        if not self._write:
-            return
-        estimates = read_estimates(self.folder, self.store.digest, self.campaign.simulator.outcomes)
-        saved = {"record": self.store.digest, "outcomes": estimates | {findings.outcome: findings.numbers}}
-        self.store.write_text(ESTIMATE, json.dumps(saved, indent=2))
+        if self._write:
+            self.store.remember(estimate_of(findings.outcome, self.store.digest), findings.numbers)
 
     def _save_design(self, findings: "DesignFindings") -> None:
         """Save a verified design beside others; a run open for reading saves none."""
-        from activefail.risk.design.stored import designs_text
+        from activefail.risk.design.stored import remember_design
 
-        if self._write and (text := designs_text(self.folder, findings.designed)) is not None:
-            self.store.write_text(DESIGNS, text)
+        if self._write:
+            remember_design(self.store, findings.designed)
 
     def _boundary_named(self, outcome: str | None) -> str:
         """The outcome of a boundary; that of the main target boundary if None.
@@ -813,7 +808,7 @@ class Run:
             InputError: if a budget exceeds the recorded simulations, a number is too small, or the table or figure
                 cannot be written.
         """
-        from activefail.comparison.static import compare, write_scores
+        from activefail.comparison.static import compare, remember_scores, write_scores
         from activefail.figures.curves import plot_learning_curves
         from activefail.figures.style import save_png_and_svg
 
@@ -826,6 +821,7 @@ class Run:
             results.mkdir(exist_ok=True)
             write_scores(scores, self.campaign.simulator.outcomes, test_designs, results / SCORES)
             save_png_and_svg(figure, results, CURVES)
+        remember_scores(self.store, scores, test_designs)
         return scores
 
     def failure(self, stage: Callable[[str], None] = lambda _: None) -> "FailureFindings | None":
@@ -874,10 +870,10 @@ class Run:
             site, question = site_and_question(self.campaign, hazard, None, fixed)
             assert site is not None
             with estimating(self, stage=stage, simulates=False) as estimator:
-                risk = risk_findings(estimator, self.folder, site, question, options, stage)
+                risk = risk_findings(estimator, site, question, options, stage)
         failure = self.failure(stage)
         with one_thread():
-            evidence = evidence_of(self.folder, self.campaign, self.store, self.classifier, stage)
+            evidence = evidence_of(self.campaign, self.store, self.classifier, stage)
             page = render(self.findings, evidence, self.store, stage, failure, risk)
         target = self.folder / REPORT if target is None else path_of("target", target)
         with writing_to(target):

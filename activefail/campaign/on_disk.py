@@ -8,7 +8,7 @@ from activefail.campaign.assembly import Campaign
 from activefail.campaign.provenance import provenance
 from activefail.campaign.settings import read_settings
 from activefail.errors import InputError, StoreError
-from activefail.record.layout import ASKED, LARGEST_SETTINGS, SETTINGS, refuse_links
+from activefail.record.layout import JOURNAL, SETTINGS, check_run_folder
 from activefail.record.run_folder import FolderStore
 
 
@@ -69,14 +69,8 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
         StoreError: if the record cannot be read.
         BusyError: if another process is writing to it.
     """
-    path = folder / SETTINGS
-    refuse_links(folder)
-    if not path.is_file():
-        reason = "it is a file" if folder.is_file() else f"it has no {SETTINGS}"
-        raise InputError(f"{folder}: is not a run folder; {reason}.")
-    if path.stat().st_size > LARGEST_SETTINGS:
-        raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
-    campaign = read_campaign(path, code=code, run=folder, features=features, frozen=True)
+    check_run_folder(folder)
+    campaign = read_campaign(folder / SETTINGS, code=code, run=folder, features=features, frozen=True)
     store = FolderStore.open(
         folder,
         campaign.schema,
@@ -84,16 +78,13 @@ def opened(folder: Path, write: bool, code: Path | None = None, features: bool =
         provenance=provenance() | campaign.sources,
         decisive=campaign.decisive,
     )
-    try:
-        designs = store.asked.designs
-    except StoreError:
-        return campaign, store  # the commands that need the list report it
+    designs = store.asked.designs
     # With a tolerance: bounds that the file leaves out are computed, on another machine perhaps in other last digits.
     low, high = campaign.space.low, campaign.space.high
     slack = 1e-9 * (high - low)
     if not ((low - slack <= designs) & (designs <= high + slack)).all():  # false for NaN too
         store.close()
-        raise StoreError(f"{folder / ASKED} lists designs outside the design space; restore it from a copy.")
+        raise StoreError(f"{folder / JOURNAL} lists designs outside the design space; restore it from a copy.")
     return campaign, store
 
 

@@ -1,7 +1,7 @@
 """Compare a campaign with static designs of the same size on the same fresh designs: scores with their intervals."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +70,7 @@ class Score:
         outcome_accuracy: share of designs whose most probable outcome is the true one.
         log_score: mean log probability of the true side of the boundary [nat]; 0 is perfect.
         test_designs: size of the test set, without numerical failures.
-        recall: by outcome; empty in a table written by an older version.
+        recall: by outcome.
         given: how many of the simulations the campaign did not ask for.
         hypercube: number of the static design among those of its size, from 0.
     """
@@ -280,3 +280,23 @@ def write_scores(scores: Sequence[Score], outcomes: Sequence[str], test_designs:
     columns = [*Score.columns(), *Score.recall_columns(outcomes), "test_unanswered", "given", "hypercube"]
     with writing(path, columns) as write:
         write([[*one.row(), test_designs - one.test_designs, one.given, one.hypercube] for one in scores])
+
+
+_IDENTITY = ("comparison",)
+
+
+def remember_scores(store: Store, scores: Sequence[Score], test_designs: int) -> None:
+    """Keep the scores of the last comparison on a test set of so many designs."""
+    unanswered = test_designs - scores[0].test_designs
+    store.remember(_IDENTITY, {"unanswered": unanswered, "scores": [asdict(one) for one in scores]})
+
+
+def remembered_scores(store: Store) -> tuple[list[Score], int] | None:
+    """The scores of the last comparison, and the number of numerical failures in its test set; None without any."""
+    saved = store.recall(_IDENTITY)
+    try:
+        recall = ({name: Recall(**one) for name, one in row["recall"].items()} for row in saved["scores"])
+        scores = [Score(**row | {"recall": one}) for row, one in zip(saved["scores"], recall, strict=True)]
+        return scores, int(saved["unanswered"])
+    except (AttributeError, LookupError, TypeError, ValueError):  # none, or not written by `remember_scores`
+        return None

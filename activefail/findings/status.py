@@ -1,30 +1,25 @@
 """What `activefail status` shows: the summary of a run folder and the command that continues it."""
 
-import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from activefail.campaign.known_code import known_code
-from activefail.errors import DamagedError, StoreError
-from activefail.files import read_regular
 from activefail.findings.learned_from import candidate_of, of_rule, sentence, sentence_without
-from activefail.findings.summary import Summary, is_verified, read_summary
-from activefail.record.attachments import decode_state
-from activefail.record.layout import ESTIMATE, state_file
+from activefail.findings.summary import Summary
+from activefail.record.layout import SETTINGS, check_run_folder
+from activefail.record.run_folder import FolderStore
 from activefail.shares import lognormal_interval, percent
 from activefail.space import REACH
+from activefail.verification.stored_sets import first_part, name_of_look
 from activefail.verification.unseen import unseen_outcomes
 from activefail.visible import or_worse, quoted, visible
 
 NUMERICAL = "numerical_failure"
 """Name of a simulation without an outcome, in counts."""
-
-_LARGEST_STATE, _LARGEST_ESTIMATE = 100_000_000, 100_000
-"""Largest state and estimate that are read [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +30,17 @@ class Status:
         folder: the run folder.
         summary: of its campaign.
         warnings: of its record; empty if it is intact.
+        state: saved after the last iteration; empty if none was.
+        estimates: of probabilities by outcome, from fresh simulations of this record.
+        has_looked: whether the stop rule looked after the last batch, so that it may have ended the campaign.
     """
 
     folder: Path
     summary: Summary
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...]
+    state: Mapping[str, Any]
+    estimates: Mapping[str, Mapping[str, Any]]
+    has_looked: bool
 
     @property
     def lines(self) -> list[tuple[str, str]]:
@@ -72,33 +73,14 @@ class Status:
             "in_flight": list(summary.in_flight),
             "corrected": summary.corrected,
             "stop_rule_met": self._rule_is_met,
-            "estimates": self._estimates,
+            "estimates": {
+                outcome: {name: one for name, one in numbers.items() if isinstance(one, str | int | float | None)}
+                for outcome, numbers in self.estimates.items()
+            },
             "warnings": list(self.warnings),
             "lost": self.summary.lost,
             "continue": [text for _, text in self.continuation],
         }
-
-    @property
-    def _estimates(self) -> dict[str, dict[str, Any]]:
-        """The saved estimates by outcome, without values that `activefail probability` does not write at this level."""
-        saved = read_estimates(self.folder, self.summary.digest, self.summary.outcomes[1:])
-        plain = str | int | float | None
-        return {
-            visible(outcome): {name: value for name, value in numbers.items() if isinstance(value, plain)}
-            for outcome, numbers in saved.items()
-        }
-
-    @cached_property
-    def _state(self) -> dict[str, Any]:
-        """The saved state of the last iteration; empty without a valid state of this record."""
-        summary = self.summary
-        try:
-            path = state_file(self.folder, summary.iteration)
-            chain, _ = summary.known
-            known, state = decode_state(read_regular(path, _LARGEST_STATE), summary.iteration, {chain})
-            return state if known == summary.known else {}
-        except (OSError, ValueError, StoreError, DamagedError):
-            return {}
 
     @cached_property
     def _choices(self) -> list[tuple[str, str, float, float, bool, int]]:
@@ -106,10 +88,10 @@ class Status:
         rows = []
         for outcome in self.summary.outcomes[1:]:
             try:
-                margin, _, from_margin, from_outcomes, _ = self._state[f"{outcome}/choice"].tolist()
+                margin, _, from_margin, from_outcomes, _ = self.state[f"{outcome}/choice"].tolist()
                 name = "" if margin < 0 else self.summary.margins[int(margin)]
-                is_clipped = f"{outcome}/clipped" in self._state
-                support = int(self._state.get(f"{outcome}/support", 0))
+                is_clipped = f"{outcome}/clipped" in self.state
+                support = int(self.state.get(f"{outcome}/support", 0))
                 rows.append((outcome, name, float(from_margin), float(from_outcomes), is_clipped, support))
             except (LookupError, ValueError, TypeError, OverflowError):
                 return []
@@ -149,7 +131,7 @@ class Status:
     @property
     def _rule_is_met(self) -> bool:
         try:
-            return bool(int(self._state["stop/known"]))
+            return bool(int(self.state["stop/known"]))
         except (LookupError, ValueError, TypeError, OverflowError):
             return False
 
@@ -162,8 +144,7 @@ class Status:
     def _from_fresh_simulations(self) -> list[tuple[str, str]]:
         try:
             lines = []
-            saved = read_estimates(self.folder, self.summary.digest, self.summary.outcomes[1:])
-            for outcome, numbers in saved.items():
+            for outcome, numbers in self.estimates.items():
                 probability, low, high, confidence, recall_low = (
                     float(numbers[key]) for key in ("probability", "low", "high", "confidence", "recall_low")
                 )
@@ -189,7 +170,7 @@ class Status:
     @property
     def _by_classifier(self) -> list[tuple[str, str]]:
         try:
-            _, probability, sd, error = self._state["stop/looks"][-1].tolist()
+            _, probability, sd, error = self.state["stop/looks"][-1].tolist()
             low, high = lognormal_interval(probability, math.hypot(sd, error), REACH)
         except (LookupError, ValueError, TypeError, ArithmeticError):
             return []
@@ -229,7 +210,7 @@ class Status:
         lines = [("continue", ignoring if self._rule_is_met else command)]
         if known is not None and known.is_changed:
             lines.append(("", "the code in that folder has changed since the campaign last ran with it"))
-        if is_verified(self.folder, self.summary):
+        if self.has_looked:
             lines.append(("", f"{ignoring}, if the stop rule ended the campaign"))
         return [*lines, *(("", text) for text in self._telling)]
 
@@ -240,37 +221,32 @@ class Status:
         return [command] if self.summary.in_flight else []
 
 
-def read_estimates(folder: Path, digest: str, outcomes: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The saved estimates of probabilities by outcome; empty if there are none of the record with this digest.
-
-    Args:
-        folder: the run folder.
-        digest: of its record.
-        outcomes: those whose estimates are wanted.
-    """
-    try:
-        saved = json.loads(read_regular(folder / ESTIMATE, _LARGEST_ESTIMATE))
-        if saved["record"] != digest:
-            return {}
-        return {name: dict(saved["outcomes"][name]) for name in outcomes if name in saved["outcomes"]}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        # None yet, or not written by `activefail probability`.
-        return {}
+def estimate_of(outcome: str, digest: str) -> tuple[str, ...]:
+    """What the last estimate of an outcome's probability is of, in a record with this digest."""
+    return "probability", outcome, digest
 
 
 def read_status(folder: Path) -> Status:
     """The status of a run folder; safe while the campaign runs.
 
-    Opens the record only if the summary cannot be read without it (see `read_summary`).
-
     Raises:
         InputError: if the folder holds no campaign or its settings are invalid.
         StoreError: if the record cannot be read.
     """
-    if (summary := read_summary(folder)) is not None:
-        return Status(folder, summary)
-    from activefail.campaign.on_disk import open_campaign
+    check_run_folder(folder)
+    with FolderStore.open(folder, write=False) as store:
+        parts = store.schema, store.batches, store.asked, len(store.corrections.place)
+        try:
+            summary = Summary.of(store.settings, *parts)
+        except ValueError:
+            from activefail.campaign.settings import read_settings
 
-    with open_campaign(folder, write=False, features=False) as (campaign, store):
-        warnings, names = store.new_warnings(), (campaign.space.names, campaign.simulator.outcomes)
-        return Status(folder, Summary.of(campaign.settings.text(), *names, store.batches, store.asked), warnings)
+            # Says what is wrong; an older version may have omitted settings that have defaults now.
+            summary = Summary.of(read_settings(folder / SETTINGS, frozen=True).text(), *parts)
+        saved, iteration = store.latest_state(), summary.iteration
+        state = saved[1] if saved is not None and saved[0] == iteration else {}
+        recalled = {one: store.recall(estimate_of(one, store.digest)) for one in store.schema.outcomes[1:]}
+        estimates = {visible(one): numbers for one, numbers in recalled.items() if isinstance(numbers, dict)}
+        simulations = summary.settings.stop_simulations
+        looked = simulations is not None and first_part(name_of_look(iteration, simulations)) in store.set_names()
+        return Status(folder, summary, store.new_warnings(), state, estimates, looked)

@@ -1,38 +1,21 @@
-"""A quick summary of a campaign, from the outcomes in its record alone.
-
-It avoids reading and checking every design, and importing the machine learning libraries.
-"""
+"""A summary of a campaign from its record, without importing the machine learning libraries."""
 
 import sys
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from activefail.campaign.boundaries import boundary_shares
-from activefail.errors import StoreError
-from activefail.files import check_dots, read_regular
+from activefail.files import check_dots
 from activefail.findings.lost import where_lost
-from activefail.record.asked import LARGEST_ASKED, NO_ROW, Asked, decode_asked, rows_with_results
-from activefail.record.batch import GIVEN, INITIAL, Batch
-from activefail.record.corrections import (
-    LARGEST_CORRECTIONS,
-    Corrections,
-    corrected,
-    decode_corrections,
-    record_digest,
-)
-from activefail.record.layout import ASKED, CORRECTIONS, LARGEST_SETTINGS, SEGMENTS, SETTINGS, refuse_links, set_file
-from activefail.record.recovery import is_segment, plain_files
-from activefail.record.segment import Outline, chain_start, continues, decode_outline, decode_segment
+from activefail.record.asked import NO_ROW, Asked, rows_with_results
+from activefail.record.batch import GIVEN, INITIAL, Batch, Schema
 from activefail.shares import percent
 from activefail.simulators.interface import NUMERICAL_FAILURE
-from activefail.verification.stored_sets import first_part, name_of_look, name_of_verification
 from activefail.verification.unseen import unseen_outcomes, unseen_warning
 from activefail.visible import visible
 
@@ -176,8 +159,7 @@ class Summary:
         initial, chosen, given: (number of outcomes + 1,) recorded simulations of the initial design, those that the
             campaign chose, and those that it did not ask for, by outcome, numerical failures last.
         in_flight: ids of the designs in flight.
-        margins: names of the margins, if they were read.
-        known: digests of the chain after the last batch and of the corrections, if they were read.
+        margins: names of the margins.
         corrected: number of corrections.
         lost: where runs gave no result; empty if all gave one.
     """
@@ -190,14 +172,8 @@ class Summary:
     given: NDArray[np.int64]
     in_flight: tuple[int, ...] = ()
     margins: tuple[str, ...] = ()
-    known: tuple[str, str] = ("", "")
     corrected: int = 0
     lost: str = ""
-
-    @property
-    def digest(self) -> str:
-        """The digest of the record."""
-        return record_digest(*self.known)
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -256,118 +232,34 @@ class Summary:
         return unseen_warning(unseen, int(self.counts[:-1].sum()), answered, unanswered)
 
     @classmethod
-    def of(
-        cls, settings: str, names: tuple[str, ...], outcomes: tuple[str, ...], batches: Sequence[Batch], asked: Asked
-    ) -> Self:
+    def of(cls, settings: str, schema: Schema, batches: Sequence[Batch], asked: Asked, corrected: int = 0) -> Self:
         """The summary of a campaign's batches and the designs that were handed out.
 
         Args:
             settings: TOML with all defaults.
-            names: of the variables.
-            outcomes, batches, asked: of the record.
+            schema, batches, asked: of the record.
+            corrected: number of its corrections.
+
+        Raises:
+            ValueError: if the settings are not those of a campaign.
         """
         none = np.empty(0, dtype=np.int8)
         outcome = np.concatenate([none, *(batch.results.outcome for batch in batches)])
         origin = np.concatenate([none, *(batch.origin for batch in batches)])
         return cls(
             SettingsInBrief.of(settings),
-            _shown(outcomes),
+            _shown(schema.outcomes),
             batches[-1].iteration if batches else 0,
-            *_by_origin(outcome, origin, len(outcomes)),
+            *_by_origin(outcome, origin, len(schema.outcomes)),
             _in_flight(asked, batches),
-            lost=_where_lost(names, batches),
+            schema.margins,
+            corrected,
+            _where_lost(schema.variables, batches),
         )
-
-
-def is_verified(folder: Path, summary: Summary) -> bool:
-    """Whether the stop rule looked after the last batch, so that it may have ended the campaign."""
-    simulations = summary.settings.stop_simulations
-    if simulations is None:
-        return False
-    # Older versions stored looks as verifications.
-    names = name_of_look(summary.iteration, simulations), name_of_verification(summary.iteration, simulations)
-    return any(set_file(folder, first_part(name)).is_file() for name in names)
-
-
-def read_summary(folder: Path) -> Summary | None:
-    """The summary of an intact run folder; safe while the campaign runs.
-
-    Checks every file's SHA-256 and the chain between files. Returns None if the record must be opened to say more:
-    nothing is recorded yet, a file is damaged, missing or of another version, or a compaction was interrupted.
-
-    Raises:
-        StoreError: if a file or folder of it is a symbolic link.
-    """
-    refuse_links(folder)
-    try:
-        settings = read_regular(folder / SETTINGS, LARGEST_SETTINGS).decode()
-        names = [name for name in plain_files(folder / SEGMENTS) if is_segment(name)]
-        outlines = sorted(
-            (decode_outline(name, (folder / SEGMENTS / name).read_bytes()) for name in names),
-            key=lambda outline: outline.first,
-        )
-        brief = SettingsInBrief.of(settings)
-        in_flight: tuple[int, ...] = ()
-        noted = ""
-        corrections = Corrections.none(None)
-        outcome = [outline.outcome for outline in outlines]
-        listed, replaced = (folder / ASKED).exists(), (folder / CORRECTIONS).exists()
-        if outlines and ((outlines[-1].asked and not listed) or (outlines[-1].corrected and not replaced)):
-            return None
-        if outlines and (listed or replaced):
-            # Only designs tell which of those that were handed out have a result, and which result was corrected.
-            schema, last = outlines[0].schema, outlines[-1]
-            start = chain_start(settings, schema)
-            segments = [decode_segment(one.name, (folder / SEGMENTS / one.name).read_bytes()) for one in outlines]
-            batches = [batch for segment in segments for batch in segment.batches]
-            if listed:
-                data = read_regular(folder / ASKED, LARGEST_ASKED)
-                asked, noted = decode_asked(data, start, len(schema.variables))
-                if not continues(last.asked, asked.digest_of):
-                    return None
-                in_flight = _in_flight(asked, batches)
-            if replaced:
-                data = read_regular(folder / CORRECTIONS, LARGEST_CORRECTIONS)
-                corrections = decode_corrections(data, start, schema)
-                batches, applied = corrected(batches, corrections)
-                if not applied.all() or not continues(last.corrected, corrections.entry):
-                    return None
-                outcome = [batch.results.outcome for batch in batches]
-            if not continues(noted, corrections.entry):
-                return None
-    except (OSError, MemoryError, RecursionError, ValueError, StoreError):
-        return None
-    if not outlines or not _is_chain(outlines, settings):
-        return None
-    outcomes = outlines[0].schema.outcomes
-    counts = _by_origin(
-        np.concatenate(outcome),
-        np.concatenate([outline.origin for outline in outlines]),
-        len(outcomes),
-    )
-    last, margins, lost = outlines[-1], outlines[0].schema.margins, ""
-    if (np.concatenate(outcome) == NUMERICAL_FAILURE).any():
-        files = [(one.name, (folder / SEGMENTS / one.name).read_bytes()) for one in outlines]
-        recorded = [batch for one in files for batch in decode_segment(*one).batches]
-        lost = _where_lost(outlines[0].schema.variables, recorded)
-    known = last.after, corrections.digest
-    return Summary(
-        brief, _shown(outcomes), int(last.iterations[-1]), *counts, in_flight, margins, known, len(corrections), lost
-    )
 
 
 def _shown(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(map(visible, names))
-
-
-def _is_chain(outlines: Sequence[Outline], settings: str) -> bool:
-    """Whether these are all segments of a campaign with these settings, without gaps."""
-    first = outlines[0]
-    return (
-        (first.first, first.before) == (0, chain_start(settings, first.schema))
-        and all(outline.settings == settings and outline.schema == first.schema for outline in outlines)
-        and all((a.last + 1, a.after) == (b.first, b.before) for a, b in pairwise(outlines))
-    )
 
 
 def _by_origin(

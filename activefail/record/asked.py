@@ -1,26 +1,18 @@
-"""The file `asked.h5`: the designs that `ask` handed out, with a flag for those that were dropped.
+"""The designs that `ask` handed out, with a flag for those that were dropped.
 
-It lists every such design with its id. A design's result is in the batches, like
-that of any other simulation; so a design is in flight until a batch holds it, or until it was dropped.
+A design's result is in the batches, like that of any other simulation; so a design is in flight until a batch holds it,
+or until it was dropped.
 """
 
-import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from activefail.errors import DamagedError
 from activefail.record.batch import ACTIVE, CHECK, GIVEN, INITIAL
-from activefail.record.hdf5 import encode, open_image
-from activefail.record.segment import SCHEMA_VERSION, check_version
 from activefail.space import Array
-
-_COLUMNS = {"id": "<i8", "designs": "<f8", "origin": "i1", "learned": "<i8", "dropped": "i1"}
-
-LARGEST_ASKED = 1_000_000_000
-"""Most bytes of the file: more than a campaign of a million designs needs."""
 
 _LARGEST_ID = 2**53
 """Largest id and iteration: a float holds it too, as it must in a table."""
@@ -88,9 +80,12 @@ class Asked:
 
     def and_then(self, later: Self) -> Self:
         """These designs and later ones."""
-        return type(self)(
-            *(np.concatenate([getattr(self, field.name), getattr(later, field.name)]) for field in fields(self))
-        )
+        return type(self).joined([self, later])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """The designs of several lists, in order."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     def without(self, rows: NDArray[np.bool_]) -> Self:
         """The same list with the marked designs, (k,), dropped."""
@@ -111,18 +106,17 @@ class Asked:
             and len(np.unique(self.designs, axis=0)) == len(self)
         )
 
-    def digest_of(self, count: int) -> str:
-        """The number of the first designs, and a digest of them; a list never loses designs, it only grows."""
-        return f"{count} {hashlib.sha256(self.designs[:count].astype('<f8').tobytes()).hexdigest()[:16]}"
+    def is_kept_by(self, other: Self) -> bool:
+        """Whether another list of as many designs is the same, but for further dropped ones."""
+        same = (
+            getattr(self, name).tobytes() == getattr(other, name).tobytes() for name in ("id", "designs", "learned")
+        )
+        return all(same) and bool((self.dropped <= other.dropped).all())
 
     @property
     def dropped_designs(self) -> Array:
         """The designs that were dropped, (j, d)."""
         return np.asarray(self.designs[self.dropped == 1])
-
-    def copy(self) -> Self:
-        """A list that shares no array with this one."""
-        return type(self)(*(getattr(self, field.name).copy() for field in fields(self)))
 
 
 def rows_with_results(asked: Asked, designs: Array, origin: NDArray[np.int8]) -> NDArray[np.int64]:
@@ -151,52 +145,3 @@ def bits_of(designs: Array) -> list[bytes]:
     rows = np.ascontiguousarray(designs)
     # Twice as fast as `tobytes` of each row.
     return [bytes(row) for row in rows.view(f"V{rows.shape[1] * rows.itemsize}").ravel().tolist()]
-
-
-def encode_asked(asked: Asked, campaign: str, corrected: str = "") -> bytes:
-    """The bytes of the file.
-
-    Args:
-        asked: the designs.
-        campaign: the digest at the start of the campaign's chain.
-        corrected: the entry of the corrections that the record has (`Corrections.entry`); empty without any.
-    """
-    content: dict[str, NDArray[Any] | str] = {
-        "id": asked.id,
-        "designs": asked.designs,
-        "origin": asked.origin,
-        "learned": asked.learned,
-        "dropped": asked.dropped,
-    }
-    attributes = {"schema_version": str(SCHEMA_VERSION), "campaign": campaign}
-    return encode(content, attributes | ({"corrected": corrected} if corrected else {}))
-
-
-def decode_asked(data: bytes, campaign: str, dimension: int) -> tuple[Asked, str]:
-    """The designs in a file of this campaign, and the entry of the corrections that the record had then.
-
-    Older files have no such entry; it is empty for them.
-
-    Args:
-        data: the file.
-        campaign: the digest at the start of its chain.
-        dimension: number of variables.
-
-    Raises:
-        DamagedError: if the file is damaged or belongs to another campaign.
-        StoreError: if another version wrote it.
-    """
-    with open_image(data) as image:
-        check_version(image)
-        if image.attribute("campaign") != campaign:
-            raise DamagedError("belongs to another campaign")
-        _, shape = image.declared("id")
-        k = shape[0]
-        columns = {
-            name: image.array(name, dtype, (k, dimension) if name == "designs" else (k,))
-            for name, dtype in _COLUMNS.items()
-        }
-        asked = Asked(**columns)
-        if not asked.is_valid:
-            raise DamagedError("lists designs, ids or flags that `ask` never writes")
-        return asked, image.attributes("corrected").get("", "")

@@ -1,9 +1,8 @@
 """The data of a campaign's record: batches of designs and results, and the schema of their columns."""
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,16 +85,6 @@ class Schema:
             if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
                 raise ValueError(f"`{field.name}` must be a tuple of strings, got {names!r}.")
 
-    @classmethod
-    def from_text(cls, text: str) -> Self:
-        """The schema from its `text`."""
-        return cls(**{name: tuple(names) for name, names in json.loads(text).items()})
-
-    @property
-    def text(self) -> str:
-        """The schema as JSON; equal schemas give equal text."""
-        return json.dumps(asdict(self), ensure_ascii=True, separators=(",", ":"))
-
     def check(self, designs: Array, results: Results) -> None:
         """Check that designs and results match this schema.
 
@@ -145,30 +134,21 @@ def results_of(columns: Mapping[str, NDArray[Any]]) -> Results:
     return Results(columns["outcome"], columns["cause"], columns["margins"], columns["seconds"])
 
 
-def copy_results(results: Results) -> Results:
-    """A copy of results, without their faults, that shares no arrays with them."""
-    return results_of({name: array.copy() for name, array in answers_of(results).items()})
-
-
 def columns_of(batch: Batch) -> dict[str, NDArray[Any]]:
     """All columns of a batch by name."""
     return {"designs": batch.designs, "origin": batch.origin, **answers_of(batch.results)}
 
 
 def batch_of(iteration: int, columns: Mapping[str, NDArray[Any]]) -> Batch:
-    """The batch with these columns, whose arrays become read-only."""
-    for array in columns.values():
-        array.flags.writeable = False
+    """The batch with these columns."""
     return Batch(iteration, columns["designs"], columns["origin"], results_of(columns))
 
 
-def checked_copy(batch: Batch, schema: Schema) -> Batch:
-    """A store's copy of a batch.
+def check_origin(origin: NDArray[Any]) -> None:
+    """Check the type of the origins of a batch.
 
     Raises:
-        InputError: if the batch does not match the schema.
+        InputError: if it is another one.
     """
-    schema.check(batch.designs, batch.results)
-    if batch.origin.dtype != np.int8:
-        raise InputError(f"`origin` must be int8, got {batch.origin.dtype}.")
-    return batch_of(batch.iteration, {name: array.copy() for name, array in columns_of(batch).items()})
+    if origin.dtype != np.int8:
+        raise InputError(f"`origin` must be int8, got {origin.dtype}.")

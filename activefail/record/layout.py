@@ -14,17 +14,14 @@ SETTINGS = "campaign.toml"
 LARGEST_SETTINGS = 1_000_000
 """Most bytes in a frozen copy: more than any design space needs, yet quick to read."""
 
-LOCK = ".lock"
+JOURNAL = "journal"
+"""All events of the record."""
 
-SEGMENTS, STATES, SETS = "segments", "state", "sets"
-FOLDERS = (SEGMENTS, STATES, SETS)
-"""Folders of the record: batches, saved states, and sets of designs outside the budget."""
+QUARANTINE = "journal.quarantine"
+"""Where entries go that a crash has cut."""
 
-ASKED = "asked.h5"
-"""The designs that were handed out to be simulated elsewhere."""
-
-CORRECTIONS = "corrections.h5"
-"""The results that replaced others."""
+CHECKPOINT = "checkpoint.h5"
+"""The simulations as columns and the last states; it can be made again."""
 
 SIMULATIONS = "simulations"
 """The folder in which custom programs run."""
@@ -41,23 +38,33 @@ CURVES = "learning_curves"
 REPORT = "report.html"
 """The default output of `report`."""
 
-ESTIMATE = "probability.json"
-"""The last estimate of `probability`, for readers that do not repeat it."""
-
-DESIGNS = "designs.json"
-"""Where the simulations of verified designs are, for readers that do not repeat the search."""
-
-_RESERVED = (SETTINGS, LOCK, ASKED, CORRECTIONS, REPORT, ESTIMATE, DESIGNS, *FOLDERS, SIMULATIONS, COMPARISON)
+_RESERVED = (SETTINGS, JOURNAL, QUARANTINE, CHECKPOINT, REPORT, SIMULATIONS, COMPARISON)
 
 
-def state_file(folder: Path, iteration: int) -> Path:
-    """The file of the state saved after an iteration."""
-    return folder / STATES / f"{iteration:09d}.h5"
+def check_run_folder(folder: Path) -> None:
+    """Check that a folder may be a run folder.
+
+    Raises:
+        InputError: if it has no settings, or too long ones.
+        StoreError: if it has symbolic links, or is one of version 0.1.
+    """
+    path = folder / SETTINGS
+    refuse_links(folder)
+    refuse_format_1(folder)
+    if not path.is_file():
+        reason = "it is a file" if folder.is_file() else f"it has no {SETTINGS}"
+        raise InputError(f"{folder}: is not a run folder; {reason}.")
+    if path.stat().st_size > LARGEST_SETTINGS:
+        raise InputError(f"{path}: must have at most {LARGEST_SETTINGS} bytes, has {path.stat().st_size}.")
 
 
-def set_file(folder: Path, name: str) -> Path:
-    """The file of a part of a set."""
-    return folder / SETS / f"{name}.h5"
+def refuse_format_1(folder: Path) -> None:
+    """Raise StoreError for a run folder of version 0.1, with the way over."""
+    if (folder / "segments").is_dir() and not (folder / JOURNAL).exists():
+        raise StoreError(
+            f"{folder} was written by activefail 0.1. Continue it with that version (`activefail resume`), or move its "
+            "simulations to a new campaign: `activefail export` there, `activefail add` here."
+        )
 
 
 def refuse_links(folder: Path, names: Sequence[str] = _RESERVED) -> None:
@@ -94,11 +101,9 @@ _NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
 def _link_error(path: Path) -> StoreError:
-    # Without these files the record would have other results.
-    removing = "" if path.name in (ASKED, CORRECTIONS) else ", or remove it"
     return StoreError(
         f"{visible(str(path))} is a symbolic link; activefail follows no links inside a run folder. Replace it with "
-        f"the file it points to{removing}."
+        "the file it points to."
     )
 
 
@@ -128,11 +133,7 @@ def run_folder_owning(path: Path) -> Path | None:
         folder = candidate.parent
         if not _is_run_folder(folder):
             continue
-        names = (
-            (SETTINGS, LOCK, ASKED, CORRECTIONS, *FOLDERS, SIMULATIONS)
-            if candidate == path
-            else (*FOLDERS, SIMULATIONS)
-        )
+        names = (SETTINGS, JOURNAL, QUARANTINE, CHECKPOINT, SIMULATIONS) if candidate == path else (SIMULATIONS,)
         # Compare through the file system, which may ignore case; by name if the file does not exist yet.
         if candidate.name in names or any(_is_same(candidate, folder / name) for name in names):
             return folder
@@ -159,4 +160,4 @@ def link_in_run_folder(path: Path) -> Path | None:
 
 def _is_run_folder(folder: Path) -> bool:
     # A user's campaign file may also be named campaign.toml, next to a folder named simulations.
-    return (folder / SETTINGS).is_file() and ((folder / FOLDERS[0]).is_dir() or (folder / LOCK).is_file())
+    return (folder / SETTINGS).is_file() and (folder / JOURNAL).is_file()

@@ -1,4 +1,4 @@
-"""The store interface: how a campaign's record is kept, what a store guarantees, and how many states it keeps."""
+"""The store interface: how a campaign's record is kept, and what a store guarantees."""
 
 import re
 from collections.abc import Mapping
@@ -14,23 +14,19 @@ from activefail.record.corrections import Corrections
 from activefail.simulators.interface import Results
 from activefail.space import Array
 
-STATES_KEPT = 3
-"""Number of states that a store keeps."""
-
 
 class Store(Protocol):
     """The record of a campaign: batches, states of what was learned, and sets of designs outside the budget.
 
-    **Durability.** A batch is durable once `commit` returns; a correction, a state or a set once `correct`,
-    `write_state` or `write_set` returns. Durable data survives the process and, if the disk honours fsync, the loss of
-    power. `MemoryStore` keeps its data as long as the object lives.
+    **Durability.** What a method writes is durable once it returns. Durable data survives the process and, if the disk
+    honours fsync, the loss of power. `MemoryStore` keeps its data as long as the object lives.
 
-    **Readers.** Batches, states and sets are visible as a whole or not at all. A reader of a folder in which another
-    process writes has the batches that were committed when the reader was opened, and no later ones. States and sets
-    are read on demand; a state that was learned from a batch unknown to the reader is skipped.
+    **Readers.** Whatever was written is visible as a whole or not at all. A reader of a folder in which another process
+    writes has what was written when the reader was opened, and nothing later. States alone are read on demand; a state
+    that was learned from a batch unknown to the reader is skipped.
 
     **Writers.** At most one store writes to a record. A second one is refused when it is opened or, on a file system
-    without locks, when it commits.
+    without locks, when it writes.
 
     **Threads and processes.** Any thread may call a store, but only one at a time. A store is not pickled and not used
     after a fork.
@@ -70,7 +66,7 @@ class Store(Protocol):
 
         A state that includes fewer batches of its iteration than the record is skipped.
         A state of the same iteration is replaced. States of later iterations are dropped: they belong to
-        discarded batches. The newest three states are kept. A lost state costs only time, as it can be learned
+        discarded batches. The newest two states are kept. A lost state costs only time, as it can be learned
         again.
 
         Args:
@@ -103,18 +99,15 @@ class Store(Protocol):
 
     @property
     def asked(self) -> Asked:
-        """The designs that were handed out to be simulated elsewhere, as of opening or the last `write_asked`.
-
-        Raises:
-            StoreError: if they cannot be read; nothing says then which designs are in flight.
-        """
+        """The designs that were handed out to be simulated elsewhere, as of opening or the last `write_asked`."""
         ...
 
     def write_asked(self, asked: Asked) -> None:
-        """Keep the designs that were handed out, in place of the former list; durable when this returns.
+        """Keep the designs that were handed out: those of the former list, and further ones; durable when this returns.
 
         Raises:
-            InputError: if the designs have another number of variables.
+            InputError: if the designs have another number of variables, or one of the former list is missing, or is no
+                longer dropped.
             StoreError: if they cannot be written, or the store may not write; the former list stays.
         """
         ...
@@ -151,17 +144,31 @@ class Store(Protocol):
         ...
 
     def read_set(self, name: str) -> tuple[Array, Results] | None:
-        """The set, or None without an intact set of this campaign.
+        """The set, or None if there is none.
 
         Also None if other code than the current code simulated the set; a warning then reports this.
-
-        Raises:
-            StoreError: if it cannot be read, or is damaged and cannot be put aside.
         """
         ...
 
     def set_names(self) -> list[str]:
-        """Names of the sets, sorted; only `read_set` checks a set."""
+        """Names of the sets, sorted."""
+        ...
+
+    def remember(self, identity: tuple[str, ...], value: Any) -> None:
+        """Keep a result that was computed from the record; replaces one of the same identity.
+
+        Args:
+            identity: what it is of: all that it depends on.
+            value: of JSON; tuples become lists.
+
+        Raises:
+            TypeError: if it is not a value of JSON.
+            StoreError: if it cannot be written, or the store may not write; the older result stays.
+        """
+        ...
+
+    def recall(self, identity: tuple[str, ...]) -> Any:
+        """The computed result of this identity; None if there is none."""
         ...
 
     def close(self) -> None:

@@ -95,7 +95,6 @@ def risk_options(
 
 def risk_findings(
     estimator: Estimator,
-    folder: Path,
     hazard: Hazard,
     question: Question,
     request: RiskOptions,
@@ -105,7 +104,6 @@ def risk_findings(
 
     Args:
         estimator: of the campaign; it need not simulate.
-        folder: the run folder.
         hazard: at one of its property bounds.
         question: the hazard's, with the bearing's values.
         request: what the report shows.
@@ -121,7 +119,7 @@ def risk_findings(
         why = f"a chart requires values of two variables besides {DEFAULT_FREE}; --fixed gives them."
         return RiskFindings(request, campaign.space, curves, None, why, ())
     requirements = [Requirement(requirement.outcome, target) for target in chart.targets.tolist()]
-    designs = stored_designs(estimator, folder, question, DEFAULT_FREE, requirements)
+    designs = stored_designs(estimator, question, DEFAULT_FREE, requirements)
     return RiskFindings(request, campaign.space, curves, chart, "", tuple(designs))
 
 

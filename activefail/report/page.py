@@ -399,9 +399,7 @@ def render(
         "beyond": findings.beyond,
         "missing": evidence.missing,
         "done": done,
-        "unseen": Summary.of(
-            settings.text(), campaign.space.names, outcomes, store.batches, store.asked
-        ).unseen_warning,
+        "unseen": Summary.of(settings.text(), campaign.schema, store.batches, store.asked).unseen_warning,
         "left": left,
         "folder": run_folder,
         "continues": continues,

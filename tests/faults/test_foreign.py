@@ -27,8 +27,8 @@ from activefail.campaign.on_disk import open_campaign
 from activefail.errors import InputError, StoreError
 from activefail.loop.learning import restore
 from activefail.parameter import Parameter
-from activefail.record.attachments import decode_state, encode_state
 from activefail.record.batch import INITIAL, Batch, Schema
+from activefail.record.checkpoint import State, decode, encode
 from activefail.record.layout import run_folder_owning
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.command import LARGEST_ANSWER, LONGEST_NUMBER, CommandSimulator
@@ -124,21 +124,8 @@ def unforged(result: CommandResult) -> None:
 # --- links -------------------------------------------------------------------------------------------------------
 
 PLACES = (
-    *(
-        "campaign.toml",
-        ".lock",
-        "report.html",
-        "probability.json",
-        "designs.json",
-        "asked.h5",
-        "segments",
-        "state",
-        "sets",
-        "simulations",
-        "compare",
-    ),
-    *("segments/000000000-000000007.h5", "segments/000000099-000000100.h5", "state/000000001.h5", "state/000000099.h5"),
-    *("sets/validation-0.h5", "sets/notes", "compare/scores.csv", "compare/learning_curves.png", "simulations/0123"),
+    *("campaign.toml", "journal", "journal.quarantine", "checkpoint.h5", "report.html", "simulations", "compare"),
+    *("compare/scores.csv", "compare/learning_curves.png", "simulations/0123"),
 )
 
 
@@ -182,11 +169,11 @@ def test_files_of_a_run_folder_that_have_another_name_elsewhere_are_never_writte
 ) -> None:
     victim = tmp_path / "victim"
     victim.mkdir()
-    names = [".lock", "report.html", "compare/scores.csv", "compare/learning_curves.png", "compare/learning_curves.svg"]
-    names += [str(path.relative_to(received)) for kind in ("state", "sets") for path in (received / kind).iterdir()]
+    names = ["checkpoint.h5", "report.html"]
+    names += ["compare/scores.csv", "compare/learning_curves.png", "compare/learning_curves.svg"]
     for number, name in enumerate(names):
         held = victim / str(number)
-        held.write_text("mine") if name == ".lock" else shutil.copy(received / name, held)
+        shutil.copy(received / name, held)
         (received / name).unlink()
         os.link(held, received / name)
     before = {path.name: path.read_bytes() for path in victim.iterdir()}
@@ -392,15 +379,16 @@ def test_a_campaign_file_that_is_none_is_refused_at_once(tmp_path: Path, kind: s
 # --- states ------------------------------------------------------------------------------------------------------
 
 
-def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
-    """The newest state of a run folder changed, under a right digest."""
-    path = sorted((folder / "state").iterdir())[-1]
+def rewritten(folder: Path, change: Callable[[dict[str, Any]], object]) -> int:
+    """The newest state of a run folder changed, under a right digest; its iteration."""
+    path = folder / "checkpoint.h5"
     with FolderStore.open(folder, write=False) as store:
-        digests = {digest for segment in store.segments for digest in segment.chain.values()}
-        _, state = decode_state(path.read_bytes(), int(path.stem), digests)
+        states = decode(path.read_bytes())
+        iteration = max(states)
+        state = dict(states[iteration].arrays)
         change(state)
-        path.write_bytes(encode_state(int(path.stem), state, store.digest))
-    return path
+        path.write_bytes(encode({**states, iteration: State(states[iteration].record, state)}, store.schema, ()))
+    return iteration
 
 
 @pytest.mark.parametrize(
@@ -433,13 +421,13 @@ def test_a_state_that_no_training_gives_is_skipped_and_learned_again_by_every_co
     predict = next(words for words in commands(received) if words[0] == "predict")
     assert activefail(*predict).code == 0
     before = (tmp_path / "predicted.csv").read_text()
-    path = rewritten(received, lambda state: state.update({f"failure/{key}": np.asarray(array)}))
+    iteration = rewritten(received, lambda state: state.update({f"failure/{key}": np.asarray(array)}))
     for words in commands(received):
         if words[0] in ("predict", "report", "verify", "resume"):
             folder = Path(shutil.copytree(received, tmp_path / str(words[0])))
             result = activefail(words[0], folder, *words[2:])
             assert result.code == 0, result
-            assert f"warning: state/{path.name} " in result.err
+            assert f"warning: checkpoint.h5: the state of iteration {iteration} " in result.err
             assert "; it is skipped." in result.err
             survived()
     assert (tmp_path / "predicted.csv").read_text() == before
@@ -551,11 +539,10 @@ def test_without_flock_a_kill_locks_nothing_and_a_lock_made_elsewhere_is_not_bus
 ) -> None:
     folder = tmp_path / "run"
     no_flock = ["-e", "trace=flock", "-e", f"inject=flock:error={error}", "-o", str(tmp_path / "trace")]
-    # Begun where flock works, so that .lock is there.
+    # Begun where flock works.
     victim = victims.start(folder, "", commits=1)
     victim.go_on()
     assert victim.end() == 0
-    assert (folder / ".lock").exists()
     victim = victims.start(folder, "commit 1", commits=2)
     os.kill(victim.pid, signal.SIGKILL)
     assert victim.end() == -signal.SIGKILL
@@ -564,16 +551,17 @@ def test_without_flock_a_kill_locks_nothing_and_a_lock_made_elsewhere_is_not_bus
         with traced(victim.pid, *no_flock):
             victim.go_on()
             assert victim.end() == 0, victim.reports
-        assert "has no locks: make sure that only one process writes at a time" in victim.reports[-1]
+        assert "has no locks: make sure that only one process writes" in victim.reports[-1]
     assert "(INJECTED)" in (tmp_path / "trace").read_text()
     assert finished(folder) == uninterrupted
 
 
-def test_a_lock_that_is_no_file_is_refused(received: Path) -> None:
-    (received / ".lock").unlink()
-    os.mkfifo(received / ".lock")
-    with pytest.raises(StoreError, match=r"\.lock is not a regular file\. Remove \.lock\."):
-        FolderStore.open(received, write=True)
+def test_a_journal_that_is_no_file_is_refused(received: Path) -> None:
+    (received / "journal").unlink()
+    os.mkfifo(received / "journal")
+    for write in (True, False):
+        with pytest.raises(StoreError, match=r"journal is not a regular file"):
+            FolderStore.open(received, write=write)
 
 
 # --- names and limits --------------------------------------------------------------------------------------------
@@ -630,7 +618,7 @@ def test_a_file_of_a_run_folder_is_known_by_the_file_system_and_not_by_its_spell
     os.link(folder / "campaign.toml", folder / "Campaign.toml")
     assert run_folder_owning(folder / "Campaign.toml") == folder
     (tmp_path / "elsewhere").mkdir()
-    assert run_folder_owning(folder / "segments" / "new.csv") == folder
+    assert run_folder_owning(folder / "simulations" / "new.csv") == folder
     assert run_folder_owning(folder / "mine.csv") is None
     assert run_folder_owning(tmp_path / "elsewhere" / "campaign.toml") is None
     result = activefail("export", folder, "--csv", folder / "Campaign.toml")

@@ -14,7 +14,7 @@ import pytest
 from commandline import activefail, record
 from faults.harness import Course, Victim, Victims, few, finished
 from faults.test_kills import assert_nothing_lost, begun
-from faults.victim import COMMITS, COMPACT_AT, opened
+from faults.victim import COMMITS, opened
 
 from activefail.errors import StoreError
 from activefail.record.asked import Asked
@@ -25,15 +25,15 @@ Survived = Callable[[], None]
 Disk = Callable[[int], Path]
 
 TINY = "seed = 3\nsampling = { initial = 20, budget = 30, batch = 5 }\n"
-"""A campaign on the bearing whose run folder comes to some 150 kB."""
+"""A campaign on the bearing whose run folder comes to some 40 kB."""
 
 
 def test_a_disk_that_is_full_at_any_page_ends_the_campaign_with_the_reason_and_loses_nothing(
     small_disk: Disk, victims: Victims, uninterrupted: Course, every_fault: bool, survived: Survived
 ) -> None:
     ended = set()
-    # A page of the disk is 4 kB; the campaign's folder needs some sixteen of them.
-    for kilobytes in few(list(range(4, 84, 4)), every_fault, 4):
+    # A page of the disk is 4 kB; the campaign's folder needs some eight of them.
+    for kilobytes in few(list(range(4, 60, 4)), every_fault, 4):
         disk = small_disk(kilobytes)
         victim = victims.start(disk / "run", "")
         victim.go_on()
@@ -55,14 +55,14 @@ def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_ca
     (tmp_path / "tiny.toml").write_text(TINY)
     assert activefail("run", tmp_path / "tiny.toml", "--out", tmp_path / "straight").code == 0
     disk = small_disk(300)
-    (disk / "ballast").write_bytes(bytes(200_000))
+    (disk / "ballast").write_bytes(bytes(307_200 - 4 * 4096))
     result = activefail("run", tmp_path / "tiny.toml", "--out", disk / "run")
     assert result.code == 1
     (line,) = result.err.splitlines()
     assert line.startswith(f"activefail: Cannot write {disk / 'run'}")
     assert line.endswith("No space left on device. Existing data is intact. Fix the problem, then resume.")
-    done = len(list((disk / "run" / "segments").iterdir()))
-    assert 0 < done < 6
+    with FolderStore.open(disk / "run", write=False) as store:
+        assert 0 < len(store.batches) < 6
     repeated = activefail("resume", disk / "run")
     assert repeated.code == 1
     assert "No space left on device" in repeated.err
@@ -73,14 +73,14 @@ def test_on_a_full_disk_the_program_says_so_in_one_line_and_the_same_campaign_ca
     assert record(tmp_path / "run") == record(tmp_path / "straight")
 
 
-@pytest.mark.parametrize("limit", [150, 4096, 5000, 7000, 9000])
+@pytest.mark.parametrize("limit", [150, 2500, 3000, 3500, 9000])
 def test_a_limit_on_the_size_of_files_ends_the_campaign_with_the_reason_and_loses_nothing(
     limit: int, victims: Victims, uninterrupted: Course, tmp_path: Path
 ) -> None:
     victim = victims.start(tmp_path / "run", "", fault=f"small files {limit}")
     victim.go_on()
     code = victim.end()
-    assert (code, limit) in [(1, limit), (0, 9000)]
+    assert code == (limit < 9000)
     if code:
         # The victim's log is a file too, and may be cut.
         assert victim.reports[-1].startswith("error Cannot write ")
@@ -141,18 +141,13 @@ def test_a_clock_that_jumps_and_files_from_other_times_change_nothing(
 MEETINGS = {
     # Whoever is second finds the lock taken, wherever the first one is; before the folder stands, too.
     None: [
-        *((0, first, second) for first in ("link 1", "set 1") for second in ("", "creation 1")),
-        *((commits, first, "") for commits in range(COMMITS) for first in ("commit 1", "link 1", "state 1")),
-        *((commits, "compaction 1", "") for commits in range(COMPACT_AT)),
+        *((0, "set 1", second) for second in ("", "creation 1")),
+        *((commits, first, "") for commits in range(COMMITS) for first in ("commit 1", "state 1", "closing 1")),
     ],
-    # Without it the second one gets past the first, whose next batch finds its place taken.
+    # Without it the second one gets past the first, whose next event finds another end of the journal.
     "without locks": [
-        *((0, "link 1", second) for second in ("", "creation 1")),
         (0, "set 1", ""),
-        *((commits, "commit 1", "") for commits in range(COMMITS)),
-        *((commits, "link 1", "commit 1") for commits in range(1, COMMITS)),
-        *((commits, "state 1", "") for commits in range(COMMITS - 1)),
-        *((commits, "compaction 1", "") for commits in range(COMPACT_AT)),
+        *((commits, "commit 1", second) for commits in range(1, COMMITS) for second in ("", "commit 1")),
     ],
 }
 """How many batches there are before, where the first of two writers waits, and how far the second came before it."""
@@ -228,13 +223,12 @@ def changes(store: FolderStore) -> dict[str, Callable[[], object]]:
         "commit": lambda: store.commit(one),
         "state": lambda: store.write_state(9, {"a": np.zeros(2)}),
         "set": lambda: store.write_set("validation-0", *kept),
-        "text": lambda: store.write_text("probability.json", "{}"),
+        "result": lambda: store.remember(("a",), 1),
         "asked": lambda: store.write_asked(Asked.of(np.array([0]), one.designs[:1], ACTIVE, 0)),
-        "quarantine": lambda: store.read_set("foreign"),
     }
 
 
-@pytest.mark.parametrize("change", ["commit", "state", "set", "text", "asked", "quarantine"])
+@pytest.mark.parametrize("change", ["commit", "state", "set", "result", "asked"])
 @pytest.mark.parametrize("fate", ["moved", "moved and replaced", "removed and replaced"])
 @pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
 def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name(
@@ -254,13 +248,10 @@ def test_a_writer_whose_folder_went_elsewhere_changes_nothing_under_its_old_name
         folder.rename(elsewhere) if "moved" in fate else shutil.rmtree(folder)
         if "replaced" in fate:
             begun(folder, 1)
-            (folder / "sets" / "foreign.h5").write_bytes(b"of the other campaign")
         before = tree(tmp_path)
-        if change != "quarantine" or "replaced" in fate:
-            with pytest.raises(StoreError, match=r"was moved, removed or replaced while .* Nothing more is written"):
-                changed[change]()
-        # Not even if the folder comes back.
-        for later in ("commit", "state", "set", "text"):
+        with pytest.raises(StoreError, match=r"was moved, removed or replaced while .* Nothing more is written"):
+            changed[change]()
+        for later in ("commit", "state", "set", "result"):
             with pytest.raises(StoreError, match=r"resume it at its new place; its committed batches are intact"):
                 changed[later]()
         assert tree(tmp_path) == before
@@ -274,55 +265,31 @@ def without_flock(*arguments: object) -> None:
     raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
 
-@pytest.mark.parametrize("change", ["commit", "state", "set", "text"])
-@pytest.mark.parametrize("call", ["os.open", "os.fsync", "os.link", "os.replace"])
-def test_a_folder_that_is_replaced_during_a_write_gets_no_file_of_another_campaign(
+@pytest.mark.parametrize("change", ["commit", "state", "set", "result"])
+@pytest.mark.parametrize("call", ["os.open", "os.fsync", "os.write", "os.replace"])
+def test_a_folder_that_is_replaced_during_a_write_gets_nothing_of_another_campaign(
     call: str, change: str, uninterrupted: Course, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, survived: Survived
 ) -> None:
     folder, elsewhere, other = tmp_path / "run", tmp_path / "elsewhere", begun(tmp_path / "other", 1)
-    before = {str(Path(name).relative_to(other)): kept for name, kept in tree(other).items()}
+    before = {str(Path(name).relative_to(other)): kept[1] for name, kept in tree(other).items()}
     function = eval(call)
 
     def replaced(*arguments: Any, **options: Any) -> Any:
-        if ".tmp-" in str(arguments[0]) or call == "os.fsync":
-            monkeypatch.undo()
-            folder.rename(elsewhere)
-            other.rename(folder)
+        monkeypatch.undo()
+        folder.rename(elsewhere)
+        other.rename(folder)
         return function(*arguments, **options)
 
     with opened(begun(folder, 2)) as store:
         changed = changes(store)
         monkeypatch.setattr(call, replaced)
-        if (call == "os.link") == (change == "commit") or call not in ("os.link", "os.replace"):
-            with pytest.raises(StoreError, match="was moved, removed or replaced"):
-                changed[change]()
-            after = {str(Path(name).relative_to(folder)): kept for name, kept in tree(folder).items()}
-            assert {name: kept[1] for name, kept in after.items()} == {name: kept[1] for name, kept in before.items()}
-            survived()
+        try:
+            changed[change]()
+        except StoreError as error:
+            assert "moved" in str(error) or "No such file" in str(error)  # noqa: PT017
         monkeypatch.undo()
     if elsewhere.exists():
-        assert finished(elsewhere) == finished(folder) == uninterrupted
-
-
-def test_a_state_or_a_set_of_another_version_is_refused_by_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for version, says in ((0, "schema version 0"), (2, "schema version 2")):
-        folder = tmp_path / str(version)
-        with monkeypatch.context() as patch:
-            patch.setattr("activefail.record.segment.SCHEMA_VERSION", version)
-            patch.setattr("activefail.record.attachments.SCHEMA_VERSION", version)
-            begun(folder, 3)
-        before = tree(folder)
-        with pytest.raises(Exception, match=rf"segments/\S+\.h5 was written in {says} by activefail .* version 1\."):
-            FolderStore.open(folder, write=True)
-        # Where only what can be rebuilt is of another version, it is not thrown away either.
-        shutil.rmtree(folder / "segments")
-        shutil.copytree(begun(tmp_path / f"{version}-ours", 3) / "segments", folder / "segments")
-        with FolderStore.open(folder, write=False) as store:
-            for read in (store.latest_state, lambda store=store: store.read_set("validation-0")):
-                with pytest.raises(Exception, match=rf"(state|sets)/\S+\.h5 was written in {says}"):
-                    read()
-        assert {name: kept for name, kept in tree(folder).items() if "segments" not in name} == {
-            name: kept for name, kept in before.items() if "segments" not in name
-        }
+        # An event is in the journal that this process opened, wherever it is now.
+        assert {str(Path(name).relative_to(folder)): kept[1] for name, kept in tree(folder).items()} == before
+        assert finished(folder) == uninterrupted
+    survived()

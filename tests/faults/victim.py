@@ -7,6 +7,8 @@ state and set that the record acknowledged. Names under `/-/`, which do not exis
 begins and ends.
 """
 
+import errno
+import fcntl
 import itertools
 import json
 import os
@@ -21,6 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py  # noqa: F401 (before the victims, so that they make no system calls for it)
 import numpy as np
 from campaign.stub import Disc, disc
 from numpy.typing import NDArray
@@ -31,8 +34,6 @@ from activefail.loop.asking import add, ask, correct, drop, tell
 from activefail.loop.batches import run
 from activefail.loop.in_flight import HandedOut
 from activefail.loop.progress import Observer
-from activefail.record import compaction
-from activefail.record import run_folder as store
 from activefail.record.batch import GIVEN, Batch
 from activefail.record.run_folder import FolderStore
 from activefail.simulators.interface import Results, Simulator
@@ -40,11 +41,6 @@ from activefail.space import Array
 
 INITIAL, BUDGET, BATCH = 6, 12, 3
 COMMITS = BUDGET // BATCH
-COMPACT_AT = 3
-"""So that the third commit, the first of a chosen batch, merges."""
-
-STATES_KEPT = 2
-"""So that the third state is written and the first one goes."""
 
 
 class Inline:
@@ -105,10 +101,9 @@ class Logging(FolderStore):
         if self.lists_commits:
             self.tell(f"commit {len(self.batches)} {self.digest}")
 
-    def compact(self) -> None:
-        if compaction.due(self.segments):
-            with self.gate.marked("compaction"):
-                super().compact()
+    def close(self) -> None:
+        with self.gate.marked("closing"):
+            super().close()
 
     def write_state(self, iteration: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         with self.gate.marked("state"):
@@ -139,7 +134,6 @@ def opened(folder: Path) -> Logging:
 
 def work(folder: Path, log: Path, commits: int | None, fault: str | None) -> int:
     """Take the campaign in a folder on, to its budget or a number of commits; the exit code as the command line's."""
-    compaction.COMPACT_AT, store.STATES_KEPT = COMPACT_AT, STATES_KEPT
     Logging.log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     match (fault or "").split():
         case ["small", "files", limit]:
@@ -227,28 +221,12 @@ def jumping_clock() -> None:
 
 
 def without_locks() -> None:
-    """As on a file system whose locks do nothing."""
+    """As on a file system without locks."""
 
-    class Nothing:
-        held = True
+    def refused(*arguments: object) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
-        def is_in(self, folder: Path) -> bool:
-            return True
-
-        def release(self) -> None: ...
-
-    store.FolderLock = lambda folder: Nothing()  # type: ignore[assignment,misc]
-
-
-def links_are_marked() -> None:
-    """Have each name that a file is published under be a place, "link"."""
-    real = os.link
-
-    def link(*arguments: Any) -> None:
-        with Logging.gate.marked("link"):
-            real(*arguments)
-
-    os.link = link  # type: ignore[assignment]
+    fcntl.flock = refused
 
 
 def serve() -> None:
@@ -263,8 +241,6 @@ def serve() -> None:
             answer = os.fork()
             if answer == 0:
                 Logging.gate = Gate(command["place"], command["fifo"])
-                if command["place"].startswith("link"):
-                    links_are_marked()
                 if not command["place"]:
                     Logging.gate.wait()
                 os._exit(work(Path(command["folder"]), Path(command["log"]), command["commits"], command["fault"]))

@@ -11,13 +11,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from activefail.record.hdf5 import encode
+from activefail.record.segment import Segment, decode_segment, encode_segment
 from commandline import activefail
 
 from activefail.record import segment as segment_module
 from activefail.record.batch import ACTIVE, COLUMNS, INITIAL, Batch, Schema, answers_of
-from activefail.record.hdf5 import encode
 from activefail.record.run_folder import FolderStore
-from activefail.record.segment import Segment, decode_segment, encode_segment
 from activefail.simulators.interface import EXECUTION_CAUSES, Results
 
 ROOT = Path(__file__).parents[2]

@@ -1,22 +1,18 @@
-"""Verified designs whose fresh simulations are in the run folder: where to find them, and reading them again."""
+"""Verified designs whose fresh simulations are in the record: where to find them, and reading them again."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from activefail.campaign.question import Question
-from activefail.files import read_regular
-from activefail.record.layout import DESIGNS
+from activefail.record.store import Store
 from activefail.reliability.estimate import ProbabilityEstimate
 from activefail.risk.design.design_task import LOOKS, Requirement, confidence_of_bound
 from activefail.risk.design.search import Designed, verifies
 from activefail.verification.probability_estimator import Estimator
 
-_LARGEST, _MOST = 1_000_000, 1_000
-"""Most bytes of the file, and most designs in it."""
+_IDENTITY = ("verified designs",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,20 +32,15 @@ class StoredDesign:
     confidence: float
 
 
-def designs_text(folder: Path, designed: Designed) -> str | None:
-    """The file of a run folder's verified designs with one more; None if there is nothing to add.
+def remember_design(store: Store, designed: Designed) -> None:
+    """Add the result of a search to a record's verified designs.
 
-    A design that is not verified is not added, nor one whose targets were risks in a number of years.
-
-    The file says where a look was, not what it found: that is in the stored simulations alone.
-
-    Args:
-        folder: the run folder.
-        designed: the result of a search.
+    A design that is not verified is not added, nor one whose targets were risks in a number of years. An entry says
+    where a look was, not what it found: that is in the stored simulations alone.
     """
     if designed.status != "verified" or designed.task.rate is not None:
-        return None
-    entries = _entries(folder)
+        return
+    entries = _entries(store)
     for one in designed.task.requirements:
         entry = {
             "outcome": one.outcome,
@@ -59,11 +50,11 @@ def designs_text(folder: Path, designed: Designed) -> str | None:
             "confidence": designed.task.confidence,
         }
         entries = [*(other for other in entries if other != entry), entry]
-    return json.dumps({"designs": entries[-_MOST:]}, indent=1)
+    store.remember(_IDENTITY, entries)
 
 
 def stored_designs(
-    estimator: Estimator, folder: Path, question: Question, free: str, requirements: Sequence[Requirement]
+    estimator: Estimator, question: Question, free: str, requirements: Sequence[Requirement]
 ) -> list[StoredDesign]:
     """The last verified design of each requirement under a question, from stored simulations; nothing is simulated.
 
@@ -71,14 +62,13 @@ def stored_designs(
 
     Args:
         estimator: reads.
-        folder: the run folder.
         question: the distribution of the variables; the free one gets a value.
         free: the free variable. Designs with other free variables are left out.
         requirements: the targets.
     """
     designs = []
     for requirement in requirements:
-        for entry in reversed(_entries(folder)):
+        for entry in reversed(_entries(estimator.store)):
             if (entry["outcome"], entry["target"]) != requirement[:2] or entry["free"].keys() != {free}:
                 continue
             at_design = question.at(entry["free"])
@@ -90,13 +80,10 @@ def stored_designs(
     return designs
 
 
-def _entries(folder: Path) -> list[dict[str, Any]]:
-    """The entries of the file; those that `designs_text` did not write are left out."""
-    try:
-        saved = json.loads(read_regular(folder / DESIGNS, _LARGEST))["designs"]
-        return [entry for entry in saved if _is_entry(entry)]
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return []
+def _entries(store: Store) -> list[dict[str, Any]]:
+    """The verified designs; those that `remember_design` did not write are left out."""
+    saved = store.recall(_IDENTITY)
+    return [entry for entry in saved if _is_entry(entry)] if isinstance(saved, list) else []
 
 
 def _is_entry(entry: Any) -> bool:
